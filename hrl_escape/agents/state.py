@@ -9,7 +9,7 @@ first. What an attribute is decides how it is kept:
 | attribute | in the tree | loading |
 |---|---|---|
 | a part with `state_dict` and `load_state_dict` | its own tree | into the part that is there |
-| a dict whose values are all parts | a tree a name | into the parts that are there, name by name |
+| a dict or list of parts, a dict of tensors | a tree or array each | into those that are there, one by one |
 | numpy or torch generator | its state | set on the generator that is there |
 | torch tensor | array | copied into the tensor that is there, on its device; the shape must be the same |
 | numpy array | array | a copy, of the dtype that is there |
@@ -20,14 +20,16 @@ first. What an attribute is decides how it is kept:
 
 Where the attribute is None and the tree holds a part's state, or the other way round, nothing is loaded: whoever made
 the tree had a part that is not here. `Kept` gives an attribute another key, a form of its own, or leaves its key out
-while it is None. A class whose form follows from more than one attribute gives a property with a setter, or writes the
-two methods itself. What follows from the state (an index, a plan) is computed in `after_load`.
+while it is None. `Columns` keeps tables, dicts with the same keys. A class whose form follows from more than one
+attribute gives a property with a setter, or writes the two methods itself. What follows from the state (an index, a
+plan) is computed in `after_load`.
 """
 
 from __future__ import annotations
 
+import ast
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from operator import attrgetter
@@ -37,7 +39,7 @@ import numpy as np
 
 from hrl_escape.errors import CheckpointError
 
-__all__ = ["Kept", "StateTree", "Stateful", "read_value", "restore_value"]
+__all__ = ["Columns", "Kept", "StateTree", "Stateful", "pack_keys", "read_value", "restore_value", "unpack_keys"]
 
 StateTree = dict[str, Any]
 """Content of a checkpoint: a tree of dicts and lists over numbers, strings, None and numpy arrays."""
@@ -64,11 +66,86 @@ class Kept:
     def __post_init__(self) -> None:
         object.__setattr__(self, "key", self.key or self.attribute.lstrip("_"))
 
+    def write(self, holder: Any, tree: StateTree) -> None:
+        """Put the attribute of a holder into its tree."""
+        value = attrgetter(self.attribute)(holder) if self._find_owner(holder) is not None else None
+        if value is not None or not self.is_left_out:
+            tree[self.key] = self.pack(value) if self.pack and value is not None else read_value(
+                value, f"{type(holder).__name__}.{self.attribute}")
+
+    def read(self, holder: Any, tree: StateTree) -> None:
+        """Set the attribute of a holder from a tree."""
+        if self.key not in tree and self.is_left_out:
+            return
+        saved, owner, name = _get(tree, self.key, holder), self._find_owner(holder), self.attribute.rpartition(".")[2]
+        if owner is None:
+            return
+        before = getattr(owner, name)
+        if self.unpack is not None:
+            value = None if saved is None else self.unpack(saved)
+        else:
+            value = restore_value(before, saved, f"{self.key} of {type(holder).__name__}")
+        if value is not before:
+            setattr(owner, name, value)
+
+    def _find_owner(self, holder: Any) -> Any:
+        """Object that has the attribute itself, at the end of its path; None where the path ends early."""
+        for name in self.attribute.split(".")[:-1]:
+            holder = None if holder is None else getattr(holder, name)
+        return holder
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Dicts with the same keys in the same order: the keys as one list, and the values of each dict as one array.
+
+    Attributes:
+        attributes: key in the tree -> attribute; values are numbers, or arrays of one shape. The dicts' own keys are
+            under `keys`.
+        are_literal: keys are literals (numbers, text, bytes, None and tuples of these), kept as text; else they are
+            bytes of one length, kept as an array.
+    """
+
+    attributes: Mapping[str, str]
+    are_literal: bool = False
+
+    def write(self, holder: Any, tree: StateTree) -> None:
+        """Put the dicts of a holder into its tree."""
+        dicts = {key: getattr(holder, attribute) for key, attribute in self.attributes.items()}
+        keys = next(iter(dicts.values()))
+        tree["keys"] = list(map(repr, keys)) if self.are_literal else pack_keys(keys)
+        tree |= {key: np.array(list(each.values())) for key, each in dicts.items()}
+
+    def read(self, holder: Any, tree: StateTree) -> None:
+        """Set the dicts of a holder from a tree."""
+        saved = _get(tree, "keys", holder)
+        keys = list(map(ast.literal_eval, saved)) if self.are_literal else unpack_keys(saved)
+        for key, attribute in self.attributes.items():
+            values = np.array(_get(tree, key, holder))
+            rows = values.tolist() if values.ndim == 1 else values
+            setattr(holder, attribute, dict(zip(keys, rows, strict=True)))
+
+
+def pack_keys(keys: Iterable[bytes]) -> Any:
+    """Keys of one length as uint8 (keys, length)."""
+    return np.array([np.frombuffer(key, np.uint8) for key in keys], np.uint8)
+
+
+def unpack_keys(saved: Any) -> list[bytes]:
+    """Keys from what `pack_keys` gave."""
+    return [key.tobytes() for key in np.asarray(saved, np.uint8)]
+
+
+def _get(tree: StateTree, key: str, holder: Any) -> Any:
+    if key not in tree:
+        raise CheckpointError(f"the checkpoint has no {key!r} of {type(holder).__name__}")
+    return tree[key]
+
 
 class Stateful:
     """Base of whatever a checkpoint holds. See the module's text for how attributes are kept."""
 
-    STATE: ClassVar[tuple[str | Kept, ...]]
+    STATE: ClassVar[tuple[str | Kept | Columns, ...]]
     """Attributes that the class adds to the state of its bases, in the order of the tree."""
 
     def state_dict(self) -> StateTree:
@@ -79,12 +156,9 @@ class Stateful:
         Raises:
             TypeError: neither the class nor a base declares a state, or a value has no form in a tree.
         """
-        tree = {}
+        tree: StateTree = {}
         for kept in list_kept(type(self)):
-            value = attrgetter(kept.attribute)(self) if _find_owner(self, kept) is not None else None
-            if value is not None or not kept.is_left_out:
-                tree[kept.key] = kept.pack(value) if kept.pack and value is not None else read_value(
-                    value, f"{type(self).__name__}.{kept.attribute}")
+            kept.write(self, tree)
         return tree
 
     def load_state_dict(self, state: StateTree) -> None:
@@ -94,27 +168,14 @@ class Stateful:
             CheckpointError: the tree lacks something, or does not fit.
         """
         for kept in list_kept(type(self)):
-            if kept.key not in state:
-                if kept.is_left_out:
-                    continue
-                raise CheckpointError(f"the checkpoint has no {kept.key!r} of {type(self).__name__}")
-            owner, name = _find_owner(self, kept), kept.attribute.rpartition(".")[2]
-            if owner is None:
-                continue
-            saved, before = state[kept.key], getattr(owner, name)
-            if kept.unpack is not None:
-                value = None if saved is None else kept.unpack(saved)
-            else:
-                value = restore_value(before, saved, f"{kept.key} of {type(self).__name__}")
-            if value is not before:
-                setattr(owner, name, value)
+            kept.read(self, state)
         self.after_load()
 
     def after_load(self) -> None:
         """Compute what follows from the state and is not kept."""
 
 
-def list_kept(kind: type[Stateful]) -> Iterator[Kept]:
+def list_kept(kind: type[Stateful]) -> Iterator[Kept | Columns]:
     """State that a class declares: the declarations of its bases in the order of construction, then its own.
 
     Raises:
@@ -126,13 +187,6 @@ def list_kept(kind: type[Stateful]) -> Iterator[Kept]:
                         "where nothing is to be kept; or write state_dict and load_state_dict")
     for kept in (kept for names in declared for kept in names):
         yield Kept(kept) if isinstance(kept, str) else kept
-
-
-def _find_owner(holder: Any, kept: Kept) -> Any:
-    """Object that has the attribute itself, at the end of its path; None where the path ends early."""
-    for name in kept.attribute.split(".")[:-1]:
-        holder = None if holder is None else getattr(holder, name)
-    return holder
 
 
 def read_value(value: Any, where: str) -> Any:
@@ -155,8 +209,10 @@ def read_value(value: Any, where: str) -> Any:
         return value.detach().cpu().numpy()
     if _is_named_tuple(value):
         return {name: read_value(each, f"{where}.{name}") for name, each in value._asdict().items()}
-    if isinstance(value, dict) and all(map(_is_part, value.values())):
-        return {name: part.state_dict() for name, part in value.items()}
+    if isinstance(value, dict) and all(map(_is_kept_in_place, value.values())):
+        return {name: read_value(part, f"{where}[{name!r}]") for name, part in value.items()}
+    if isinstance(value, list) and all(map(_is_part, value)):
+        return [part.state_dict() for part in value]
     if isinstance(value, (list, dict)):
         return value.copy()
     if value is None or isinstance(value, (bool, int, float, str, np.generic, np.ndarray, tuple)):
@@ -198,9 +254,13 @@ def restore_value(value: Any, saved: Any, where: str) -> Any:
     if _is_named_tuple(value):
         return type(value)(**{name: restore_value(each, saved[name], f"{name} in {where}")
                               for name, each in value._asdict().items()})
-    if isinstance(value, dict) and value and all(map(_is_part, value.values())):
+    if isinstance(value, dict) and value and all(map(_is_kept_in_place, value.values())):
         for name, part in value.items():
-            part.load_state_dict(saved[name])
+            restore_value(part, saved[name], f"{name} in {where}")
+        return value
+    if isinstance(value, list) and value and all(map(_is_part, value)):
+        for part, each in zip(value, saved, strict=True):
+            part.load_state_dict(each)
         return value
     if isinstance(value, np.ndarray):
         return np.array(saved, value.dtype)
@@ -209,6 +269,10 @@ def restore_value(value: Any, saved: Any, where: str) -> Any:
 
 def _is_part(value: Any) -> bool:
     return hasattr(value, "state_dict") and hasattr(value, "load_state_dict")
+
+
+def _is_kept_in_place(value: Any) -> bool:
+    return _is_part(value) or _is_torch(value, "Tensor")
 
 
 def _is_named_tuple(value: Any) -> TypeGuard[Any]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_escape.agents.state import Kept, Stateful
+from hrl_escape.agents.state import Columns, Kept, Stateful
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.errors import CheckpointError
 
@@ -41,6 +41,15 @@ class Learner(Stateful):
         self.loads += 1
 
 
+class Tables(Stateful):
+    STATE = (Columns({"values": "_values", "counts": "_counts"}, are_literal=True), "parts", "weights")
+
+    def __init__(self, start):
+        self._values, self._counts = {("a", 1): 0.5 + start, None: 2.0}, {("a", 1): 3, None: 4 + start}
+        self.parts = [Counter(start), Counter(1 + start)]
+        self.weights = {"low": torch.full((2,), float(start))}
+
+
 class Further(Learner):
     STATE = ("last",)
     last: int | None = None
@@ -55,6 +64,20 @@ def test_keys_are_names_without_underscores_those_of_the_base_first():
     assert list(Further(0).state_dict()) == ["counter", "named", "rng", "draws", "weights", "values", "memory",
                                              "places", "name", "chosen", "is_done", "cells", "pace", "helper", "last"]
     assert Counter(3).state_dict() == {"steps": 3, "rate": 0.5}
+
+
+def test_tables_lists_of_parts_and_tensors_by_name_come_back_the_last_two_in_place(tmp_path):
+    one, other = Tables(1), Tables(2)
+    weights, parts = other.weights["low"], list(other.parts)
+    state = through_a_file(one.state_dict(), tmp_path)
+    assert state["keys"] == ["('a', 1)", "None"] and state["counts"].tolist() == [3, 5]
+    other.load_state_dict(state)
+    assert (other._values, other._counts) == (one._values, one._counts)
+    assert all(type(each) is int for each in other._counts.values())
+    assert other.parts == parts and [part._steps for part in parts] == [1, 2]
+    assert other.weights["low"] is weights and weights.tolist() == [1.0, 1.0]
+    with pytest.raises(CheckpointError, match="no 'keys' of Tables"):
+        other.load_state_dict({})
 
 
 def test_every_kind_of_value_comes_back_through_a_file_with_its_type(tmp_path):

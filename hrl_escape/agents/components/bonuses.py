@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.components.tables import TabularSettings, make_cell_finder
 from hrl_escape.agents.settings import AgentSettings
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Columns, Stateful
 from hrl_escape.settings import Range
 
 __all__ = ["BonusSettings", "CountBonus"]
@@ -35,7 +35,7 @@ class BonusSettings(AgentSettings):
     included: 5 over a 20 m room is 5 m; a bit stays a bit."""
 
 
-class CountBonus:
+class CountBonus(Stateful):
     """Counts of visits by cell, and the bonus of the next visit.
 
     Args:
@@ -46,6 +46,8 @@ class CountBonus:
     Raises:
         UnsupportedSpaceError: a weight above 0 and observations that cannot be binned, such as pictures.
     """
+
+    STATE = (Columns({"counts": "_counts"}),)
 
     def __init__(self, space: gymnasium.Space, settings: Any, agent: str) -> None:
         self._weight = settings.bonus_weight
@@ -77,13 +79,3 @@ class CountBonus:
         rank[np.argsort(place, kind="stable")] = np.arange(len(place)) - np.repeat(np.cumsum(visits) - visits, visits)
         self._counts |= {cell.tobytes(): int(count) for cell, count in zip(cells, before + visits, strict=True)}
         return (self._weight / np.sqrt(before[place] + rank + 1) - self._weight).astype(np.float32)
-
-    def state_dict(self) -> StateTree:
-        """Cells (cells, bytes) and counts (cells,), in order of first visit."""
-        keys = [np.frombuffer(key, np.uint8) for key in self._counts]
-        return {"keys": np.array(keys, np.uint8), "counts": np.array(list(self._counts.values()), np.int64)}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        keys = [key.tobytes() for key in state["keys"]]
-        self._counts = dict(zip(keys, np.array(state["counts"]).tolist(), strict=True))

@@ -33,8 +33,8 @@ from torch.nn import functional
 
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.settings import AgentSettings
-from hrl_escape.agents.state import StateTree
-from hrl_escape.errors import AgentSettingsError, CheckpointError, DivergenceError, UnsupportedSpaceError
+from hrl_escape.agents.state import Stateful, StateTree
+from hrl_escape.errors import AgentSettingsError, DivergenceError, UnsupportedSpaceError
 from hrl_escape.settings import Range
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
@@ -505,7 +505,7 @@ def compute_td_loss(values: torch.Tensor, targets: torch.Tensor, kind: str) -> t
     return 0.5 * functional.mse_loss(values, targets)
 
 
-class Learner:
+class Learner(Stateful):
     """Gradient descent on some networks: Adam, clipping, the check for divergence, and its checkpoint.
 
     Args:
@@ -519,6 +519,8 @@ class Learner:
         updates: steps made.
         gradient_norm: Euclidean norm of the last step's gradient, before it was clipped.
     """
+
+    STATE = ("updates", "_weights", "_moments")
 
     def __init__(
         self, name: str, networks: Mapping[str, Network], trained: Iterable[str], settings: Any,
@@ -599,34 +601,19 @@ class Learner:
         growth = self._measure_weights() / self._first_norm
         return f"its weights have grown {growth:.0f} times since they were drawn, " if growth > WILD_GROWTH else None
 
-    def state_dict(self) -> StateTree:
-        """Weights, optimiser moments and the counter, as arrays."""
+    @property
+    def _weights(self) -> dict[str, torch.Tensor]:
+        return {name: network.weights for name, network in self._networks.items()}
+
+    @property
+    def _moments(self) -> list[StateTree]:
+        """Optimiser's averages of each trained network's gradient, as arrays."""
         moments = self._optimiser.state_dict()["state"]
-        return {
-            "updates": self.updates,
-            "weights": {name: network.weights.cpu().numpy() for name, network in self._networks.items()},
-            "moments": [{key: tensor.cpu().numpy() for key, tensor in moments[index].items()}
-                        for index in sorted(moments)],
-        }
+        return [{key: tensor.cpu().numpy() for key, tensor in moments[index].items()} for index in sorted(moments)]
 
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`.
-
-        Raises:
-            CheckpointError: it belongs to networks of another size.
-        """
-        self.updates = int(state["updates"])
-        for name, network in self._networks.items():
-            weights = torch.from_numpy(state["weights"][name])
-            if weights.shape != network.weights.shape:
-                raise CheckpointError(
-                    f"the checkpoint's {name} network of {self.name} has {len(weights)} weights; "
-                    f"this agent's has {len(network.weights)}"
-                )
-            network.weights.copy_(weights)
-        moments = {
-            index: {key: torch.from_numpy(np.asarray(value)) for key, value in group.items()}
-            for index, group in enumerate(state["moments"])
-        }
+    @_moments.setter
+    def _moments(self, saved: list[StateTree]) -> None:
+        moments = {index: {key: torch.from_numpy(np.asarray(value)) for key, value in each.items()}
+                   for index, each in enumerate(saved)}
         groups = self._optimiser.state_dict()["param_groups"]
         self._optimiser.load_state_dict({"state": moments, "param_groups": groups})

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
 from hrl_escape.agents.components.networks import ObservationEncoder
-from hrl_escape.agents.state import Kept, Stateful, StateTree
+from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
 from hrl_escape.errors import CheckpointError
 
 __all__ = ["Experience", "NStep", "ReplayBuffer", "StreamNStep", "StreamReplay", "UpdateSchedule", "make_experience"]
@@ -102,7 +102,38 @@ class UpdateSchedule(Stateful):
         return whole
 
 
-class ReplayBuffer:
+class _Ring:
+    """The last `capacity` backups, of as many as were `added`; `fields` are arrays or tensors (capacity, ...)."""
+
+    def __init__(self, fields: Experience) -> None:
+        self.capacity, self.added, self._fields = len(fields.reward), 0, fields
+
+    def __len__(self) -> int:
+        return min(self.added, self.capacity)
+
+    def state_dict(self) -> StateTree:
+        """The filled rows and the counter."""
+        return {"added": self.added} | {name: read_value(field[: len(self)], name)
+                                        for name, field in self._fields._asdict().items()}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`.
+
+        Raises:
+            CheckpointError: it comes from a buffer of another capacity or of other spaces.
+        """
+        self.added = int(state["added"])
+        for name, field in self._fields._asdict().items():
+            stored, own = state[name], read_value(field[: len(self)], name)
+            if stored.shape != own.shape or stored.dtype != own.dtype:
+                raise CheckpointError(
+                    f"the checkpoint's replay has {name} of shape {stored.shape} {stored.dtype}; "
+                    f"this agent needs ({len(self)}, ...) of {own.shape[1:]} {own.dtype}"
+                )
+            field[: len(self)] = stored if isinstance(field, np.ndarray) else torch.from_numpy(stored).to(field.device)
+
+
+class ReplayBuffer(_Ring):
     """The last `capacity` backups, sampled uniformly with replacement.
 
     Args:
@@ -121,9 +152,7 @@ class ReplayBuffer:
         actions: int,
         action_shape: tuple[int, ...] = (),
     ) -> None:
-        self.capacity = capacity
-        self.added = 0
-        self._fields = Experience(
+        super().__init__(Experience(
             observation=np.zeros((capacity, *observation_shape), observation_dtype),
             mask=np.zeros((capacity, actions), np.bool_),
             action=np.zeros((capacity, *action_shape), np.float32 if action_shape else np.int64),
@@ -131,10 +160,7 @@ class ReplayBuffer:
             bootstrap=np.zeros(capacity, np.float32),
             next_observation=np.zeros((capacity, *observation_shape), observation_dtype),
             next_mask=np.zeros((capacity, actions), np.bool_),
-        )
-
-    def __len__(self) -> int:
-        return min(self.added, self.capacity)
+        ))
 
     def add(self, experience: Experience) -> None:
         """Store one backup, over the oldest when full."""
@@ -148,26 +174,14 @@ class ReplayBuffer:
         rows = rng.integers(len(self), size=batch)
         return Experience(*(field.take(rows, axis=0) for field in self._fields))
 
-    def state_dict(self) -> StateTree:
-        """The filled rows and the counter."""
-        filled = len(self)
-        return {"added": self.added} | {name: field[:filled] for name, field in self._fields._asdict().items()}
 
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`.
-
-        Raises:
-            CheckpointError: it comes from a buffer of another capacity or of other spaces.
-        """
-        self.added = int(state["added"])
-        for name, field in self._fields._asdict().items():
-            stored: NDArray = state[name]
-            if stored.shape != (len(self), *field.shape[1:]) or stored.dtype != field.dtype:
-                raise CheckpointError(
-                    f"the checkpoint's replay has {name} of shape {stored.shape} {stored.dtype}; "
-                    f"this agent needs ({len(self)}, ...) of {field.shape[1:]} {field.dtype}"
-                )
-            field[: len(self)] = stored
+def _join(first: Experience, then: Experience) -> Experience:
+    return first._replace(
+        reward=first.reward + first.bootstrap * then.reward,
+        bootstrap=first.bootstrap * then.bootstrap,
+        next_observation=then.next_observation,
+        next_mask=then.next_mask,
+    )
 
 
 class NStep(Stateful):
@@ -189,22 +203,13 @@ class NStep(Stateful):
 
     def push(self, experience: Experience, episode_over: bool) -> list[Experience]:
         """Take in one decision; returns the joined backups that are complete."""
-        joined = [self._join(earlier, experience) for earlier in self._pending]
+        joined = [_join(earlier, experience) for earlier in self._pending]
         self._pending = deque([*joined, experience])
         if episode_over:
             complete = list(self._pending)
             self._pending.clear()
             return complete
         return [self._pending.popleft()] if len(self._pending) == self.n else []
-
-    @staticmethod
-    def _join(first: Experience, then: Experience) -> Experience:
-        return first._replace(
-            reward=first.reward + first.bootstrap * then.reward,
-            bootstrap=first.bootstrap * then.bootstrap,
-            next_observation=then.next_observation,
-            next_mask=then.next_mask,
-        )
 
 
 def _make_fields(shape: tuple[int, ...], observation: Tensor, actions: int) -> Experience:
@@ -215,7 +220,7 @@ def _make_fields(shape: tuple[int, ...], observation: Tensor, actions: int) -> E
     return Experience(seen, mask, number.long(), number, number.clone(), seen.clone(), mask.clone())
 
 
-class StreamReplay:
+class StreamReplay(_Ring):
     """The last `capacity` backups of all streams, sampled uniformly with replacement.
 
     Args:
@@ -225,11 +230,7 @@ class StreamReplay:
     """
 
     def __init__(self, capacity: int, observation: Tensor, actions: int) -> None:
-        self.capacity, self.added = capacity, 0
-        self._fields = _make_fields((capacity,), observation, actions)
-
-    def __len__(self) -> int:
-        return min(self.added, self.capacity)
+        super().__init__(_make_fields((capacity,), observation, actions))
 
     def add(self, experience: Experience) -> None:
         """Store backups (n, ...), over the oldest when full; of more than fit, the last."""
@@ -244,24 +245,6 @@ class StreamReplay:
         """Draw a batch of backups, (batch, ...)."""
         rows = torch.randint(len(self), (batch,), generator=generator, device=generator.device)
         return Experience(*(field[rows] for field in self._fields))
-
-    def state_dict(self) -> StateTree:
-        """The filled rows and the counter."""
-        return {"added": self.added} | {name: field[: len(self)].cpu().numpy()
-                                        for name, field in self._fields._asdict().items()}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`.
-
-        Raises:
-            CheckpointError: it comes from another capacity or other spaces.
-        """
-        self.added = int(state["added"])
-        for name, field in self._fields._asdict().items():
-            if state[name].shape != (len(self), *field.shape[1:]):
-                raise CheckpointError(f"the checkpoint's replay has {name} of shape {state[name].shape}; this agent "
-                                      f"needs {(len(self), *field.shape[1:])}")
-            field[: len(self)] = torch.from_numpy(state[name]).to(field.device)
 
 
 class StreamNStep(Stateful):
@@ -301,11 +284,7 @@ class StreamNStep(Stateful):
             for field, value in zip(self._pending, joined, strict=True):
                 field[place, stream] = value
             self._is_there[place, stream] = is_there & ~over
-            joined = older._replace(
-                reward=older.reward + older.bootstrap * experience.reward,
-                bootstrap=older.bootstrap * experience.bootstrap,
-                next_observation=experience.next_observation, next_mask=experience.next_mask)
-            is_there = was_there
+            joined, is_there = _join(older, experience), was_there
         backups, dones = zip(*complete, strict=True)
         return Experience(*(torch.cat([value[done] for value, done in zip(values, dones, strict=True)])
                             for values in zip(*backups, strict=True)))

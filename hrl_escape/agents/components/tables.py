@@ -1,4 +1,4 @@
-"""Tables of action values over a discretised observation.
+"""Tables of values: of actions over a discretised observation, and under any keys.
 
 An observation becomes a key: a Discrete one is itself, a Box is rounded component by component.
 Rows appear when a state is first met, so memory follows the states visited.
@@ -6,7 +6,7 @@ Rows appear when a state is first met, so memory follows the states visited.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.components.exploration import ExplorationSettings
 from hrl_escape.agents.settings import AgentSettings
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Columns, Stateful
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range
 
-__all__ = ["QTable", "ResolutionSettings", "TabularSettings", "make_cell_finder", "make_discretiser"]
+__all__ = ["QTable", "ResolutionSettings", "TabularSettings", "ValueTable", "make_cell_finder", "make_discretiser"]
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,15 @@ def make_cell_finder(
     return lambda observation: np.rint((observation - origin) / width).astype(np.int32)
 
 
-class QTable:
+class QTable(Stateful):
     """Action values and update counts of the states met so far.
 
     Args:
         actions: number of actions.
         settings: step sizes and initial value.
     """
+
+    STATE = (Columns({"values": "_values", "counts": "_counts"}),)
 
     def __init__(self, actions: int, settings: TabularSettings) -> None:
         self._actions, self._settings = actions, settings
@@ -115,17 +117,44 @@ class QTable:
         for values, counts in zip(self._values.values(), self._counts.values(), strict=True):
             values[action], counts[action] = self._settings.initial_value, 0
 
-    def state_dict(self) -> StateTree:
-        """Keys (states, bytes), values and counts (states, actions), in order of first meeting."""
-        keys = [np.frombuffer(key, np.uint8) for key in self._values]
-        return {
-            "keys": np.array(keys, np.uint8),
-            "values": np.array(list(self._values.values())).reshape(len(keys), self._actions),
-            "counts": np.array(list(self._counts.values()), np.int64).reshape(len(keys), self._actions),
-        }
 
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        keys = [key.tobytes() for key in state["keys"]]
-        self._values = dict(zip(keys, np.array(state["values"]), strict=True))
-        self._counts = dict(zip(keys, np.array(state["counts"]), strict=True))
+class ValueTable(Stateful):
+    """Values and update counts by key, for agents whose states differ in form from task to task.
+
+    Keys are literals: numbers, text, bytes, None and tuples of these.
+
+    Args:
+        learning_rate: alpha at a key's first update.
+        power: the n-th update has alpha / n^power.
+        initial: value of a key never updated.
+    """
+
+    STATE = (Columns({"values": "_values", "counts": "_counts"}, are_literal=True),)
+
+    def __init__(self, learning_rate: float, power: float = 0.0, initial: float = 0.0) -> None:
+        self._rate, self._power, self.initial = learning_rate, power, initial
+        self._values: dict[Hashable, float] = {}
+        self._counts: dict[Hashable, int] = {}
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._values
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._values)
+
+    def get(self, key: Hashable) -> float:
+        """The value of a key."""
+        return self._values.get(key, self.initial)
+
+    def update(self, key: Hashable, target: float) -> float:
+        """Move a value towards a target, x <- x + alpha (target - x); returns the error before it."""
+        value = self._values.get(key, self.initial)
+        count = self._counts.get(key, 0) + 1
+        alpha = self._rate / count**self._power if self._power else self._rate
+        # With alpha = 1 the target must be reached exactly.
+        self._values[key] = (1 - alpha) * value + alpha * target
+        self._counts[key] = count
+        return target - value

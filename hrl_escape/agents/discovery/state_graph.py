@@ -8,7 +8,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from hrl_escape.agents.discovery.found_option import StateModel
-from hrl_escape.agents.state import Kept, Stateful
+from hrl_escape.agents.state import Kept, Stateful, pack_keys, unpack_keys
 
 __all__ = ["StateGraph"]
 
@@ -26,8 +26,7 @@ class StateGraph(Stateful):
     """
 
     STATE = (
-        Kept("_numbers", "keys", lambda numbers: np.array([np.frombuffer(key, np.uint8) for key in numbers], np.uint8),
-             lambda keys: {key.tobytes(): number for number, key in enumerate(np.asarray(keys, np.uint8))}),
+        Kept("_numbers", "keys", pack_keys, lambda keys: {key: number for number, key in enumerate(unpack_keys(keys))}),
         Kept("_counts", "edges", _list_edges,
              lambda edges: {(int(b), int(a), int(n)): int(count) for b, a, n, count in edges}),
     )

@@ -24,7 +24,7 @@ from hrl_escape.agents.components.exploration import (
     make_rng,
     sample_action,
 )
-from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.components.tables import TabularSettings, ValueTable, make_discretiser
 from hrl_escape.agents.hierarchy.machine import (
     Choose,
     Do,
@@ -38,7 +38,6 @@ from hrl_escape.agents.hierarchy.machine import (
 )
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
-from hrl_escape.agents.hierarchy.value_table import ValueTable
 from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range

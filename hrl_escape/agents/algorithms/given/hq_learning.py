@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_index
-from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_discretiser
-from hrl_escape.agents.hierarchy.value_table import ValueTable
+from hrl_escape.agents.components.tables import (
+    QTable,
+    ResolutionSettings,
+    TabularSettings,
+    ValueTable,
+    make_discretiser,
+)
 from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 

@@ -22,12 +22,11 @@ from hrl_escape.agents.components.exploration import (
     make_rng,
     sample_action,
 )
-from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.components.tables import TabularSettings, ValueTable, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, View, flat, freeze, get_graph
-from hrl_escape.agents.hierarchy.value_table import ValueTable
 from hrl_escape.agents.state import Kept
 
 __all__ = ["MaxqQ", "MaxqQSettings"]
