@@ -240,11 +240,25 @@ class OptionPolicy:
         return self.agent.origin
 
 
-class MarkovRun(NamedTuple):
-    """A run that remembers nothing, made of the two functions of an `OptionRun`."""
+class MarkovRun:
+    """A run that remembers nothing.
 
-    act: Callable[[Any, NDArray[np.bool_], np.random.Generator], int]
-    compute_termination: Callable[[Any, NDArray[np.bool_]], float]
+    Args:
+        act: (observation, action mask, rng) -> action.
+        is_over: (observation, action mask) -> whether it has ended there.
+    """
+
+    def __init__(self, act: Callable[[Any, NDArray[np.bool_], np.random.Generator], int],
+                 is_over: Callable[[Any, NDArray[np.bool_]], bool]) -> None:
+        self._act, self._is_over = act, is_over
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Choose by the function."""
+        return self._act(observation, action_mask, rng)
+
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        """Certain where it is over."""
+        return float(self._is_over(observation, action_mask))
 
 
 class _WholeRun:

@@ -27,63 +27,34 @@ __all__ = ["EndedDecisions", "OpenChoices", "SavedEpisodes", "SingleEnvSource", 
            "StreamTransitions", "Streams", "compute_backups", "gather_decisions"]
 
 
-class EndedDecisions(Protocol):
-    """Result of a step of streams: tensors (streams, ...), of which the rows in `where` count."""
+class EndedDecisions(NamedTuple):
+    """Result of a step of streams: tensors (streams, ...), of which the rows in `where` count.
 
-    @property
-    def where(self) -> Tensor:
-        """Streams whose decision ended, bool (streams,)."""
-        ...
+    Attributes:
+        where: streams whose decision ended, bool (streams,).
+        observation: at the decision.
+        action: chosen there, int64.
+        reward: sum of the primitive rewards, float32.
+        discounted_reward: R = sum over i < k of gamma^i r_i at the streams' gamma, float32.
+        duration: k >= 1, the primitives that ran.
+        next_observation: state reached, never the first of a new episode.
+        next_action_mask: actions legal there, bool (streams, actions).
+        terminated: the task ended, which a cut does not do, bool.
+        truncated: the episode was cut off, bool.
+        success: the episode ended in success, bool; no failure is one, though it terminates too.
+    """
 
-    @property
-    def observation(self) -> Tensor:
-        """Observation at the decision."""
-        ...
-
-    @property
-    def action(self) -> Tensor:
-        """Action chosen there, int64."""
-        ...
-
-    @property
-    def reward(self) -> Tensor:
-        """Sum of the primitive rewards, float32."""
-        ...
-
-    @property
-    def discounted_reward(self) -> Tensor:
-        """R = sum over i < k of gamma^i r_i at the streams' gamma, float32."""
-        ...
-
-    @property
-    def duration(self) -> Tensor:
-        """K >= 1, the primitives that ran."""
-        ...
-
-    @property
-    def next_observation(self) -> Tensor:
-        """State reached, never the first of a new episode."""
-        ...
-
-    @property
-    def next_action_mask(self) -> Tensor:
-        """Actions legal there, bool (streams, actions)."""
-        ...
-
-    @property
-    def terminated(self) -> Tensor:
-        """True where the task ended, which a cut does not do, bool (streams,)."""
-        ...
-
-    @property
-    def truncated(self) -> Tensor:
-        """True where the episode was cut off, bool (streams,)."""
-        ...
-
-    @property
-    def success(self) -> Tensor:
-        """Episode ended in success, bool; no failure is one, though it terminates too."""
-        ...
+    where: Tensor
+    observation: Tensor
+    action: Tensor
+    reward: Tensor
+    discounted_reward: Tensor
+    duration: Tensor
+    next_observation: Tensor
+    next_action_mask: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    success: Tensor
 
 
 class Streams(Protocol):
@@ -133,8 +104,12 @@ class Streams(Protocol):
         """Begin all episodes anew; stream i draws from seed + i."""
         ...
 
-    def step(self, action: Tensor) -> EndedDecisions:
-        """Give waiting streams their actions, int64 (streams,), and step; the next episodes begin by themselves."""
+    def step(self, action: Tensor) -> Any:
+        """Give waiting streams their actions, int64 (streams,), and step; the next episodes begin by themselves.
+
+        Returns:
+            `EndedDecisions`, or what has its attributes.
+        """
         ...
 
     def state_dict(self) -> StateTree | None:

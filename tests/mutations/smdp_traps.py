@@ -374,7 +374,7 @@ MUTATIONS = [
     Mutation(
         "8 n-step keeps the first decision's legal actions",
         "agents/components/replay.py",
-        "            next_mask=then.next_mask,\n",
+        "        next_mask=then.next_mask,\n",
         "",
         "agents/components/test_replay.py::test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends",
     ),

@@ -28,16 +28,20 @@ from hrl_escape.agents.components.exploration import (
 )
 from hrl_escape.agents.components.networks import (
     Learner,
-    NetworkSettings,
     ObservationEncoder,
     compute_td_loss,
     make_forward,
     make_generator,
     make_network,
 )
-from hrl_escape.agents.components.replay import Experience, ReplayBuffer, UpdateSchedule, make_experience
+from hrl_escape.agents.components.replay import (
+    Experience,
+    ReplayBuffer,
+    ReplaySettings,
+    UpdateSchedule,
+    make_experience,
+)
 from hrl_escape.agents.larg2019.linear_relaxation import LinearRelaxation
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
@@ -45,8 +49,8 @@ __all__ = ["DDPG", "DDPGSettings", "OneHotRelaxation"]
 
 
 @dataclass(frozen=True)
-class DDPGSettings(NetworkSettings, LearningSettings):
-    """Relaxation of discrete actions, exploration, networks, replay and targets of `ddpg`."""
+class DDPGSettings(ReplaySettings):
+    """Relaxation of discrete actions, exploration, replay and targets of `ddpg`; `warmup` is the critic's."""
 
     relaxation: Literal["one-hot", "linear"] = "one-hot"
     """Action vector that the critic sees. `one-hot`: the action that ran, so that the actor can follow its expected
@@ -55,21 +59,6 @@ class DDPGSettings(NetworkSettings, LearningSettings):
     exploration: Literal["epsilon-greedy", "ornstein-uhlenbeck"] = "epsilon-greedy"
     """`epsilon-greedy`: a random legal action with probability epsilon. `ornstein-uhlenbeck`: noise with memory on the
     actor's outputs."""
-    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
-    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
-    epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
-    """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
-    loss: Literal["huber", "squared"] = "huber"
-    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.005
     """Share of the online networks blended into the target networks at each update."""
     average_actor: bool = True
@@ -77,14 +66,8 @@ class DDPGSettings(NetworkSettings, LearningSettings):
     Juditsky 1992): the argmax of an actor that is still learning changes from one update to the next."""
     replay_capacity: Annotated[int, Range(1)] = 100_000
     """Decisions kept for replay."""
-    batch_size: Annotated[int, Range(1)] = 64
-    """Decisions in an update from replay."""
-    warmup: Annotated[int, Range(0)] = 500
-    """Steps of the clock before the critic's first update."""
     actor_warmup: Annotated[int, Range(0)] = 1_000
     """Steps of the clock before the actor's first update."""
-    updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
     entropy_weight: Annotated[float, Range(0)] = 0.3
     """Weight of the actor's entropy in its loss, in scaled rewards; `one-hot` only. It keeps the softmax's gradient
     alive and leaves the argmax of the best policy where it is."""

@@ -35,7 +35,6 @@ from hrl_escape.agents.components.exploration import (
 from hrl_escape.agents.components.hindsight import HindsightReplay
 from hrl_escape.agents.components.networks import (
     Learner,
-    NetworkSettings,
     ObservationEncoder,
     compute_td_loss,
     copy_network,
@@ -47,38 +46,41 @@ from hrl_escape.agents.components.replay import (
     Experience,
     NStep,
     ReplayBuffer,
+    ReplaySettings,
     StreamNStep,
     StreamReplay,
     UpdateSchedule,
     make_experience,
 )
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions, compute_backups
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
-__all__ = ["DQN", "ActionValues", "DQNSettings", "sample_actions"]
+__all__ = ["DQN", "ActionValues", "DQNSettings", "ValueSettings", "sample_actions"]
 
 
 @dataclass(frozen=True)
-class DQNSettings(NetworkSettings, LearningSettings):
-    """Exploration, network, replay and targets of `dqn`."""
+class ValueSettings(ReplaySettings):
+    """Settings of `ActionValues`, and of how they are learned from replay."""
 
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
     """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
     proportional to exp(q / temperature)."""
-    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
-    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
-    epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
     """Temperature of `boltzmann`, in units of return."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
     """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
     likely. 0 sets no bound."""
+    network: Literal["mlp", "objects"] = "mlp"
+    """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
+    permutation of the objects; for the observation `objects`."""
+
+
+@dataclass(frozen=True)
+class DQNSettings(ValueSettings):
+    """Bonus, replay and targets of `dqn`, beside exploration and networks."""
+
     bonus_weight: Annotated[float, Range(0)] = 0.0
     """A decision that leads to a cell for the n-th time costs this (1 - 1 / sqrt(n)), in units of return; 0 counts
     nothing."""
@@ -88,18 +90,6 @@ class DQNSettings(NetworkSettings, LearningSettings):
     bonus: Literal["counts", "distillation"] = "counts"
     """Measure of novelty behind `bonus_weight`. `counts`: visits of a cell. `distillation`: the error of a network that
     predicts a random one (Burda et al. 2018); a decision costs the weight times 1 - error / mean error, at least 0."""
-    network: Literal["mlp", "objects"] = "mlp"
-    """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
-    permutation of the objects; for the observation `objects`."""
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
-    """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
-    loss: Literal["huber", "squared"] = "huber"
-    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
     double: bool = True
     """The online network chooses the next action, the target network values it."""
     n_step: Annotated[int, Range(1)] = 3
@@ -113,12 +103,6 @@ class DQNSettings(NetworkSettings, LearningSettings):
     0 keeps none."""
     replay_capacity: Annotated[int, Range(1)] = 50_000
     """Decisions kept for replay."""
-    batch_size: Annotated[int, Range(1)] = 64
-    """Decisions in an update from replay."""
-    warmup: Annotated[int, Range(0)] = 500
-    """Steps of the clock before the first update."""
-    updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
     hindsight_goals: Annotated[int, Range(0)] = 0
     """Goals achieved later in its episode that are drawn for a decision; replay holds it once more under each
     (Andrychowicz et al. 2017, who take 4). 0 for none. For environments with goals, such as `GoalsEnv`."""

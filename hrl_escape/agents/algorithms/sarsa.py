@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions, count_steps
-from hrl_escape.agents.algorithms.dqn import ActionValues
+from hrl_escape.agents.algorithms.dqn import ActionValues, ValueSettings
 from hrl_escape.agents.components.exploration import (
     choose_best,
     compute_epsilon,
@@ -23,10 +23,9 @@ from hrl_escape.agents.components.exploration import (
     make_rng,
     sample_index,
 )
-from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
+from hrl_escape.agents.components.networks import ObservationEncoder
 from hrl_escape.agents.components.replay import Experience, ReplayBuffer, UpdateSchedule, make_experience
 from hrl_escape.agents.larg2019.late_terminal import LateTerminal
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
@@ -35,35 +34,9 @@ __all__ = ["Sarsa", "SarsaSettings"]
 
 
 @dataclass(frozen=True)
-class SarsaSettings(NetworkSettings, LearningSettings):
-    """Exploration, backup, network and replay of `sarsa`."""
+class SarsaSettings(ValueSettings):
+    """Backup, replay and targets of `sarsa`; without replay it makes one update a decision."""
 
-    exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
-    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
-    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
-    epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
-    temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
-    boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
-    network: Literal["mlp", "objects"] = "mlp"
-    """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
-    permutation of the objects; for the observation `objects`."""
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
-    """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
-    loss: Literal["huber", "squared"] = "huber"
-    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
     """Share of the online network blended into the target network at each of its updates; 1 copies it."""
     target_every: Annotated[int, Range(1)] = 1
@@ -71,17 +44,11 @@ class SarsaSettings(NetworkSettings, LearningSettings):
     average_rate: Annotated[float, Range(0, 1)] = 0.0
     """Share of the online network blended, at each update, into an averaged network that the greedy policy follows;
     0 keeps none."""
-    batch_size: Annotated[int, Range(1)] = 64
-    """Decisions in an update from replay."""
-    warmup: Annotated[int, Range(0)] = 500
-    """Steps of the clock before the first update."""
     expected: bool = True
     """Value s' by its expectation over the policy; otherwise by one action drawn from the policy, the very one
     taken next where there is no replay."""
     replay_capacity: Annotated[int, Range(0)] = 50_000
     """Decisions kept for replay; 0 learns from each decision once, as it comes."""
-    updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates from replay for each step of the clock; without replay there is one a decision."""
     late_terminal: bool = False
     """Repeat a mistake of keras-rl 0.4.2: the flag that the episode ended reaches the learner one decision early. The
     last decision but one is valued as if nothing followed, the last bootstraps even from a terminal state. Only

@@ -10,7 +10,8 @@ LazyTensorStorage (`python -m benchmarks.agents`).
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -18,11 +19,41 @@ from numpy.typing import DTypeLike
 from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
-from hrl_escape.agents.components.networks import ObservationEncoder
+from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
+from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
 from hrl_escape.errors import CheckpointError
+from hrl_escape.settings import Range
 
-__all__ = ["Experience", "NStep", "ReplayBuffer", "StreamNStep", "StreamReplay", "UpdateSchedule", "make_experience"]
+__all__ = ["Experience", "NStep", "ReplayBuffer", "ReplaySettings", "StreamNStep", "StreamReplay", "UpdateSchedule",
+           "make_experience"]
+
+
+@dataclass(frozen=True)
+class ReplaySettings(NetworkSettings, LearningSettings):
+    """Settings that `dqn`, `sarsa` and `ddpg` have in common: epsilon, optimiser, and updates from replay."""
+
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
+    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
+    with zero bias, usual for PPO."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 10.0
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    loss: Literal["huber", "squared"] = "huber"
+    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in an update from replay."""
+    warmup: Annotated[int, Range(0)] = 500
+    """Steps of the clock before the first update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates from replay for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
 
 
 class Experience(NamedTuple):

@@ -6,48 +6,43 @@ takes the place of what was found before under the same number.
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import OptionPolicy, RunningCall, SMDPTransition, compute_backup, count_actions
+from hrl_escape.agents.agent import MarkovRun, OptionPolicy, RunningCall, SMDPTransition, compute_backup, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, sample_legal
 from hrl_escape.agents.components.tables import QTable
 from hrl_escape.agents.components.tabular_agent import TabularAgent, TabularAgentSettings
 from hrl_escape.agents.discovery.found_option import NOTHING, TableSkill
 from hrl_escape.agents.discovery.state_graph import StateGraph
-from hrl_escape.agents.state import Kept, StateTree
+from hrl_escape.agents.state import Kept, Stateful, StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["DiscoveringAgent", "Discovery", "DiscoverySettings", "load_skills", "save_skills"]
 
 
-class Discovery(Protocol):
-    """Finds options in what an agent has met."""
+class Discovery(Stateful, ABC):
+    """Finds options in what an agent has met; its state is everything beside the graph that decides what is found.
+
+    Attributes:
+        slots: most options that it ever has at once.
+    """
 
     slots: int
-    """Most options that it ever has at once."""
 
+    @abstractmethod
     def observe(self, transition: SMDPTransition, before: int, after: int) -> None:
         """Take in one decision, between states of these numbers in the graph."""
-        ...
 
+    @abstractmethod
     def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:
         """New options by slot; empty most of the time."""
-        ...
-
-    def state_dict(self) -> StateTree:
-        """Everything beside the graph that decides what is found."""
-        ...
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -148,8 +143,15 @@ class DiscoveringAgent(TabularAgent):
         return tuple(map(self._export, found)) or super().get_options()
 
     def _export(self, slot: int) -> OptionPolicy:
-        skill, run = self.skills[slot], _Run(self, slot)
+        """The option of a slot; asked where it is over, it does anything that is legal."""
+        skill = self.skills[slot]
         assert skill is not None
+
+        def act(observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+            action = self.go_on(slot, observation, action_mask)
+            return int(action_mask.argmax()) if action == NOTHING else action
+
+        run = MarkovRun(act, lambda observation, mask: self.go_on(slot, observation, mask) == NOTHING)
         return OptionPolicy(skill.name, self, lambda: run,
                             lambda observation, mask: bool(self.compute_available(observation, mask)[slot]),
                             is_markov=True)
@@ -241,19 +243,3 @@ class DiscoveringAgent(TabularAgent):
     def after_load(self) -> None:
         """Forget the evaluation that ran, which is no part of the state."""
         self._evaluation = None
-
-
-class _Run:
-    """A run of a found option; it remembers nothing."""
-
-    def __init__(self, agent: DiscoveringAgent, slot: int) -> None:
-        self._agent, self._slot = agent, slot
-
-    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The primitive of the option; asked where it is over, any that is legal."""
-        action = self._agent.go_on(self._slot, observation, action_mask)
-        return int(action_mask.argmax()) if action == NOTHING else action
-
-    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
-        """Certain where it has no primitive, or none that is legal."""
-        return float(self._agent.go_on(self._slot, observation, action_mask) == NOTHING)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.discovery.discovering_agent import DiscoverySettings
+from hrl_escape.agents.discovery.discovering_agent import Discovery, DiscoverySettings
 from hrl_escape.agents.discovery.found_option import StateModel, TableSkill
 from hrl_escape.agents.discovery.state_graph import StateGraph
-from hrl_escape.agents.state import Stateful
 from hrl_escape.settings import Range
 
 __all__ = ["GraphDiscovery", "GraphDiscoverySettings"]
@@ -30,7 +29,7 @@ class GraphDiscoverySettings(DiscoverySettings):
     """States beyond which none are found anew: eigenvectors take time in their cube."""
 
 
-class GraphDiscovery(Stateful, ABC):
+class GraphDiscovery(Discovery):
     """Base of discoveries that look at the graph now and then.
 
     Args:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, OptionPolicy, RunningCall, SMDPTransition
-from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_action
 from hrl_escape.agents.hierarchy.call_stack import Return, arrive, descend, load_stack, save_stack
 from hrl_escape.agents.hierarchy.task import BaseTask, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.settings import AgentSettings
@@ -25,7 +25,7 @@ from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
 
-__all__ = ["CallRunner", "StackSettings"]
+__all__ = ["CallRunner", "StackSettings", "TabularRunner"]
 
 
 @dataclass(frozen=True)
@@ -191,6 +191,45 @@ class CallRunner(Agent):
     def _running(self, saved: list[StateTree]) -> None:
         self._stack = load_stack(saved, self.hierarchy)
         self._chosen = self._evaluation = None
+
+
+class TabularRunner(CallRunner):
+    """Base of runners whose calls choose by tables of values, and explore as `TabularSettings` say.
+
+    Args:
+        hierarchy: what is run.
+        seed: fixes exploration, and what `CallRunner` draws.
+        settings: `StackSettings` and `TabularSettings` in one.
+    """
+
+    STATE = ("_steps", "_action_rng")
+
+    def __init__(self, hierarchy: Hierarchy, seed: int, settings: StackSettings) -> None:
+        super().__init__(hierarchy, seed, settings)
+        self._action_rng, self._steps = make_rng(seed, "actions"), 0
+
+    @abstractmethod
+    def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
+        """Values of what the last call may choose, (choices,); None where a given policy leaves it one choice."""
+
+    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
+        """Explore by the call's values."""
+        values = self.weigh(stack, view, seen)
+        if values is None:
+            return int(legal.argmax())
+        return sample_action(values, legal, self.settings, self._steps, self._action_rng)
+
+    def choose_greedy(
+        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+    ) -> int:
+        """The call's best choice, drawn among equals."""
+        values = self.weigh(stack, view, seen)
+        return int(legal.argmax()) if values is None else choose_best(values, legal, rng)
+
+    def finish_step(self, step: Step, error: float) -> dict[str, float]:
+        """Advance the clock of exploration; returns numbers to log."""
+        self._steps += step.duration
+        return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps)}
 
 
 class _CallRun:

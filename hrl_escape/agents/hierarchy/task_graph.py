@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, LearnerSpec, Seen, Stack, allow_only
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 
-__all__ = ["GraphTask", "Policy", "Pseudo", "Until", "View", "flat", "freeze", "get_graph", "maxq"]
+__all__ = ["GraphTask", "Policy", "Pseudo", "Until", "View", "flat", "freeze", "get_graph", "get_task", "maxq"]
 
 Until = Callable[[Seen], bool]
 """True where the task is over."""
@@ -177,6 +177,13 @@ def get_graph(hierarchy: Hierarchy, agent: str) -> GraphTask:
             raise AgentSettingsError("hierarchy", task.name, f"tasks from maxq(graph, until); {agent} lists children")
     assert isinstance(hierarchy.root, GraphTask)
     return hierarchy.root
+
+
+def get_task(stack: Stack) -> GraphTask:
+    """The task of the last call, in a hierarchy that `get_graph` has passed."""
+    task = stack[-1].task
+    assert isinstance(task, GraphTask)
+    return task
 
 
 def freeze(view: Any) -> Hashable:

@@ -137,12 +137,7 @@ def make_evaluation_row(evaluation: Evaluation) -> dict[str, Any]:
         "eval/return": evaluation.mean_return,
         "eval/success": evaluation.success_rate,
         "eval/length": evaluation.mean_length,
-        "eval/returns": list(evaluation.returns),
-        "eval/lengths": list(evaluation.lengths),
-        "eval/decision_counts": list(evaluation.decision_counts),
-        "eval/successes": list(evaluation.successes),
-        "eval/progress": list(evaluation.progress),
-        "time/eval_seconds": evaluation.seconds,
+        **{name: getattr(evaluation, field) for field, name in EVALUATION_ROW.items()},
     }
 
 

@@ -8,11 +8,15 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import signal
+import sys
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, cast
+from types import FrameType
+from typing import Any, Protocol, cast
 
 import gymnasium
 
@@ -26,28 +30,92 @@ from hrl_escape.agents.agent import (
     read_success,
 )
 from hrl_escape.agents.registry import SMDP_PREFIX
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
-from hrl_escape.agents.training.interrupt import deferring_interrupts
-from hrl_escape.agents.training.probe import Probe
 from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import EpisodeRecord, SegmentRecord, TrainResult, make_evaluation_row, read_row
-from hrl_escape.agents.training.run_arguments import RunArguments
 from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["Run", "load_agent_state", "make_origin", "refusing_damage"]
+__all__ = ["Probe", "Run", "RunArguments", "load_agent_state", "make_origin", "refusing_damage"]
 
 
+NOTICE = b"\ninterrupted: the run is saved once this episode ends; Ctrl-C again stops it at once\n"
 NO_OPTIONS = (
     "{name} chooses options, and this environment's steps have no info['duration'], so that each counts as one "
     "primitive. Where it should have options, give train OptionsEnv(env)"
 )
 
 
-class Run:
+@dataclasses.dataclass(frozen=True)
+class RunArguments:
+    """Arguments of a run that are part of its identity; see `train`.
+
+    Attributes:
+        agent_state: hash of the state of an agent that was given as an object; None for one made by name.
+        threads: of torch.
+        until_return: mean return of two evaluations in a row that ends the run; None where the budget alone does.
+        eval_trials: parts of an evaluation episode that count as episodes of their own.
+    """
+
+    name: str
+    seed: int
+    primitives: int
+    decisions: int | None
+    eval_every: int
+    eval_episodes: int
+    eval_seed: int
+    agent_state: str | None = None
+    threads: int = 1
+    until_return: float | None = None
+    eval_trials: int = 1
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The arguments as JSON values; one thread, no end but the budget's and whole episodes go unsaid."""
+        unsaid = {"threads": 1, "until_return": None, "eval_trials": 1}
+        return {name: value for name, value in dataclasses.asdict(self).items()
+                if name not in unsaid or value != unsaid[name]}
+
+
+class Probe(Protocol):
+    """Measurements of an agent while it trains, which may also end its run before the budget.
+
+    A probe changes nothing in the agent or in the episodes to come.
+
+    Its state is part of the run's checkpoints, so a resumed run measures what an uninterrupted one does.
+    """
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The measurement and the stopping rule as a JSON value, part of the run's identity."""
+        ...
+
+    @property
+    def is_done(self) -> bool:
+        """Nothing is left to measure: the run ends after the present episode."""
+        ...
+
+    def after_decision(self, agent: Agent, primitives: int) -> None:
+        """Measure after a decision, with this many primitives trained for."""
+        ...
+
+    def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
+        """Measure between training episodes; the evaluation environment may be used."""
+        ...
+
+    def state_dict(self) -> StateTree:
+        """Everything that the coming measurements depend on, and the past ones."""
+        ...
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Go on where `state_dict` was taken."""
+        ...
+
+
+class Run(Stateful):
     """State of a run between episodes: the agent, totals, and measurements so far.
 
     Args:
@@ -57,6 +125,9 @@ class Run:
         arguments: arguments of the run; see `train`.
         probe: measurements of the agent on the way.
     """
+
+    STATE = ("agent", "primitives", "decisions", "planner_calls", "seconds", "planner_seconds", "probe")
+    """State beyond the log."""
 
     def __init__(
         self, agent: Agent, env: gymnasium.Env, eval_env: gymnasium.Env, arguments: RunArguments,
@@ -99,7 +170,7 @@ class Run:
         """Claim a folder, and resume from its checkpoint."""
         self._folder = RunFolder(out, self.identity, tensorboard)
         if self._folder.state is not None:
-            self.load_state_dict(self._folder.state, self._folder.rows)
+            self.resume(self._folder.state, self._folder.rows)
 
     def close(self) -> None:
         """Close the run folder, so that another process may go on with the run."""
@@ -124,7 +195,7 @@ class Run:
             if folder is None:
                 self._train(None, checkpoint_seconds, report)
             else:
-                with deferring_interrupts() as is_interrupted:
+                with _deferring_interrupts() as is_interrupted:
                     self._train(folder, checkpoint_seconds, report, is_interrupted)
         except DivergenceError as error:
             where = f", {folder.path}" if folder is not None else ""
@@ -289,31 +360,44 @@ class Run:
         key = "" if self._folder is None else self._folder.key
         self.agent.origin = make_origin(self.arguments.name, key, self.arguments.seed, self.primitives)
 
-    def state_dict(self) -> StateTree:
-        """State beyond the log."""
-        return {
-            "agent": self.agent.state_dict(),
-            "primitives": self.primitives,
-            "decisions": self.decisions,
-            "planner_calls": self.planner_calls,
-            "seconds": self.seconds,
-            "planner_seconds": self.planner_seconds,
-            "probe": None if self.probe is None else self.probe.state_dict(),
-        }
-
-    def load_state_dict(self, state: StateTree, rows: list[dict[str, Any]]) -> None:
-        """Resume from a checkpoint and the log up to it."""
-        load_agent_state(self.agent, state, self.arguments.name)
+    def resume(self, state: StateTree, rows: list[dict[str, Any]]) -> None:
+        """Go on from a checkpoint and the log up to it."""
         with refusing_damage(f"{self.arguments.name}: the checkpoint or its log"):
-            self.primitives, self.decisions = int(state["primitives"]), int(state["decisions"])
-            self.planner_calls = int(state["planner_calls"])
-            self.seconds, self.planner_seconds = float(state["seconds"]), float(state["planner_seconds"])
-            if self.probe is not None:
-                self.probe.load_state_dict(state["probe"])
+            self.load_state_dict(state)
             records = [read_row(row) for row in rows]
         self.episodes = [record for record in records if isinstance(record, EpisodeRecord)]
         self.segments = [record for record in records if isinstance(record, SegmentRecord)]
         self.evaluations = [record for record in records if isinstance(record, Evaluation)]
+
+
+@contextmanager
+def _deferring_interrupts() -> Iterator[Callable[[], bool]]:
+    """Note a first Ctrl-C instead of raising `KeyboardInterrupt`; a second one raises it.
+
+    A terminal is told. Where Python's own handler is not in place, as in threads and in workers that ignore the
+    signal, nothing changes.
+
+    Yields:
+        Function that tells whether Ctrl-C has been pressed.
+    """
+    pressed = threading.Event()
+
+    def note(number: int, frame: FrameType | None) -> None:
+        if pressed.is_set():
+            raise KeyboardInterrupt
+        pressed.set()
+        if sys.stderr is not None and sys.stderr.isatty():
+            os.write(2, NOTICE)  # a handler may run amid a print
+
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield pressed.is_set
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class _Tally:

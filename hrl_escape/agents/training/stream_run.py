@@ -6,6 +6,8 @@ evaluation, and the run is saved only there, so that it resumes to the same bits
 
 from __future__ import annotations
 
+import ctypes
+import sys
 import time
 import warnings
 from typing import Any, cast
@@ -20,18 +22,18 @@ from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.streams import StreamAgent, Streams, StreamTransitions, gather_decisions
 from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed
-from hrl_escape.agents.training.freed_memory import keep_freed_memory
 from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import SegmentRecord, read_row
-from hrl_escape.agents.training.run import NO_OPTIONS, Run, refusing_damage
-from hrl_escape.agents.training.run_arguments import RunArguments
+from hrl_escape.agents.training.run import NO_OPTIONS, Run, RunArguments
 from hrl_escape.agents.training.run_folder import RunFolder
 from hrl_escape.agents.training.vector_streams import make_streams
 
-__all__ = ["StreamRun"]
+__all__ = ["StreamRun", "keep_freed_memory"]
 
 SEGMENT_PRIMITIVES, SEGMENT_STEPS = 16_384, 16
 """Size of a segment, a row of the log: primitives run in all streams together, and least steps."""
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # parameters of glibc's mallopt
+_KEPT = 1 << 30  # bytes
 
 
 class StreamRun(Run):
@@ -120,15 +122,14 @@ class StreamRun(Run):
         return super().state_dict() | {"streams": None if self.is_over else self.streams.state_dict(),
                                        "begun": self._begun, "tally": self._tally.state_dict()}
 
-    def load_state_dict(self, state: StateTree, rows: list[dict[str, Any]]) -> None:
-        """Resume from a checkpoint and the log up to it."""
-        super().load_state_dict(state, rows)
-        with refusing_damage(f"{self.arguments.name}: the checkpoint"):
-            self._begun = int(state["begun"])
-            self._reset_streams()
-            if state["streams"] is not None:
-                self.streams.load_state_dict(state["streams"])
-                self._tally.load_state_dict(state["tally"])
+    def load_state_dict(self, state: StateTree) -> None:
+        """Go on where `state_dict` was taken."""
+        super().load_state_dict(state)
+        self._begun = int(state["begun"])
+        self._reset_streams()
+        if state["streams"] is not None:
+            self.streams.load_state_dict(state["streams"])
+            self._tally.load_state_dict(state["tally"])
 
 
 class _StreamTally(Stateful):
@@ -160,3 +161,17 @@ class _StreamTally(Stateful):
         return {"train/episodes": int(episodes), "train/successes": int(successes),
                 "train/return": returns / episodes if episodes else None,
                 "train/length": lengths / episodes if episodes else None}
+
+
+def keep_freed_memory() -> None:
+    """Let this process keep up to 1 GiB of freed memory for the next block of its size.
+
+    glibc gives blocks of some megabytes back to the system as soon as they are freed, so that each minibatch of many
+    streams pays for fresh, zeroed pages. What is computed does not depend on it. Other C libraries are left alone.
+    """
+    if sys.platform != "linux":
+        return
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None)
+    if set_option is not None:
+        set_option(_MMAP_THRESHOLD, _KEPT)
+        set_option(_TRIM_THRESHOLD, _KEPT)

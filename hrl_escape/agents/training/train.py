@@ -8,7 +8,9 @@ too. Many runs at once are the part of `hrl_escape.comparison`.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +23,10 @@ from hrl_escape.agents.registry import get_agent_class, make_agent, read_structu
 from hrl_escape.agents.streams import SingleEnvSource, StreamAgent, Streams
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
-from hrl_escape.agents.training.probe import Probe
 from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import TrainResult
-from hrl_escape.agents.training.run import Run, load_agent_state, make_origin, refusing_damage
-from hrl_escape.agents.training.run_arguments import RunArguments
+from hrl_escape.agents.training.run import Probe, Run, RunArguments, load_agent_state, make_origin, refusing_damage
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
-from hrl_escape.agents.training.threads import using_threads
 from hrl_escape.errors import AgentSettingsError, CheckpointError
 
 __all__ = ["load_agent", "load_env", "train"]
@@ -121,7 +120,7 @@ def train(
         raise AgentSettingsError("tensorboard", True, "False, or give out= for the event files")
     if isinstance(agent, str):
         get_agent_class(agent)  # loads torch where it is needed, before its threads are set
-    with using_threads(threads):
+    with _using_threads(threads):
         single = env if isinstance(env, gymnasium.Env) else (eval_env or make_single_env(env))
         if isinstance(agent, str):
             name = agent
@@ -150,6 +149,24 @@ def train(
                 return run.finish(checkpoint_seconds, report)
         finally:
             run.close()
+
+
+@contextmanager
+def _using_threads(threads: int) -> Iterator[None]:
+    """Set the number of torch's threads, and restore it afterwards; nothing happens where torch is not loaded.
+
+    Sums over several threads differ in the last bit, so their number is part of a run.
+    """
+    torch = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def make_single_env(env: VectorEnv | Streams) -> gymnasium.Env:

@@ -7,7 +7,7 @@ way the environment resets.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,26 +16,10 @@ from torch import Tensor
 
 from hrl_escape.agents.agent import check_observation, count_actions
 from hrl_escape.agents.state import StateTree
-from hrl_escape.agents.streams import SavedEpisodes, Streams, StreamSource
+from hrl_escape.agents.streams import EndedDecisions, SavedEpisodes, Streams, StreamSource
 from hrl_escape.errors import StepContractError
 
 __all__ = ["VectorStreams", "make_streams"]
-
-
-class VectorStep(NamedTuple):
-    """Decisions that ended; see `EndedDecisions`."""
-
-    where: Tensor
-    observation: Tensor
-    action: Tensor
-    reward: Tensor
-    discounted_reward: Tensor
-    duration: Tensor
-    next_observation: Tensor
-    next_action_mask: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    success: Tensor
 
 
 class VectorStreams:
@@ -75,7 +59,7 @@ class VectorStreams:
         self.action_mask = self._read_mask(infos)
         self._was_over = torch.zeros(self.count, dtype=torch.bool, device=self.device)
 
-    def step(self, action: Tensor) -> VectorStep:
+    def step(self, action: Tensor) -> EndedDecisions:
         """Run one decision in every stream, or the reset that takes its place."""
         before, where = self.observation, self.is_waiting
         given = action if isinstance(before, Tensor) and self._gives_tensors else action.cpu().numpy()
@@ -97,7 +81,7 @@ class VectorStreams:
         self.observation, self.action_mask = now, mask
         self._was_over = over if self._mode == AutoresetMode.NEXT_STEP else torch.zeros_like(over)
         duration, discounted = self._read_rewards(reward, infos, final, over)
-        return VectorStep(where, before, action, reward, discounted, duration, reached, reached_mask, terminated,
+        return EndedDecisions(where, before, action, reward, discounted, duration, reached, reached_mask, terminated,
                           truncated, self._read_success(terminated, final or infos))
 
     # --- what comes from the environment ---------------------------------------------------

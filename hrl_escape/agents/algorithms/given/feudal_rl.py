@@ -16,16 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
-from hrl_escape.agents.components.exploration import (
-    choose_best,
-    compute_epsilon,
-    make_rng,
-    sample_action,
-)
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
 from hrl_escape.settings import Range
 
@@ -61,8 +55,8 @@ class FeudalTask(BaseTask):
         self.is_last = level > tree.depth
         super().__init__(f"level {level}", primitives if self.is_last else SEARCH + 1)
         # An order that a policy obeys is obeyed at last; what lies between may have been ordered in vain.
-        is_obeyed = self.is_last and tree.policy is not None
-        self._patience = 0 if is_obeyed else patience * 2 ** (tree.depth + 1 - level)
+        self.is_obedient = self.is_last and tree.policy is not None
+        self._patience = 0 if self.is_obedient else patience * 2 ** (tree.depth + 1 - level)
         self._penalty = penalty
         self.below: FeudalTask | None = None
 
@@ -80,7 +74,7 @@ class FeudalTask(BaseTask):
         Where a policy obeys, its primitive, and the orders that it can obey.
         """
         if self.is_last:
-            return seen.mask if self.tree.policy is None else self._obey(seen, context)
+            return self._obey(seen, context) if self.is_obedient else seen.mask
         cell = self.tree.find_cell(seen.observation, self.level)
         inside = [self.tree.has_neighbour(cell, self.level, direction) for direction in range(SEARCH)]
         legal = np.array([*inside, True], np.bool_)
@@ -161,7 +155,7 @@ class FeudalRlSettings(StackSettings, TabularSettings):
     up. Walls may shut the way that a manager was ordered."""
 
 
-class FeudalRl(CallRunner):
+class FeudalRl(TabularRunner):
     """Q-learning at every level of a quadtree, given the order from above.
 
     Level n in cell c, ordered m, chose a; that came back after k primitives in cell c', paid rho on the way:
@@ -184,7 +178,7 @@ class FeudalRl(CallRunner):
     """
 
     Settings: ClassVar[type] = FeudalRlSettings
-    STATE = ("tables", "_steps", "_action_rng")
+    STATE = ("tables",)
 
     def __init__(
         self,
@@ -201,8 +195,6 @@ class FeudalRl(CallRunner):
         super().__init__(hierarchy, seed, settings)
         self.tables = {name: QTable(int(task.space.n), settings) for name, task in hierarchy.tasks.items()}
         self._discretise = make_discretiser(observation_space, settings, "feudal-rl")
-        self._action_rng = make_rng(seed, "actions")
-        self._steps = 0
 
     def make_key(self, task: FeudalTask, view: Any, order: int | None) -> bytes:
         """Key of what a level sees and what it was ordered."""
@@ -213,27 +205,17 @@ class FeudalRl(CallRunner):
         """Q_n(c, m, .), (choices,)."""
         return self.tables[task.name].get_values(self.make_key(task, view, order))
 
-    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """Explore by the level's values; on the last level, obey where the tree says how."""
-        if _get_task(stack).is_last and _get_task(stack).tree.policy is not None:
-            return int(legal.argmax())
-        values = self.compute_choice_values(_get_task(stack), view, stack[-1].context)
-        return sample_action(values, legal, self.settings, self._steps, self._action_rng)
-
-    def choose_greedy(
-        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
-    ) -> int:
-        """The level's best choice."""
-        if _get_task(stack).is_last and _get_task(stack).tree.policy is not None:
-            return int(legal.argmax())
-        return choose_best(self.compute_choice_values(_get_task(stack), view, stack[-1].context), legal, rng)
+    def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
+        """The level's values; none on the last level where the tree says how to obey."""
+        task = _get_task(stack)
+        return None if task.is_obedient else self.compute_choice_values(task, view, stack[-1].context)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Learn at every level whose choice came back."""
         error = 0.0
         for returned in returns:
             task, frame, decision = _get_task(returned.stack), returned.frame, returned.decision
-            if task.is_last and task.tree.policy is not None:
+            if task.is_obedient:
                 continue
             order, target = frame.context, decision.reward
             if not (returned.terminated or task.is_settled(frame, returned.seen)):
@@ -245,8 +227,7 @@ class FeudalRl(CallRunner):
                 target += decision.discount * float(np.where(legal, values, -np.inf).max())
             key = self.make_key(task, decision.view, order)
             error = max(error, abs(self.tables[task.name].update(key, decision.choice, target)))
-        self._steps += step.duration
-        return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps)}
+        return self.finish_step(step, error)
 
 
 def _get_task(stack: Stack) -> FeudalTask:

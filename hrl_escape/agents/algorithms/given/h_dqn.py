@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -33,7 +33,7 @@ from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.goals import GoalSet, Worker, make_goal_hierarchy, make_goals
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
-from hrl_escape.agents.state import Stateful, StateTree
+from hrl_escape.agents.state import Stateful
 from hrl_escape.settings import Range
 
 __all__ = ["HDqn", "HDqnSettings"]
@@ -97,16 +97,6 @@ class _Backup(NamedTuple):
     next_mask: NDArray[np.bool_]
 
 
-class _Values(Protocol):
-    def compute(self, observation: Any, goal: int | None) -> NDArray: ...
-
-    def learn(self, backup: _Backup) -> float: ...
-
-    def state_dict(self) -> StateTree: ...
-
-    def load_state_dict(self, state: StateTree) -> None: ...
-
-
 class HDqn(CallRunner):
     """Q-learning at two levels of time.
 
@@ -150,8 +140,8 @@ class HDqn(CallRunner):
                                        for view in (goals.manager_view, goals.worker_view))  # fmt: skip
         self._action_rng = make_rng(seed, "actions")
         make = _NetworkValues if settings.values == "network" else _TableValues
-        self.manager: _Values = make(manager_space, 0, goals.count, settings, make_rng(seed, "manager"))
-        self.worker: _Values = make(worker_space, goals.count, actions, settings, make_rng(seed, "worker"))
+        self.manager = make(manager_space, 0, goals.count, settings, make_rng(seed, "manager"))
+        self.worker = make(worker_space, goals.count, actions, settings, make_rng(seed, "worker"))
         self.successes = np.zeros(goals.count)
         """Running success rate of each goal."""
         self._steps = 0
@@ -222,7 +212,7 @@ class HDqn(CallRunner):
         return task
 
 
-class _TableValues:
+class _TableValues(QTable):
     """Q(s, .; g) in a table."""
 
     def __init__(
@@ -234,27 +224,21 @@ class _TableValues:
             learning_rate=settings.table_learning_rate,
             learning_rate_power=settings.table_learning_rate_power,
         )
-        self.table = QTable(actions, table)
+        super().__init__(actions, table)
         self._discretise = make_discretiser(space, table, "h-dqn")
 
     def _make_key(self, observation: Any, goal: int | None) -> bytes:
         return self._discretise(observation) + np.int32(-1 if goal is None else goal).tobytes()
 
     def compute(self, observation: Any, goal: int | None) -> NDArray:
-        return self.table.get_values(self._make_key(observation, goal))
+        return self.get_values(self._make_key(observation, goal))
 
     def learn(self, backup: _Backup) -> float:
         target = backup.reward
         if backup.bootstrap:
             values = self.compute(backup.next_observation, backup.goal)
             target += backup.bootstrap * float(values[backup.next_mask].max())
-        return abs(self.table.update(self._make_key(backup.observation, backup.goal), backup.action, target))
-
-    def state_dict(self) -> StateTree:
-        return self.table.state_dict()
-
-    def load_state_dict(self, state: StateTree) -> None:
-        self.table.load_state_dict(state)
+        return abs(self.update(self._make_key(backup.observation, backup.goal), backup.action, target))
 
 
 class _NetworkValues(Stateful):

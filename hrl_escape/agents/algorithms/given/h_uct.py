@@ -21,7 +21,7 @@ from hrl_escape.agents.components.tables import ResolutionSettings, make_discret
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
-from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, freeze, get_graph
+from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, freeze, get_graph, get_task
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
@@ -163,11 +163,9 @@ class HUct(CallRunner):
         self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
     ) -> int:
         """The best choice by a search that draws from `rng`."""
-        task = stack[-1].task
-        assert isinstance(task, GraphTask)
         if legal.sum() == 1:
             return int(legal.argmax())
-        return choose_best(self.plan(task, seen, rng), legal, rng)
+        return choose_best(self.plan(get_task(stack), seen, rng), legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Without a simulator, keep the outcome."""

@@ -38,7 +38,7 @@ from hrl_escape.agents.hierarchy.machine import (
 )
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
 
@@ -98,6 +98,15 @@ class Hamq(Agent):
     """
 
     Settings: ClassVar[type] = HamqSettings
+    STATE = (
+        "table",
+        Kept("successors", pack=lambda points: [repr((key, tuple(point))) for key, point in points.items()],
+             unpack=lambda saved: {key: _Point(*point) for key, point in map(ast.literal_eval, saved)}),
+        "_steps", "_rng", Kept("_told_inputs", "inputs"),
+        Kept("_open", pack=lambda point: repr(tuple(point)),
+             unpack=lambda saved: None if (point := ast.literal_eval(saved)) is None else _Point(*point)),
+        Kept("_since", "since"),
+    )
 
     def __init__(
         self,
@@ -277,33 +286,27 @@ class Hamq(Agent):
             self._run.tell(0)
         return 0.0  # cut inside the choice: what would have followed is unknown
 
-    def state_dict(self) -> StateTree:
-        """Table, successors, counter, generator, and what the running program was told."""
-        return {
-            "table": self.table.state_dict(),
-            "successors": [repr((key, tuple(point))) for key, point in self.successors.items()],
-            "steps": self._steps,
-            "rng": self._rng.bit_generator.state,
-            "inputs": [each if isinstance(each, int) else [each.observation, each.mask]
-                       for each in self._run.inputs[: self._told]],
-            "open": repr(None if self._open is None else tuple(self._open)),
-            "since": [self._reward, self._discount, self._duration],
-        }  # fmt: skip
+    @property
+    def _told_inputs(self) -> list[Any]:
+        """What the running program was told up to the last primitive."""
+        return [each if isinstance(each, int) else [each.observation, each.mask]
+                for each in self._run.inputs[: self._told]]
 
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore what `state_dict` gave."""
+    @_told_inputs.setter
+    def _told_inputs(self, saved: list[Any]) -> None:
         self._begin()
-        self.table.load_state_dict(state["table"])
-        pairs = [ast.literal_eval(each) for each in state["successors"]]
-        self.successors = {key: _Point(*point) for key, point in pairs}
-        self._steps = int(state["steps"])
-        self._rng.bit_generator.state = state["rng"]
         inputs = [each if isinstance(each, int) else self._look(each[0], np.asarray(each[1], np.bool_))
-                  for each in state["inputs"]]  # fmt: skip
+                  for each in saved]
         self._run, self._told = MachineRun(self._program, inputs), len(inputs)
-        point = ast.literal_eval(state["open"])
-        self._open = None if point is None else _Point(*point)
-        self._reward, self._discount, self._duration = state["since"]
+
+    @property
+    def _since(self) -> list[Any]:
+        """R, gamma^k and k since the choice that is open."""
+        return [self._reward, self._discount, self._duration]
+
+    @_since.setter
+    def _since(self, saved: list[Any]) -> None:
+        self._reward, self._discount, self._duration = saved
 
 
 class _CallRun:

@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, OptionPolicy, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, MarkovRun, OptionPolicy, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import (
     EpsilonSettings,
     choose_best,
@@ -209,9 +209,17 @@ class Hdg(Agent):
         return tuple(self._export(number) for number in range(len(self._landmarks.states)))
 
     def _export(self, landmark: int) -> OptionPolicy:
-        way = _Way(self, landmark)
-        return OptionPolicy(f"landmark {landmark}", self, lambda: way,
-                            lambda observation, mask: way.compute_termination(observation, mask) == 0.0, is_markov=True)
+        """The way to one landmark: from states that were met, until it is reached."""
+
+        def act(observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+            state = self.find_number(observation)
+            return int(action_mask.argmax()) if state is None else self.choose_towards(state, landmark, action_mask)
+
+        def can_start(observation: Any, action_mask: NDArray[np.bool_]) -> bool:
+            return self.find_number(observation) not in (None, landmark)
+
+        run = MarkovRun(act, lambda observation, mask: not can_start(observation, mask))
+        return OptionPolicy(f"landmark {landmark}", self, lambda: run, can_start, is_markov=True)
 
     def find_number(self, observation: Any) -> int | None:
         """Number of an observation's state; None where it was never met."""
@@ -268,19 +276,3 @@ class Hdg(Agent):
         self._terminal = [int(each) for each in state["terminal"]]
         self._steps = int(state["steps"])
         self._rng.bit_generator.state = state["rng"]
-
-
-class _Way:
-    """The way to one landmark: from states that were met, until it is reached."""
-
-    def __init__(self, agent: Hdg, landmark: int) -> None:
-        self._agent, self._landmark = agent, landmark
-
-    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        state = self._agent.find_number(observation)
-        return int(action_mask.argmax()) if state is None else self._agent.choose_towards(state, self._landmark,
-                                                                                          action_mask)
-
-    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
-        """Ends at the landmark, and where the agent never was."""
-        return float(self._agent.find_number(observation) in (None, self._landmark))

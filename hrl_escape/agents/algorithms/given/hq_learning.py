@@ -24,7 +24,7 @@ from hrl_escape.agents.components.tables import (
     ValueTable,
     make_discretiser,
 )
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 __all__ = ["HqLearning", "HqLearningSettings"]
@@ -97,6 +97,13 @@ class HqLearning(Agent):
     """
 
     Settings: ClassVar[type] = HqLearningSettings
+    STATE = (
+        "tables", "subgoals", Kept("_met", pack=repr, unpack=ast.literal_eval), "_steps", "_rng",
+        Kept("_trial", pack=lambda trial: repr([tuple(acted) for acted in trial]),
+             unpack=lambda saved: [_Acted(*acted) for acted in ast.literal_eval(saved)]),
+        Kept("_turns", pack=lambda turns: repr([(tuple(turn), begun) for turn, begun in turns]),
+             unpack=lambda saved: [(_Turn(*turn), begun) for turn, begun in ast.literal_eval(saved)]),
+    )
 
     def __init__(
         self,
@@ -229,27 +236,7 @@ class HqLearning(Agent):
             if turn.subgoal is not None:
                 self.subgoals.update((turn.agent, turn.subgoal), target)
 
-    def state_dict(self) -> StateTree:
-        """Tables, observations met, counter, generator, and the trial that runs."""
-        return {
-            "tables": [table.state_dict() for table in self.tables],
-            "subgoals": self.subgoals.state_dict(),
-            "met": repr(self._met),
-            "steps": self._steps,
-            "rng": self._rng.bit_generator.state,
-            "trial": repr([tuple(acted) for acted in self._trial]),
-            "turns": repr([(tuple(turn), begun) for turn, begun in self._turns]),
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore what `state_dict` gave."""
-        self._begin()
-        for table, saved in zip(self.tables, state["tables"], strict=True):
-            table.load_state_dict(saved)
-        self.subgoals.load_state_dict(state["subgoals"])
-        self._met = ast.literal_eval(state["met"])
-        self._steps = int(state["steps"])
-        self._rng.bit_generator.state = state["rng"]
-        self._trial = [_Acted(*acted) for acted in ast.literal_eval(state["trial"])]
-        self._turns = [(_Turn(*turn), begun) for turn, begun in ast.literal_eval(state["turns"])]
+    def after_load(self) -> None:
+        """Go on with the turn that ran; evaluations begin anew."""
         self._turn = self._turns[-1][0] if self._turns else None
+        self._evaluation = None

@@ -17,15 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
-from hrl_escape.agents.components.exploration import (
-    choose_best,
-    compute_epsilon,
-    make_rng,
-    sample_action,
-)
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
 
 __all__ = ["Macro", "MacroChooser", "MacroQ", "MacroQSettings", "make_macro_hierarchy"]
@@ -100,7 +94,7 @@ class MacroQSettings(StackSettings, TabularSettings):
     """Rates, exploration and discount of `macro-q`; macros are given, not set."""
 
 
-class MacroQ(CallRunner):
+class MacroQ(TabularRunner):
     """Values of primitives and macros.
 
     Macro or primitive m took k primitives from s to s' and earned R = sum of gamma^i r_i:
@@ -119,7 +113,7 @@ class MacroQ(CallRunner):
     """
 
     Settings: ClassVar[type] = MacroQSettings
-    STATE = ("table", "_steps", "_action_rng")
+    STATE = ("table",)
 
     def __init__(
         self,
@@ -134,25 +128,14 @@ class MacroQ(CallRunner):
         super().__init__(make_macro_hierarchy(actions, macros), seed, settings)
         self.table = QTable(actions + len(macros), settings)
         self._discretise = make_discretiser(observation_space, settings, "macro-q")
-        self._action_rng = make_rng(seed, "actions")
-        self._steps = 0
 
     def compute_choice_values(self, observation: Any) -> NDArray[np.float64]:
         """Q(s, .), (primitives + macros,)."""
         return self.table.get_values(self._discretise(observation))
 
-    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """Explore at the root; a macro decides for itself."""
-        if len(stack) > 1:
-            return int(legal.argmax())
-        values = self.compute_choice_values(seen.observation)
-        return sample_action(values, legal, self.settings, self._steps, self._action_rng)
-
-    def choose_greedy(
-        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
-    ) -> int:
-        """The best choice at the root."""
-        return int(legal.argmax()) if len(stack) > 1 else choose_best(self.compute_choice_values(view), legal, rng)
+    def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
+        """Values at the root; a macro decides for itself."""
+        return None if len(stack) > 1 else self.compute_choice_values(seen.observation)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Learn the value of a primitive or macro that is over."""
@@ -169,5 +152,4 @@ class MacroQ(CallRunner):
             after = values[decision.choice] if was_cut else np.where(legal, values, -np.inf).max()
             target = decision.reward + (0.0 if returned.terminated else decision.discount * float(after))
             error = abs(self.table.update(self._discretise(decision.view), decision.choice, target))
-        self._steps += step.duration
-        return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps)}
+        return self.finish_step(step, error)

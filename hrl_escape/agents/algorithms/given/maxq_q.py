@@ -16,17 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
-from hrl_escape.agents.components.exploration import (
-    choose_best,
-    compute_epsilon,
-    make_rng,
-    sample_action,
-)
+from hrl_escape.agents.components.exploration import choose_best
 from hrl_escape.agents.components.tables import TabularSettings, ValueTable, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
-from hrl_escape.agents.hierarchy.task_graph import GraphTask, View, flat, freeze, get_graph
+from hrl_escape.agents.hierarchy.task_graph import GraphTask, View, flat, freeze, get_graph, get_task
 from hrl_escape.agents.state import Kept
 
 __all__ = ["MaxqQ", "MaxqQSettings"]
@@ -42,7 +37,7 @@ class MaxqQSettings(StackSettings, TabularSettings):
     """Learn the completion of a choice from every state on the child's way, not from the first alone."""
 
 
-class MaxqQ(CallRunner):
+class MaxqQ(TabularRunner):
     """Two completions of each choice: what callers are told, and what the task chooses by.
 
     Primitive a, paid r:  V(a, s) <- V(a, s) + alpha [r - V(a, s)]
@@ -76,7 +71,7 @@ class MaxqQ(CallRunner):
 
     Settings: ClassVar[type] = MaxqQSettings
     settings: MaxqQSettings
-    STATE = ("tables", "_steps", "_action_rng", Kept("_told_way", "way"))
+    STATE = ("tables", Kept("_told_way", "way"))
 
     def __init__(
         self,
@@ -92,8 +87,6 @@ class MaxqQ(CallRunner):
         self.tables = {name: ValueTable(settings.learning_rate, settings.learning_rate_power, settings.initial_value)
                        for name in ("completion", "own_completion", "primitive", "walk")}
         self._discretise = _make_discretiser(observation_space, settings, self.hierarchy)
-        self._action_rng = make_rng(seed, "actions")
-        self._steps = 0
         self._way: list[tuple[Seen, int, float]] = []
         """Moments of the running root call; how long each one's primitive took, and what it earned."""
 
@@ -140,20 +133,17 @@ class MaxqQ(CallRunner):
 
     # --- the agent --------------------------------------------------------------------
 
-    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """Explore by what the task chooses by."""
-        if _get_task(stack).policy is not None:
-            return int(legal.argmax())
-        values = self.compute_choice_values(_get_task(stack), seen)
-        return sample_action(values, legal, self.settings, self._steps, self._action_rng)
+    def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
+        """What the task chooses by, unless its policy is given."""
+        task = get_task(stack)
+        return None if task.policy is not None else self.compute_choice_values(task, seen)
 
     def choose_greedy(
         self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
     ) -> int:
         """The best choice, the first among equals: callers are told what that one earns."""
-        if _get_task(stack).policy is not None:
-            return int(legal.argmax())
-        return choose_best(self.compute_choice_values(_get_task(stack), seen), legal)
+        values = self.weigh(stack, view, seen)
+        return int(legal.argmax()) if values is None else choose_best(values, legal)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Learn the primitive's value, then the completions of the choices that came back, the innermost first."""
@@ -163,7 +153,7 @@ class MaxqQ(CallRunner):
             key = self._make_primitive_key(step.action, step.seen)
             error = abs(self.tables["primitive"].update(key, step.reward))
         for returned in returns:
-            task = _get_task(returned.stack)
+            task = get_task(returned.stack)
             cut_before_its_end = (returned.cut or was_cut) and not (returned.ended or returned.terminated)
             if task.policy is not None:
                 error = max(error, self._learn_walk(returned, task) if returned.is_over else 0.0)
@@ -171,8 +161,7 @@ class MaxqQ(CallRunner):
                 error = max(error, self.complete(returned, task, self._get_way(returned.decision.duration)))
         if not self._stack:
             self._way = []
-        self._steps += step.duration
-        return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps)}
+        return self.finish_step(step, error)
 
     def complete(self, returned: Return, task: GraphTask, way: list[tuple[Seen, int]]) -> float:
         """Learn D and C of one choice from every moment on the child's way; returns the largest error of D.
@@ -239,9 +228,3 @@ def _make_discretiser(
         for child, index, task in called
     )
     return None if is_covered else make_discretiser(space, settings, "maxq-q")
-
-
-def _get_task(stack: Stack) -> GraphTask:
-    task = stack[-1].task
-    assert isinstance(task, GraphTask)
-    return task

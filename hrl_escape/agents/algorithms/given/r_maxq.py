@@ -21,7 +21,7 @@ from hrl_escape.agents.components.tables import ResolutionSettings, make_discret
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
-from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, get_graph
+from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, get_graph, get_task
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Range
@@ -190,12 +190,10 @@ class RMaxq(CallRunner):
         self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
     ) -> int:
         """The best choice of the same plan; any in a state never met."""
-        task = stack[-1].task
         state = self._numbers.get(self._discretise(seen.observation))
         if state is None:
             return sample_legal(legal, rng)
-        assert isinstance(task, GraphTask)
-        return int(np.where(legal, self.plan(task).values[state], -np.inf).argmax())
+        return int(np.where(legal, self.plan(get_task(stack)).values[state], -np.inf).argmax())
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Count one primitive; an option that was cut inside does not show where it leads."""

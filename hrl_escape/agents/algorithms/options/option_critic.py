@@ -26,7 +26,7 @@ from hrl_escape.agents.components.exploration import (
 from hrl_escape.agents.components.options.agent import OptionAgent
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.settings import LearningSettings
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import StateTree, pack_keys, unpack_keys
 from hrl_escape.settings import Range
 
 __all__ = ["OptionCritic", "OptionCriticSettings", "OptionTables"]
@@ -240,15 +240,14 @@ class OptionCritic(OptionAgent):
 
     def state_dict(self) -> StateTree:
         """Tables in order of first meeting, beside what `STATE` names."""
-        keys = [np.frombuffer(key, np.uint8) for key in self._tables]
-        columns = zip(*self._tables.values(), strict=True) if keys else ([] for _ in OptionTables._fields)
+        columns = zip(*self._tables.values(), strict=True) if self._tables else ([] for _ in OptionTables._fields)
         tables = {name: np.array(column) for name, column in zip(OptionTables._fields, columns, strict=True)}
-        return {"keys": np.array(keys, np.uint8), **tables, **super().state_dict()}
+        return {"keys": pack_keys(self._tables), **tables, **super().state_dict()}
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the result of `state_dict`."""
         columns = (np.array(state[name]) for name in OptionTables._fields)
         rows = (OptionTables(*row) for row in zip(*columns, strict=True))
-        self._tables = {key.tobytes(): row for key, row in zip(state["keys"], rows, strict=True)}
+        self._tables = dict(zip(unpack_keys(state["keys"]), rows, strict=True))
         self._evaluation = None
         super().load_state_dict(state)

@@ -14,10 +14,16 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent, DiscoverySettings, load_skills, save_skills
+from hrl_escape.agents.discovery.discovering_agent import (
+    DiscoveringAgent,
+    Discovery,
+    DiscoverySettings,
+    load_skills,
+    save_skills,
+)
 from hrl_escape.agents.discovery.found_option import NOTHING, TableSkill, make_subgoal_option
 from hrl_escape.agents.discovery.state_graph import StateGraph
-from hrl_escape.agents.state import Kept, Stateful
+from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 __all__ = ["SkillChain", "SkillChaining", "SkillChainingSettings"]
@@ -40,7 +46,7 @@ class SkillChainingSettings(DiscoverySettings):
     """An option may begin where at least this share of what went on from there arrived, (arrivals + 1) / (runs + 2)."""
 
 
-class SkillChain(Stateful):
+class SkillChain(Discovery):
     """A chain of options, made from its end.
 
     Args:

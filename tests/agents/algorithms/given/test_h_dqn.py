@@ -50,8 +50,8 @@ def walk_to_goal_three(agent):
 @pytest.mark.parametrize(("agent_class", "start"), [(HDqn, 1), (StoresTheLastState, 2)])
 def test_the_manager_learns_in_the_state_where_the_goal_was_named(agent_class, start):
     agent = make(Chain(), agent_class, gamma=0.9, table_learning_rate=1.0)
-    agent.manager.table.update(agent.manager._make_key(3, None), 5, 10.0)
-    agent.worker.table.update(agent.worker._make_key(3, 3), 1, 50.0)
+    agent.manager.update(agent.manager._make_key(3, None), 5, 10.0)
+    agent.worker.update(agent.worker._make_key(3, 3), 1, 50.0)
     walk_to_goal_three(agent)
     expected = 2 + 0.9 * 2 + 0.81 * 10
     assert agent.manager.compute(start, None)[3] == pytest.approx(expected)
@@ -62,8 +62,8 @@ def test_the_manager_learns_in_the_state_where_the_goal_was_named(agent_class, s
 
 def test_a_goal_given_up_bootstraps_at_both_levels():
     agent = make(Chain(), gamma=0.9, table_learning_rate=1.0, patience=1)
-    agent.worker.table.update(agent.worker._make_key(2, 4), 0, 0.5)
-    agent.manager.table.update(agent.manager._make_key(2, None), 5, 10.0)
+    agent.worker.update(agent.worker._make_key(2, 4), 0, 0.5)
+    agent.manager.update(agent.manager._make_key(2, None), 5, 10.0)
     choices = iter([4, 1])
     agent.choose = lambda stack, view, legal, seen: next(choices)
     agent.act(1, BOTH)
