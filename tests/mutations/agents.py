@@ -223,7 +223,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a run's folder runs whatever code it names",
-        "agents/training/known_parts.py",
+        "agents/training/env_description.py",
         "if known == name), None)",
         "if known == name), lambda: import_part(name))",
         "agents/training/test_hostile_runs.py",

@@ -82,7 +82,7 @@ MUTATIONS = [
     ),
     Mutation(
         "9 an illegal action wins the maximum, tabular",
-        "agents/components/tabular_agent.py",
+        "agents/components/tables.py",
         "float(next_values[transition.next_action_mask].max())",
         "float(next_values.max())",
         "agents/algorithms/test_tabular.py::test_trap_9_an_illegal_action_of_high_value_does_not_win_the_maximum",

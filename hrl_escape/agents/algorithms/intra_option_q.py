@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.components.tabular_agent import TabularAgent, TabularAgentSettings
+from hrl_escape.agents.components.tables import TabularAgent, TabularAgentSettings
 from hrl_escape.errors import StepContractError
 
 __all__ = ["IntraOptionQ", "IntraOptionQSettings"]

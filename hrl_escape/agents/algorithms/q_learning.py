@@ -14,7 +14,7 @@ import gymnasium
 
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
-from hrl_escape.agents.components.tabular_agent import TabularAgent, TabularAgentSettings
+from hrl_escape.agents.components.tables import TabularAgent, TabularAgentSettings
 
 __all__ = ["QLearning", "QLearningSettings"]
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import MarkovRun, OptionPolicy, RunningCall, SMDPTransition, compute_backup, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, sample_legal
-from hrl_escape.agents.components.tables import QTable
-from hrl_escape.agents.components.tabular_agent import TabularAgent, TabularAgentSettings
+from hrl_escape.agents.components.tables import QTable, TabularAgent, TabularAgentSettings
 from hrl_escape.agents.discovery.found_option import NOTHING, TableSkill
 from hrl_escape.agents.discovery.state_graph import StateGraph
 from hrl_escape.agents.state import Kept, Stateful, StateTree

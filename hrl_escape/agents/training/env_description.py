@@ -3,39 +3,84 @@
 A description names the innermost environment and the wrappers around it, each by its class and its arguments. An
 environment with a `describe` method gives its arguments itself; others are described by their Gymnasium spec, and
 wrappers by Gymnasium's `RecordConstructorArgs`. Without these, arguments are read from the attributes that bear their
-names, as in `self.size = size`. Making an environment runs only code that `known_parts` lists, unless its description
-is trusted. An argument that is an object, such as an option, is described by its class, its name
+names, as in `self.size = size`. An argument that is an object, such as an option, is described by its class, its name
 and a hash of what it holds: what its own `describe` gives, or its `state_dict` (an agent, a network), or its public
 values. What it gives as `origin` is kept in clear: of a learned option, the run in which it was learned.
+
+A folder from a stranger runs none of his own code, unless its description is trusted. The names in it, `module:name`,
+are looked up in tables, and nothing is imported to find out: this package's environments, wrappers and settings; the
+wrappers of Gymnasium that only compute, and the environments registered with it; and what installed packages list as
+entry points of the group `hrl_escape.parts`. An entry point's name is free; its value is the `module:name` that
+descriptions give, such as `doubled = "my_package.wrappers:Doubled"`.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
+import importlib
 import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import entry_points
 from typing import Any, Protocol, runtime_checkable
 
 import gymnasium
 import numpy as np
+from gymnasium import wrappers as standard
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorWrapper
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo
 
 from hrl_escape.agents.training.checkpoint import compute_state_digest
-from hrl_escape.agents.training.known_parts import find_part, import_part, name_part
 from hrl_escape.errors import CheckpointError, TrustError, describe_damage
 from hrl_escape.settings import Settings
 
-__all__ = ["DescribedEnv", "TrainedPart", "compute_digest", "describe_env", "describe_many",
-           "hash_large_parts", "list_foreign", "make_described_env"]
+__all__ = ["OWN", "PARTS_GROUP", "DescribedEnv", "TrainedPart", "compute_digest", "describe_env", "describe_many",
+           "find_part", "hash_large_parts", "import_part", "list_foreign", "make_described_env", "name_part"]
 
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo)
 """Wrappers that change no number; others say so by the attribute `is_passive`."""
 UNKNOWN = {"unknown": True}
 """Stands for an argument that no attribute keeps."""
+PARTS_GROUP = "hrl_escape.parts"
+"""Entry points of other packages: environments, wrappers, settings and functions that run folders may name."""
+
+OWN = frozenset({
+    "hrl_escape.comparison.places:RoomSchedule",
+    "hrl_escape.env.config:DynamicsConfig",
+    "hrl_escape.env.config:ExitConfig",
+    "hrl_escape.env.config:ObstaclesConfig",
+    "hrl_escape.env.config:RewardConfig",
+    "hrl_escape.env.config:RobotConfig",
+    "hrl_escape.env.config:RoomConfig",
+    "hrl_escape.env.config:ShapeConfig",
+    "hrl_escape.env.config:StartConfig",
+    "hrl_escape.env.escape_room:EscapeRoomEnv",
+    "hrl_escape.env.instance:RoomInstance",
+    "hrl_escape.ladder.common_spaces:CommonSpacesEnv",
+    "hrl_escape.ladder.goals:GoalsEnv",
+    "hrl_escape.ladder.instance_set:InstanceSetEnv",
+    "hrl_escape.ladder.sequence:SequenceEnv",
+    "hrl_escape.options.domain:OptionDomain",
+    "hrl_escape.options.domain:RoomDomain",
+    "hrl_escape.options.memory:DecisionMemory",
+    "hrl_escape.options.options_env:OptionsEnv",
+    "hrl_escape.synthesis.hierarchy_env:HierarchyEnv",
+})
+"""Parts of this package, each imported when it is asked for."""
+
+_COMPUTING = (
+    standard.AddRenderObservation, standard.AddWhiteNoise, standard.AtariPreprocessing, standard.Autoreset,
+    standard.ClipAction, standard.ClipReward, standard.DelayObservation, standard.DiscretizeAction,
+    standard.DiscretizeObservation, standard.DtypeObservation, standard.FilterObservation, standard.FlattenObservation,
+    standard.FrameStackObservation, standard.GrayscaleObservation, standard.MaxAndSkipObservation,
+    standard.NormalizeObservation, standard.NormalizeReward, standard.ObstructView, standard.RenderCollection,
+    standard.RepeatAction, standard.RescaleAction, standard.RescaleObservation, standard.ReshapeObservation,
+    standard.ResizeObservation, standard.StickyAction, standard.TimeAwareObservation, standard.TimeLimit,
+    standard.TransformAction, standard.TransformObservation, standard.TransformReward,
+)
+"""Wrappers of Gymnasium that write no file and open no window."""
 
 
 @runtime_checkable
@@ -100,7 +145,7 @@ def make_described_env(
     Args:
         description: from `describe_env`.
         wrap: applied to the innermost environment, below its wrappers.
-        trust: also import and call what `known_parts` does not list; the description then runs any code it names.
+        trust: also import and call what is in no table of known parts; the description then runs any code it names.
 
     Raises:
         TrustError: it names other code, and is not trusted; nothing was imported.
@@ -268,3 +313,37 @@ def _revive(value: Any, trust: bool) -> Any:
     if value.keys() - {"origin"} == {"object", "name", "digest"}:
         raise TypeError(f"an object of {value['object']} is not kept with a run")
     return {name: _revive(part, trust) for name, part in value.items()}
+
+
+# --- code that a description may name ---------------------------------------------------
+
+
+def name_part(part: Any) -> str:
+    """Name of a class or function in descriptions, `module:name`."""
+    return f"{part.__module__}:{part.__qualname__}"
+
+
+def find_part(name: Any) -> Callable[[], Any] | None:
+    """Loader of the part of a name; None where the name is not known. Nothing is imported to answer."""
+    return next((load for known, load in _list_parts() if known == name), None)
+
+
+def _list_parts() -> Iterator[tuple[str, Callable[[], Any]]]:
+    yield from ((name, lambda name=name: import_part(name)) for name in OWN)
+    yield from ((name_part(wrapper), lambda wrapper=wrapper: wrapper) for wrapper in _COMPUTING)
+    for spec in gymnasium.registry.values():
+        made_by = spec.entry_point
+        if isinstance(made_by, str):
+            yield made_by, lambda made_by=made_by: import_part(made_by)
+        elif isinstance(made_by, type):
+            yield name_part(made_by), lambda made_by=made_by: made_by
+    yield from ((point.value, point.load) for point in entry_points(group=PARTS_GROUP))
+
+
+def import_part(name: str) -> Any:
+    """Import a part by its name, which runs its module's code."""
+    module, _, path = name.partition(":")
+    found: Any = importlib.import_module(module)
+    for part in path.split("."):
+        found = getattr(found, part)
+    return found

@@ -14,8 +14,14 @@ import pytest
 
 import hrl_escape
 from hrl_escape.agents import load_agent, train
-from hrl_escape.agents.training.env_description import describe_env, hash_large_parts, make_described_env
-from hrl_escape.agents.training.known_parts import OWN, import_part, name_part
+from hrl_escape.agents.training.env_description import (
+    OWN,
+    describe_env,
+    hash_large_parts,
+    import_part,
+    make_described_env,
+    name_part,
+)
 from hrl_escape.agents.training.train import load_env
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
