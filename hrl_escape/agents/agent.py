@@ -245,20 +245,20 @@ class MarkovRun:
 
     Args:
         act: (observation, action mask, rng) -> action.
-        is_over: (observation, action mask) -> whether it has ended there.
+        beta: (observation, action mask) -> probability of ending there; a truth value will do.
     """
 
     def __init__(self, act: Callable[[Any, NDArray[np.bool_], np.random.Generator], int],
-                 is_over: Callable[[Any, NDArray[np.bool_]], bool]) -> None:
-        self._act, self._is_over = act, is_over
+                 beta: Callable[[Any, NDArray[np.bool_]], float]) -> None:
+        self._act, self._beta = act, beta
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """Choose by the function."""
         return self._act(observation, action_mask, rng)
 
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
-        """Certain where it is over."""
-        return float(self._is_over(observation, action_mask))
+        """Probability of ending, by the function."""
+        return float(self._beta(observation, action_mask))
 
 
 class _WholeRun:

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import OptionPolicy, SMDPTransition
+from hrl_escape.agents.agent import MarkovRun, OptionPolicy, SMDPTransition
 from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
 from hrl_escape.agents.factored.compiled_model import ActionModel, compile_action
 from hrl_escape.agents.factored.growing_sets import GrowingSets
@@ -176,11 +175,18 @@ class VigoritoBarto(FactoredRMax):
     def _export(self, bit: int) -> OptionPolicy:
         component = self.model.components[self.model.packing.masks.index(bit)]
 
+        def act(observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+            action = self.choose_towards(bit, self.model.pack(observation))
+            assert action is not None, "the option may not start here"
+            return action
+
         def can_start(observation: Any, action_mask: NDArray[np.bool_]) -> bool:
             action = self.choose_towards(bit, self.model.pack(observation))
             return action is not None and bool(action_mask[action])
 
-        return OptionPolicy(f"bit-{component}", self, partial(_Run, self, bit), can_start, is_markov=True)
+        # It ends where the bit is on, or the way goes on by an illegal action.
+        run = MarkovRun(act, lambda observation, mask: not can_start(observation, mask))
+        return OptionPolicy(f"bit-{component}", self, lambda: run, can_start, is_markov=True)
 
     # --- experiments ------------------------------------------------------------------------
 
@@ -259,21 +265,3 @@ class _Way(NamedTuple):
     states: tuple[int, ...]
     elapsed: float
     place: int
-
-
-class _Run:
-    """A run of a bit's option; it remembers nothing."""
-
-    def __init__(self, agent: VigoritoBarto, bit: int) -> None:
-        self._agent, self._bit = agent, bit
-
-    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The next action on the way to the bit."""
-        action = self._agent.choose_towards(self._bit, self._agent.model.pack(observation))
-        assert action is not None, "the option may not start here"
-        return action
-
-    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
-        """1 where the bit is on, or the way goes on by an illegal action."""
-        action = self._agent.choose_towards(self._bit, self._agent.model.pack(observation))
-        return float(action is None or not action_mask[action])

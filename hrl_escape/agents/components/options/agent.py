@@ -6,13 +6,12 @@ import math
 import warnings
 from abc import abstractmethod
 from collections import deque
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, OptionPolicy, RunningCall
+from hrl_escape.agents.agent import Agent, MarkovRun, OptionPolicy, RunningCall
 from hrl_escape.agents.components.exploration import sample_index
 from hrl_escape.agents.state import Kept, Stateful
 
@@ -63,23 +62,14 @@ class OptionAgent(Agent):
 
     def get_options(self) -> tuple[OptionPolicy, ...]:
         """Each option, from anywhere; actions and ends are drawn."""
-        return tuple(OptionPolicy(f"option-{option}", self, partial(_Run, self, option))
-                     for option in range(self.options))
+        return tuple(map(self._export, range(self.options)))
 
+    def _export(self, option: int) -> OptionPolicy:
+        def act(observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+            return sample_index(self.compute_policies(observation, action_mask)[option], rng)
 
-class _Run:
-    """A run of one option; it remembers nothing."""
-
-    def __init__(self, agent: OptionAgent, option: int) -> None:
-        self._agent, self._option = agent, option
-
-    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Draw from the option's policy."""
-        return sample_index(self._agent.compute_policies(observation, action_mask)[self._option], rng)
-
-    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
-        """Beta of the option."""
-        return float(self._agent.compute_terminations(observation)[self._option])
+        run = MarkovRun(act, lambda observation, mask: self.compute_terminations(observation)[option])
+        return OptionPolicy(f"option-{option}", self, lambda: run)
 
 
 class OptionLog(Stateful):
