@@ -56,9 +56,6 @@ class CountBonus(Stateful):
         if self._weight:
             self._find_cell = make_cell_finder(space, TabularSettings(bins=settings.bonus_bins), agent)
 
-    def __len__(self) -> int:
-        return len(self._counts)
-
     def visit(self, observation: Any) -> float:
         """Count a visit of an observation's cell; returns the bonus, 0 or below, in units of return."""
         if self._find_cell is None:

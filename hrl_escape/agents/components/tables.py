@@ -147,9 +147,6 @@ class ValueTable(Stateful):
     def __len__(self) -> int:
         return len(self._values)
 
-    def __contains__(self, key: Hashable) -> bool:
-        return key in self._values
-
     def __iter__(self) -> Iterator[Any]:
         return iter(self._values)
 

@@ -213,10 +213,6 @@ class RMaxq(CallRunner):
             self._plans = {}
         return {"states": len(self._moments)}
 
-    def count_unknown(self) -> int:
-        """Pairs of a state met and a primitive that are not known."""
-        return int(sum((counts < self.settings.visits).sum() for counts in self._counts))
-
     @property
     def _met(self) -> list[list[Any]]:
         return [[seen.observation, seen.mask] for seen in self._moments]
