@@ -364,6 +364,8 @@ class Run(Stateful):
         """Go on from a checkpoint and the log up to it."""
         with refusing_damage(f"{self.arguments.name}: the checkpoint or its log"):
             self.load_state_dict(state)
+            if None in (self.primitives, self.decisions, self.planner_calls, self.seconds, self.planner_seconds):
+                raise ValueError("a total is missing")
             records = [read_row(row) for row in rows]
         self.episodes = [record for record in records if isinstance(record, EpisodeRecord)]
         self.segments = [record for record in records if isinstance(record, SegmentRecord)]
