@@ -8,12 +8,12 @@ from typing import Literal, TypeAlias
 from hrl_escape.agents.registry import SMDP_PREFIX, find_given_part, list_given_agents
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["KINDS", "LEAVES", "PARTS", "HierarchyKind", "Leaves", "find_kind", "list_privileges"]
+__all__ = ["KINDS", "LEAVES", "PARTS", "HierarchyKind", "LeafKind", "find_kind", "list_privileges"]
 
 HierarchyKind: TypeAlias = Literal["maxq", "ham", "landmarks", "feudal"]
-Leaves: TypeAlias = Literal["planned", "learned"]
+LeafKind: TypeAlias = Literal["planned", "learned"]
 KINDS: tuple[HierarchyKind, ...] = ("maxq", "ham", "landmarks", "feudal")
-LEAVES: tuple[Leaves, ...] = ("planned", "learned")
+LEAVES: tuple[LeafKind, ...] = ("planned", "learned")
 
 PARTS: Mapping[HierarchyKind, str] = {"maxq": "hierarchy", "ham": "program", "landmarks": "goals", "feudal": "tree"}
 """Kind -> the argument by which agents take it."""

@@ -17,7 +17,7 @@ from hrl_escape.agents.hierarchy.task import Hierarchy, Seen
 from hrl_escape.agents.hierarchy.task_graph import Until, View, maxq
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, HierarchyKind, Leaves
+from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, HierarchyKind, LeafKind
 from hrl_escape.synthesis.landmarks import EXIT, make_landmark_goals
 from hrl_escape.synthesis.regions import make_region_tree
 from hrl_escape.synthesis.situation import Situations
@@ -30,7 +30,7 @@ _ROOT = "escape"
 def synthesise(
     instance: RoomInstance,
     kind: HierarchyKind = "maxq",
-    leaves: Leaves = "planned",
+    leaves: LeafKind = "planned",
     *,
     abstract: bool = True,
     cell: float | None = None,
