@@ -118,7 +118,7 @@ def _tabulate_sizes(lines: Sequence[BaselineRun]) -> str:
         for count in counts:
             own = [line for line in lines if line.agent == agent and _count_rooms(line) == count]
             seen = [line.seen for line in own if line.seen is not None]
-            cells.append(f"{_format_cell(own)} ({_average(seen):.2f})" if own else "-")
+            cells.append(_format_cell(own) + (f" ({_average(seen):.2f})" if seen else ""))
         rows.append([f"`{agent}`", *cells])
     return make_table(["agent", *(f"{count:,}" for count in counts)], rows)
 

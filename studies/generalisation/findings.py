@@ -54,7 +54,7 @@ def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Se
     ours, theirs = learned[agent, count], searched[searcher]
     question = _ask("", "", ours, theirs)
     test = compare_pairs([question.differences])
-    words = f"`{agent}`, trained in {_count(count)}, reaches {_mean(ours):.2f} in unseen rooms"
+    words = f"`{agent}` with {_count(count)} reaches {_mean(ours):.2f} in unseen rooms"
     other = f"the best searcher that learns nothing, `{searcher[0]}`, {_mean(theirs):.2f}"
     if test.p >= ALPHA:
         return f"No learner is shown to beat searching: {words}, {other}."
