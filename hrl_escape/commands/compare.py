@@ -53,11 +53,12 @@ class CompareArgs(LaunchArgs):
     """Options of `hrl-escape compare`."""
 
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
-    """quickstart, paper, ladder or paper-figure-1 to -3; or a .toml or .json file with your own grid."""
+    """quickstart, patience, paper, ladder or paper-figure-1 to -3; or a .toml or .json file with your own grid."""
     agents: tuple[str, ...] = ()
     """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe, +objects,
-    +memory, +gru, +no-primitives or +markov behind for what they see and choose, +three-parents for what learners of
-    structure consider, +planned or +learned behind for a hierarchy synthesised from the room."""
+    +memory, +gru, +no-primitives or +markov behind for what they see and choose, +patient for `dqn` with a longer
+    exploration and more memory, +three-parents for what learners of structure consider, +planned or +learned behind for
+    a hierarchy synthesised from the room."""
     rooms: tuple[str, ...] = ()
     """Other rooms: presets, #3 behind for instance 3, .json files of instances, or ladder-1/lattice/test[3]."""
     train_rooms: tuple[str, ...] = ()

@@ -56,6 +56,8 @@ class OptionsView(Settings):
 TRAITS: dict[str, dict[str, dict[str, Any]]] = {
     "objects": {"settings": {"network": "objects"}},
     "gru": {"settings": {"memory": "gru"}},
+    "patient": {"settings": {"learning_rate": 1e-3, "epsilon_end": 0.1, "epsilon_steps": 30_000,
+                             "replay_capacity": 100_000}},
     "three-parents": {"settings": {"max_parents": 3}},
     "memory": {"options": {"memory": True}},
     "no-primitives": {"options": {"include_primitives": False}},

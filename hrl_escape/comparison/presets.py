@@ -39,6 +39,16 @@ GRIDS: dict[str, Grid] = {
             eval_episodes=3,
         ),
         Grid(
+            name="patience",
+            description="Does a flat learner escape from the room of quickstart, given time?",
+            agents=_parse_agents("dqn+patient", *REFERENCES),
+            rooms=_parse_rooms("paper-two-button"),
+            runs=10,
+            primitives=100_000,
+            eval_every=2_500,
+            eval_episodes=1,
+        ),
+        Grid(
             name="paper",
             description="The three algorithms of Menashe and Stone (2019) as they were, with and without "
             "meta-actions, in the paper's two rooms.",

@@ -7,8 +7,12 @@ from pathlib import Path
 
 import pytest
 import tyro
+from PIL import Image
 
 from hrl_escape.cli import main
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning.planner import RoomPlanner
 from studies.running import get_args
 from studies.study import find_study
 from tests.docs.blocks import PAGES, ROOT, Block, parse, parse_options, read_blocks, read_commands
@@ -89,3 +93,15 @@ def test_a_replacement_that_fits_nothing_is_found(tmp_path: Path):
     page.write_text("<!-- tests: 20_000 -> 500 -->\n```python\ntrain(primitives=30_000)\n```\n")
     with pytest.raises(AssertionError, match="20_000"):
         read_blocks(page)
+
+
+def test_the_picture_of_the_first_page_is_what_its_command_makes():
+    caption = re.search(r"escaped in (\d+) primitives, planned and driven in Bullet: `hrl-escape solve --preset "
+                        r"clutter --seed 3", (ROOT / "README.md").read_text())
+    assert caption is not None
+    room = generate(get_preset("clutter"), 3)
+    planner = RoomPlanner(room)
+    plan = planner.solve(planner.rules.make_state(room.starts[0]))
+    assert plan.cost == int(caption[1])
+    with Image.open(ROOT / "docs/images/escape.gif") as picture:
+        assert picture.n_frames == plan.cost + 1
