@@ -33,7 +33,8 @@ from studies.paper.measures import (
 from studies.raw import BINS, OPTIMAL_SCORE, RawRun, collect_runs
 from studies.study import Page, Study
 
-__all__ = ["LINES", "Rerun", "analyse", "collect", "draw_figure", "list_claims", "tell_departures"]
+__all__ = ["LINES", "Rerun", "analyse", "collect", "draw_figure", "list_claims", "tell_chance",
+           "tell_departures"]
 
 LINES = (RawRun,)
 collect = collect_runs
@@ -80,7 +81,7 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
             raise ComparisonError(f"{grid.name} has no run of {', '.join(sorted(missing))}: run it again without "
                                   "--from-raw")
     findings = judge_claims(list_claims(study), results)
-    answers = Counter(finding.agrees if finding.agrees in ("yes", "no", "open") else "mixed" for finding in findings)
+    answers = Counter(finding.kind for finding in findings)
     rows = [[number, finding.claim.says, f"{finding.claim.measured}: {finding.claim.holds.words}",
              _list_estimates(finding.paper, finding.claim.unit),
              _list_estimates(finding.corrected, finding.claim.unit) or "not run", finding.agrees, finding.claim.rerun]
@@ -90,6 +91,7 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
         "findings": findings, "answers": answers, "OPTIMAL_SCORE": OPTIMAL_SCORE, "APART": APART,
         "best": [results[name][0].best for name in ("paper-figure-1", "paper-figure-2")],
         "runs": {name: _count_runs(results, name) for name in results}, "parted": parted, "alike": alike,
+        "by_chance": tell_chance([finding.by_chance for finding in findings]),
         "claims": make_table(["", "the paper says", "measured", "recipe `paper`", "recipe `corrected`", "agree?",
                               "published program, rerun"], rows),
         "numbers": make_table(["figure", "agent", "final score", "slope", "settled", "escapes in training"], [
@@ -97,6 +99,18 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
             for agent in dict.fromkeys(run.agent for run in results[name])]),
     }, {name: draw_figure(runs) for name, runs in results.items()},
         [f"{number:2} {finding.claim.says} {finding.agrees}" for number, finding in enumerate(findings, 1)])
+
+
+def tell_chance(settled: Sequence[bool | None]) -> str:
+    """Sentence on claims that random choices settle by the same tests; empty where there is none.
+
+    Args:
+        settled: for each claim whether they confirm it, refute it (False) or neither (None).
+    """
+    parts = [f"{word} {'claim' if len(numbers) == 1 else 'claims'} {join_words(map(str, numbers))}"
+             for word, kind in (("confirm", True), ("refute", False))
+             if (numbers := [number for number, found in enumerate(settled, 1) if found is kind])]
+    return f"Random choices {' and '.join(parts)} by the same tests, without learning." if parts else ""
 
 
 def _count_runs(results: Results, figure: str) -> str:

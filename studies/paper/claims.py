@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from hrl_escape.comparison.inference import Estimate
 from hrl_escape.comparison.pairs import ALPHA
@@ -55,6 +56,10 @@ MEASURES: Mapping[str, Callable[[Results, str, str], Measurement]] = {
         lambda run: compute_final(run.at, run.scores, run.budget)),
 }
 """Name -> measurement from (results, grid, agent's label)."""
+
+
+OF_CHANCE = ("escapes", "escapes-early")
+"""Measures that ask for no learning, so that random choices can settle a claim."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +134,8 @@ class Finding:
         corrected: algorithm -> estimate with the corrected recipe; empty where it was not run.
         verdicts: algorithm -> True if the paper's recipe confirms the claim, False if it refutes it, None if open.
         p: algorithm -> p-value of the verdict, corrected over all claims and algorithms.
+        by_chance: True where random choices confirm the claim by the same test (p < 0.05, alone), False where they
+            refute it; either way it says nothing of learning. None elsewhere.
     """
 
     claim: Claim
@@ -136,6 +143,19 @@ class Finding:
     corrected: dict[str, Estimate]
     verdicts: dict[str, bool | None]
     p: dict[str, float]
+    by_chance: bool | None = None
+
+    @property
+    def kind(self) -> Literal["yes", "no", "some", "none", "open"]:
+        """`yes` or `no` where all algorithms agree; `some` if it holds for some only, `none` if for none; or `open`."""
+        verdicts = set(self.verdicts.values())
+        if verdicts == {True}:
+            return "yes"
+        if True in verdicts:
+            return "some"
+        if False in verdicts:
+            return "no" if verdicts == {False} else "none"
+        return "open"
 
     @property
     def agrees(self) -> str:
@@ -160,7 +180,7 @@ def judge_claims(claims: Sequence[Claim], results: Results) -> list[Finding]:
     tests = [(number, name, *claim.holds.test(found)) for number, (claim, (paper, _))
              in enumerate(zip(claims, measured, strict=True)) for name, found in paper.items()]
     adjusted = correct_by_benjamini_hochberg([p for *_, p in tests])
-    findings = [Finding(claim, _estimate(paper), _estimate(corrected), {}, {})
+    findings = [Finding(claim, _estimate(paper), _estimate(corrected), {}, {}, _judge_chance(claim, results))
                 for claim, (paper, corrected) in zip(claims, measured, strict=True)]
     for (number, name, holds, _), p in zip(tests, adjusted, strict=True):
         findings[number].verdicts[name] = holds if p < ALPHA else None
@@ -172,6 +192,15 @@ def _measure(claim: Claim, results: Results, recipe: str) -> dict[str, Measureme
     labels = {run.agent for run in results[claim.figure]}
     names = {algorithm: name_agent(algorithm, recipe, claim.figure) for algorithm in claim.agents}
     return {key: MEASURES[claim.measure](results, claim.figure, name) for key, name in names.items() if name in labels}
+
+
+def _judge_chance(claim: Claim, results: Results) -> bool | None:
+    """Whether random choices confirm the claim or refute it; None if neither."""
+    if claim.measure not in OF_CHANCE:
+        return None
+    found = MEASURES[claim.measure](results, claim.figure, name_agent("random", "corrected", claim.figure))
+    holds, p = claim.holds.test(found)
+    return holds if p < ALPHA else None
 
 
 def _estimate(found: dict[str, Measurement]) -> dict[str, Estimate]:

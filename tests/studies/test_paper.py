@@ -16,7 +16,7 @@ from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import FileReadError
 from hrl_escape.settings import read_record
 from studies.__main__ import main
-from studies.paper.analysis import Rerun, list_claims, tell_departures
+from studies.paper.analysis import Rerun, list_claims, tell_chance, tell_departures
 from studies.paper.claims import Criterion, judge_claims
 from studies.paper.measures import (
     Measurement,
@@ -238,3 +238,24 @@ def test_a_page_that_cannot_be_written_is_noticed_before_anything_runs(
     (tmp_path / "docs").write_text("a file where the folder should be")
     assert main([study, "--docs", str(tmp_path / "docs"), "--out", str(tmp_path / "runs")]) == 2
     assert "cannot write" in capsys.readouterr().err and not (tmp_path / "runs").exists()
+
+
+def test_claims_that_random_choices_settle_are_told():
+    assert tell_chance([True, None, True, False]) == (
+        "Random choices confirm claims 1 and 3 and refute claim 4 by the same tests, without learning.")
+    assert tell_chance([None, False]).startswith("Random choices refute claim 2 by") and tell_chance([None]) == ""
+
+
+@pytest.mark.parametrize(("chance", "settled"), [(1.0, {1: True, 6: False}), (0.0, {1: False, 6: True})])
+def test_random_choices_settle_whether_the_goal_is_reached(chance: float, settled: dict[int, bool]):
+    findings = dict(enumerate(judge_claims(CLAIMS, make_paper_results(0.5, 0.5, chance=chance)), 1))
+    assert {number: findings[number].by_chance for number in settled} == settled
+    assert findings[7].by_chance is None, "a gain is measured against chance already"
+
+
+def test_a_claim_that_holds_for_none_does_not_hold_for_some():
+    finding = dataclasses.replace(judge_claims(CLAIMS, make_paper_results(1.0, 1.0))[0], verdicts={})
+    kinds = {(True, True): "yes", (True, None): "some", (True, False): "some", (False, None): "none",
+             (False, False): "no", (None, None): "open"}
+    for verdicts, kind in kinds.items():
+        assert dataclasses.replace(finding, verdicts=dict(zip(("dqn", "ddpg"), verdicts, strict=True))).kind == kind
