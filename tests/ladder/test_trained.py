@@ -11,6 +11,7 @@ from hrl_escape.agents.training.train import load_agent, load_env
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.trained import CHECKPOINT, find_trained_agent, list_trained_agents
 from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, find_run_room
+from tests.covering import thin
 
 RUNGS = list_trained_agents()
 
@@ -21,7 +22,7 @@ def test_rungs_have_trained_agents_and_lattice_is_one_of_them():
     assert find_driver(PLANNER_NAME) == PLANNER_NAME and find_driver("smdp-dqn") == "smdp-dqn"
 
 
-@pytest.mark.parametrize("rung", RUNGS)
+@pytest.mark.parametrize("rung", thin(RUNGS, 3))
 def test_a_trained_agent_escapes_from_the_first_test_room_of_its_rung(rung: str):
     folder = find_trained_agent(rung)
     assert folder is not None and str(folder) == find_driver(rung)
