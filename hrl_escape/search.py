@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Hashable, Iterable
 from typing import Generic, TypeVar
 
-__all__ = ["MOST_EXACT", "Frontier", "find_cheapest_steps"]
+__all__ = ["MOST_EXACT", "OpenNodes", "find_cheapest_steps"]
 
 MOST_EXACT = 10_000
 """States beyond which the search goes on greedily, so that its steps need not be the cheapest."""
@@ -21,7 +21,7 @@ _Key = TypeVar("_Key", bound=Hashable)
 _Node = TypeVar("_Node")
 
 
-class Frontier(Generic[_Key, _Node]):
+class OpenNodes(Generic[_Key, _Node]):
     """Open nodes of a best-first search: of each key only the one that costs least, of equal estimates the first."""
 
     def __init__(self) -> None:

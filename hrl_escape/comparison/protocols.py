@@ -15,7 +15,7 @@ from hrl_escape.comparison.grid import AgentSpec, Grid
 from hrl_escape.comparison.inference import Estimate, compute_wilson_interval
 from hrl_escape.comparison.ladder_score import compute_ladder_score
 from hrl_escape.comparison.places import RoomSpec
-from hrl_escape.comparison.references.registry import ROUNDS
+from hrl_escape.comparison.references.registry import BY_NUMBER
 from hrl_escape.comparison.statistics import Scores
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.errors import ConfigError
@@ -172,7 +172,7 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
     records = [bench[rung].record for rung in rungs]
     if len(rungs) < 2 or len(set(rungs)) < len(rungs):
         raise ConfigError("rung", " ".join(rungs), "two or more with the protocol tower, each once")
-    followers = [agent.label for agent in agents if agent.name in ROUNDS]
+    followers = [agent.label for agent in agents if agent.name in BY_NUMBER]
     if followers:
         raise ConfigError("agents", followers[0], "one that does not follow the numbers of one room's options, which "
                           "the floors of a tower have not in common")

@@ -27,7 +27,7 @@ from hrl_escape.planning.best_known import (
 )
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import get_pose
-from hrl_escape.search import Frontier
+from hrl_escape.search import OpenNodes
 
 __all__ = ["best_return_with_options", "find_best_with_options", "simulate"]
 
@@ -69,7 +69,7 @@ def _search_options(planner: RoomPlanner, state: RoomState, options: Sequence[Op
     cheapest is kept, as in task planning; after any other option the pose counts too.
     """
     instance, rules = planner.instance, planner.rules
-    frontier: Frontier[Hashable, tuple[int, RoomState]] = Frontier()
+    frontier: OpenNodes[Hashable, tuple[int, RoomState]] = OpenNodes()
     frontier.push(None, 0, 0, (0, state))
     runs = 0
     while runs < MOST_RUNS and (entry := frontier.pop()) is not None:

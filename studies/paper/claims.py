@@ -195,7 +195,7 @@ def _measure(claim: Claim, results: Results, recipe: str) -> dict[str, Measureme
 
 
 def _judge_chance(claim: Claim, results: Results) -> bool | None:
-    """Whether random choices confirm the claim or refute it; None if neither."""
+    """True if random choices confirm the claim, False if they refute it; None if neither."""
     if claim.measure not in OF_CHANCE:
         return None
     found = MEASURES[claim.measure](results, claim.figure, name_agent("random", "corrected", claim.figure))

@@ -68,7 +68,7 @@ def find_split(on: NDArray[np.bool_], results: NDArray[np.int64], samples: int, 
 
 
 def find_falls(literals: NDArray[np.bool_], paths: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether each state, (n, literals), falls into each leaf, (leaves, literals); bool (n, leaves)."""
+    """True where a state, (n, literals), falls into a leaf, (leaves, literals); bool (n, leaves)."""
     return ~literals @ paths.T == 0
 
 

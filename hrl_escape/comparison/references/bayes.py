@@ -30,7 +30,7 @@ from hrl_escape.planning.planner import RoomPlanner, get_planner
 
 __all__ = ["BayesSearcher", "measure_ways"]
 
-FARTHEST = 1e4
+_NO_WAY = 1e4
 """Primitives of a way that the planner does not find."""
 
 
@@ -68,7 +68,7 @@ class BayesSearcher(Searcher):
 
 
 class _Mind:
-    """What is known about one room: its ways, and the graphs that agree with the presses."""
+    """Knowledge of one room: its ways, and the graphs that agree with the presses."""
 
     def __init__(self, room: Any) -> None:
         puzzle = room.puzzle
@@ -140,8 +140,8 @@ def measure_ways(planner: RoomPlanner) -> Ways:
     """
     room = planner.instance
     count = len(room.targets)
-    legs = np.full(((count + 1) * count, count), FARTHEST, np.float32)
-    leaving = np.full((count + 1) * count, FARTHEST, np.float32)
+    legs = np.full(((count + 1) * count, count), _NO_WAY, np.float32)
+    leaving = np.full((count + 1) * count, _NO_WAY, np.float32)
     start = planner.rules.make_state(room.starts[0])._replace(puzzle=(1 << count) - 1)
     states = [*(_find_end(planner, start, PressGoal(target)) for target in range(count)), start]
     for before, button in itertools.product(range(count + 1), range(count)):
@@ -170,4 +170,4 @@ def _count_primitives(planner: RoomPlanner, state: RoomState, goal: Goal) -> flo
     try:
         return float(planner.plan(state, goal).cost)
     except PlanningFailed:
-        return FARTHEST
+        return _NO_WAY

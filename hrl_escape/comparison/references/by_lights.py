@@ -116,7 +116,7 @@ class Searcher(Reference):
 
 
 class Untried(Searcher):
-    """What is unlit and untried since the lights last changed, in random order.
+    """Presses what is unlit and untried since the lights last changed, in random order.
 
     Where all that is unlit was tried it takes what is lit, and where everything was tried it begins again.
     """
@@ -143,7 +143,7 @@ class Untried(Searcher):
 
 
 class UntriedNearest(Untried):
-    """What is unlit and untried since the lights last changed, the nearest first, as the crow flies."""
+    """Presses what is unlit and untried since the lights last changed, the nearest first, as the crow flies."""
 
     RULE = "presses what is unlit and untried since the lights last changed, the nearest first"
 

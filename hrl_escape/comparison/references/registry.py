@@ -34,7 +34,7 @@ from hrl_escape.comparison.references.rules import (
 )
 from hrl_escape.ladder.sequence import SequenceEnv
 
-__all__ = ["BAYES", "BY_LIGHTS", "INDEX_ORDER", "PLANNER", "REFERENCES", "RETRACE", "ROUNDS", "SEARCHERS",
+__all__ = ["BAYES", "BY_LIGHTS", "INDEX_ORDER", "PLANNER", "REFERENCES", "RETRACE", "BY_NUMBER", "SEARCHERS",
            "SHUFFLED_ROUND", "UNTRIED", "UNTRIED_NEAREST", "describe_rule", "make_reference"]
 
 INDEX_ORDER, SHUFFLED_ROUND = "smdp-index-order", "smdp-shuffled-round"
@@ -45,16 +45,16 @@ _RULES: dict[str, type[Reference]] = {
     RETRACE: Retrace, BAYES: BayesSearcher, PLANNER: PlanFollower,
 }
 REFERENCES = tuple(_RULES)
-ROUNDS = (INDEX_ORDER, SHUFFLED_ROUND)
+BY_NUMBER = (INDEX_ORDER, SHUFFLED_ROUND)
 """References that follow the numbers of one room's options."""
 SEARCHERS = tuple(name for name in REFERENCES if name != PLANNER)
 """References that do not know the dependency graph."""
-BY_LIGHTS = tuple(name for name in SEARCHERS if name not in ROUNDS)
+BY_LIGHTS = tuple(name for name in SEARCHERS if name not in BY_NUMBER)
 """Searchers that see what is lit."""
 
 
 def describe_rule(name: str) -> str:
-    """What a reference does, to follow its name and "which"."""
+    """Words on what a reference does, to follow its name and "which"."""
     return _RULES[name].RULE
 
 

@@ -41,7 +41,7 @@ NODES_A_LEG = 2_000
 """Most nodes expanded by the search for one leg."""
 FIRST_NODES = 1 << 14
 """Nodes for which a search has room at first."""
-SLICE = 5_000
+_SLICE = 5_000
 """Nodes expanded between two looks at the clock."""
 MOST_NODES = 1_000_000
 """Most nodes expanded for one escape."""
@@ -263,7 +263,7 @@ class JointSearch:
         frontier = self._legs.frontiers.take(FIRST_NODES, min(most, a_star.MOST_PRIMITIVES))
         found, has_more = None, True
         while found is None and has_more and not clock.is_up():
-            limit = min(nodes, int(frontier.counts[2]) + SLICE)
+            limit = min(nodes, int(frontier.counts[2]) + _SLICE)
             node = int(expand_until_escape(self._shut.scene, self._opened.scene, query, frontier, limit))
             if node >= 0:
                 found = self._replay(state, frontier.list_actions(node), query.one_leg)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeAlias
 
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
-from hrl_escape.search import Frontier
+from hrl_escape.search import OpenNodes
 
 __all__ = ["ExtendLeg", "Leg", "TaskPlan", "TaskSearch", "find_relevant_operators"]
 
@@ -222,7 +222,7 @@ class TaskSearch:
         (facts, last operator) keeps its cheapest place.
         """
         begin, searched = self._encode(facts), 0
-        frontier: Frontier[tuple[int, int], tuple[Any, Any]] = Frontier()
+        frontier: OpenNodes[tuple[int, int], tuple[Any, Any]] = OpenNodes()
         frontier.push((begin, -1), 0.0, self._estimate(begin), (place, None))
         while (entry := frontier.pop()) is not None:
             bound, _, cost, (at, last), (here, trail) = entry

@@ -288,7 +288,7 @@ class Hamq(Agent):
 
     @property
     def _told_inputs(self) -> list[Any]:
-        """What the running program was told up to the last primitive."""
+        """Everything that the running program was told up to the last primitive."""
         return [each if isinstance(each, int) else [each.observation, each.mask]
                 for each in self._run.inputs[: self._told]]
 

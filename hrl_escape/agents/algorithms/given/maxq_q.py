@@ -134,7 +134,7 @@ class MaxqQ(TabularRunner):
     # --- the agent --------------------------------------------------------------------
 
     def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
-        """What the task chooses by, unless its policy is given."""
+        """Values that the task chooses by, unless its policy is given."""
         task = get_task(stack)
         return None if task.policy is not None else self.compute_choice_values(task, seen)
 

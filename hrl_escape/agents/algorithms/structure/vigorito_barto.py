@@ -47,7 +47,7 @@ class VigoritoBartoSettings(FactoredRMaxSettings):
 
 
 class Skill(NamedTuple):
-    """How a bit is turned on.
+    """A way to turn a bit on.
 
     Attributes:
         action: that does it.
@@ -118,7 +118,7 @@ class VigoritoBarto(FactoredRMax):
     # --- options of bits --------------------------------------------------------------------
 
     def find_skills(self) -> dict[int, Skill]:
-        """How bits are turned on, by bit of a packed state: what asks for least counts, of equals the first action."""
+        """Ways to turn bits on, by bit of a packed state: what asks for least counts, of equals the first action."""
         self._careful.update(self.model)
         if self._skills_of is not self._careful.tables:
             self._skills_of, self._skills = self._careful.tables, {}
@@ -129,7 +129,7 @@ class VigoritoBarto(FactoredRMax):
         return self._skills
 
     def _list_in_rules(self) -> Iterator[tuple[int, Skill]]:
-        """What leaves of trees turn on."""
+        """Bits that leaves of trees turn on."""
         masks = self.model.packing.masks
         for action, model in enumerate(self._careful.models):
             for rule in model.rules:
@@ -138,7 +138,7 @@ class VigoritoBarto(FactoredRMax):
                                                         if rule.care & mask and mask != rule.put))
 
     def _list_in_sets(self) -> Iterator[tuple[int, Skill]]:
-        """What actions turn on where all parents are on, once each bit."""
+        """Bits that actions turn on where all parents are on, once each bit."""
         learner, packing, taken = self.model.learner, self.model.packing, set()
         for action in range(learner.actions):
             for outcome in learner.list_active(action).tolist():
@@ -255,7 +255,7 @@ class VigoritoBarto(FactoredRMax):
 
 
 class _Way(NamedTuple):
-    """Where options lead to: a state, the actions on the way and the states in which they are taken.
+    """States that options lead to: a state, the actions on the way and the states in which they are taken.
 
     `elapsed` is in primitives, `place` the row of the table of durations that holds at the end.
     """
