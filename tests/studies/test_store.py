@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 from hrl_escape.errors import FileReadError
+from hrl_escape.processes import taking_turns
 from studies.baseline import BaselineRun
 from studies.learned.dial import DialLine
 from studies.store import Store
@@ -68,3 +70,15 @@ def test_processes_that_add_at_once_lose_no_line_of_each_other(tmp_path: Path):
     assert [each.wait(timeout=240) for each in both] == [0, 0]
     assert {(line.agent, line.seed) for line in store.load()} == {
         ("dqn", 0), *((agent, seed) for agent in ("dqn", "ppo") for seed in range(1, 41))}
+
+
+def test_who_adds_waits_until_another_has_written(tmp_path: Path):
+    store = Store(tmp_path / "raw.jsonl", (BaselineRun, DialLine))
+    store.add([LINE])
+    adding = threading.Thread(target=store.add, args=([DIAL],))
+    with taking_turns(tmp_path):  # a lock is of who opened the folder, so a thread is kept out as a process is
+        adding.start()
+        adding.join(1.0)
+        assert adding.is_alive() and store.load() == [LINE]
+    adding.join()
+    assert store.load() == [LINE, DIAL]
