@@ -42,14 +42,18 @@ class Impure(ButtonsPuzzle):
         return super().update(state, contacts) ^ (type(self).calls % 7 == 0)
 
 
+class Word(int):
+    __hash__ = None
+
+
 class Mutable(ButtonsPuzzle):
     def make_state(self):
-        return []
+        return Word(0)
 
 
 class ShortObservation(ButtonsPuzzle):
     def observe(self, state):
-        return super().observe(state)[1:]
+        return super().observe(state)[state > 0 :]
 
 
 class OutOfBounds(ButtonsPuzzle):

@@ -43,7 +43,8 @@ def find_joint_optimum(planner: RoomPlanner, state) -> int:
     rules, room = planner.rules, planner.instance
     lattice = planner.routes.get_reacher().arm.get_ranges(())
     postures = list(itertools.product(*(range(low, high + 1) for low, high in zip(*lattice, strict=True))))
-    step, reach = room.robot.move_step, planner.routes.get_reacher().reach + room.robot.hand_radius + 0.1
+    farthest = max(math.hypot(*rules.get_hand_in_base(posture)[:2]) for posture in postures)
+    step, reach = room.robot.move_step, farthest + room.robot.hand_radius + 0.1
     area, goals, wide = room.exit, room.puzzle.goal_targets, max(target.half_x for target in room.targets)
     known: dict[tuple, list] = {}
 
