@@ -14,7 +14,7 @@ PRESETS = ("paper-one-button", "paper-two-button", "ten-button", "bit-flip", "ha
 SEEDS = range(5)
 
 PLANT = r"""
-import importlib.machinery, json, sys
+import importlib.machinery, json, re, sys
 
 OLD = importlib.machinery.SourceFileLoader.get_code
 CLASSES = {
@@ -30,9 +30,10 @@ def get_code(self, name):
         return OLD(self, name)
     path, head = self.get_filename(name), CLASSES[name]
     above, found, below = self.get_data(path).decode().partition(head)
-    fields, method, rest = below.partition("    def check")
-    assert found and method, name
-    return compile(above + head + fields + "    antennae: int = 0\n\n" + method + rest, path, "exec", dont_inherit=True)
+    end = re.search(r"\n    (?:def |@)|\n\n\n", below)  # of the fields: a method, or the end of the class
+    assert found and end, name
+    text = above + head + below[:end.start()] + "\n    antennae: int = 0\n" + below[end.start():]
+    return compile(text, path, "exec", dont_inherit=True)
 
 
 importlib.machinery.SourceFileLoader.get_code = get_code
