@@ -6,8 +6,8 @@ one table share Holm's correction.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Hashable, Mapping, Sequence
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ __all__ = ["tell_best", "tell_puzzle_depths", "tell_room_numbers"]
 
 _Seeds = Mapping[int, float]
 """Efficiency in unseen rooms by training seed."""
+_Place = TypeVar("_Place", bound=Hashable)
 _RANDOM = {FLAT_CHANCE: "random primitives"}
 
 
@@ -44,7 +45,7 @@ def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Se
     Returns:
         The sentence; empty without a cell of `LEAST_RUNS` seeds of either.
     """
-    enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
+    enough = _keep_enough(cells)
     learned = {place: seeds for place, seeds in enough.items() if place[0] in agents}
     searched = {place: seeds for place, seeds in enough.items() if place[0] in SEARCHERS}
     if not learned or not searched:
@@ -52,8 +53,7 @@ def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Se
     agent, count = max(learned, key=lambda place: _mean(learned[place]))
     searcher = max(searched, key=lambda place: _mean(searched[place]))
     ours, theirs = learned[agent, count], searched[searcher]
-    question = _ask("", "", ours, theirs)
-    test = compare_pairs([question.differences])
+    test = compare_pairs([_subtract(ours, theirs)])
     words = f"`{agent}` with {_count(count)} reaches {_mean(ours):.2f} in unseen rooms"
     other = f"the best searcher that learns nothing, `{searcher[0]}`, {_mean(theirs):.2f}"
     if test.p >= ALPHA:
@@ -77,7 +77,7 @@ def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], ag
         chances: the agent that chooses at random among the same; how many rooms it trained in makes no difference to
             it.
     """
-    enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
+    enough = _keep_enough(cells)
     chance = {agent: seeds for (agent, _), seeds in reversed(enough.items())}
     searcher = max((agent for agent in SEARCHERS if agent in chance), key=lambda agent: _mean(chance[agent]),
                    default=None)
@@ -126,7 +126,7 @@ def tell_puzzle_depths(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], a
         agents: those to be asked about.
         chance: the agent that chooses at random.
     """
-    enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
+    enough = _keep_enough(cells)
     layered, chain, *_, deepest = DEPTHS
     asked = []
     for agent in agents:
@@ -143,6 +143,16 @@ def tell_puzzle_depths(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], a
     return _answer(asked)
 
 
+def _keep_enough(cells: Mapping[_Place, Sequence[BaselineRun]]) -> dict[_Place, _Seeds]:
+    """Cells of `LEAST_RUNS` seeds or more."""
+    return {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
+
+
+def _subtract(ours: _Seeds, theirs: _Seeds) -> NDArray[np.float64]:
+    """Differences at the seeds that both have, (seeds,)."""
+    return np.array([ours[seed] - theirs[seed] for seed in sorted(ours.keys() & theirs.keys())])
+
+
 def _mean(seeds: _Seeds) -> float:
     return float(np.mean([*seeds.values()]))
 
@@ -156,8 +166,7 @@ def _count(rooms: int) -> str:
 
 
 def _ask(first: str, second: str, ours: _Seeds, theirs: _Seeds) -> _Question:
-    both = sorted(ours.keys() & theirs.keys())
-    return _Question(first, second, np.array([ours[seed] - theirs[seed] for seed in both]))
+    return _Question(first, second, _subtract(ours, theirs))
 
 
 def _answer(asked: Sequence[_Question]) -> list[str]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.references.belief_graph import BeliefGraph, Ways, make_belief_graph
 from hrl_escape.comparison.references.by_lights import Searcher
-from hrl_escape.comparison.references.graph_family import MOST_BUTTONS, find_schematic, make_family
+from hrl_escape.comparison.references.graph_family import MOST_BUTTONS, can_light, find_schematic, make_family
 from hrl_escape.comparison.references.graph_particles import GraphParticles
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
@@ -46,13 +46,11 @@ class BayesSearcher(Searcher):
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
-        self._minds: dict[str, _Mind] = {}
+        self._mind: _Mind | None = None  # of the present room alone: a hundred megabytes with six buttons
 
     def _begin(self, is_new: bool) -> None:
-        room = self._room.instance
-        if room.id not in self._minds:
-            self._minds[room.id] = _Mind(room)
-        self._mind = self._minds[room.id]
+        if self._mind is None or self._mind.room.id != self._room.instance.id:
+            self._mind = _Mind(self._room.instance)
         if is_new:
             self._mind.forget()
 
@@ -60,9 +58,11 @@ class BayesSearcher(Searcher):
         target, = self._options[action].targets
         lit = _get_bits(before)
         if (after.touching & ~before.touching) >> target & 1 and not lit >> target & 1:
+            assert self._mind is not None
             self._mind.learn(target, lit, bool(_get_bits(after) >> target & 1), self._puzzle.is_solved(after.puzzle))
 
     def _choose(self, legal: Sequence[int], state: RoomState, rng: np.random.Generator) -> int:
+        assert self._mind is not None
         actions = {self._options[action].targets[0]: action for action in legal}
         return actions[self._mind.choose(state, sorted(actions))]
 
@@ -75,7 +75,7 @@ class _Mind:
         if not isinstance(puzzle, ButtonsPuzzle) or puzzle.allow_off or puzzle.locks:
             raise UnsupportedError(f"smdp-bayes knows rooms of buttons that stay on and do not lock each other; in "
                                    f"{room.name} take smdp-retrace")
-        self._room, self._puzzle, self._planner = room, puzzle, get_planner(room)
+        self.room, self._puzzle, self._planner = room, puzzle, get_planner(room)
         config = find_schematic(room).puzzle
         assert isinstance(config, ButtonsConfig)
         self._config = config
@@ -92,7 +92,7 @@ class _Mind:
         if self._graph is not None:
             self._graphs = np.arange(len(self._family.weights), dtype=np.int32)
         else:
-            self._particles = GraphParticles(self._config, self._puzzle.count, np.random.default_rng(self._room.seed))
+            self._particles = GraphParticles(self._config, self._puzzle.count, np.random.default_rng(self.room.seed))
 
     def learn(self, target: int, lit: int, has_lit: bool, has_opened: bool) -> None:
         """Take note of a press of an unlit button, `lit` being the bits before it."""
@@ -101,7 +101,7 @@ class _Mind:
             self._particles.learn((target, lit, has_lit, has_opened))
             return
         family, kept = self._family, self._graphs
-        allowed = (family.parents[kept, target] & np.uint64(~lit & (1 << family.count) - 1)) == 0
+        allowed = can_light(family.parents[kept, target], lit)
         agrees = allowed == has_lit
         if has_lit:
             agrees &= (family.goals[kept] == target) == has_opened
@@ -127,8 +127,7 @@ class _Mind:
         if self._graph is None:
             return self._particles.compute_odds(lit)
         family, kept = self._family, self._graphs
-        allowed = (family.parents[kept] & np.uint64(~lit & (1 << family.count) - 1)) == 0
-        return family.weights[kept] @ allowed / family.weights[kept].sum()
+        return family.weights[kept] @ can_light(family.parents[kept], lit) / family.weights[kept].sum()
 
 
 def measure_ways(planner: RoomPlanner) -> Ways:

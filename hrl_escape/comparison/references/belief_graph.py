@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.references.graph_family import GraphFamily
+from hrl_escape.comparison.references.graph_family import GraphFamily, can_light
 from hrl_escape.env.puzzles.buttons import ViolationRule
 from hrl_escape.errors import UnsupportedError
 
@@ -93,7 +93,7 @@ class BeliefGraph:
         for button in range(count):
             if lit >> button & 1:
                 continue
-            allowed = (family.parents[graphs, button] & np.uint64(~lit & (1 << count) - 1)) == 0
+            allowed = can_light(family.parents[graphs, button], lit)
             if not allowed.any():
                 continue  # known to be in vain
             is_goal = allowed & (family.goals[graphs] == button)

@@ -21,12 +21,12 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import PRESETS
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.puzzles.graphs import Edges, GraphConfig, compute_order, sample_graph
+from hrl_escape.env.puzzles.graphs import Edges, GraphConfig, compute_order, mask_parents, sample_graph
 from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from hrl_escape.ranges import Between
 
-__all__ = ["GraphFamily", "find_schematic", "list_graphs", "make_family"]
+__all__ = ["GraphFamily", "can_light", "find_schematic", "list_graphs", "make_family"]
 
 MOST_BUTTONS = 6
 """Buttons up to which every graph of a family is listed."""
@@ -52,6 +52,16 @@ class GraphFamily:
     def count(self) -> int:
         """Number of buttons."""
         return self.parents.shape[1]
+
+
+def can_light(parents: NDArray[np.uint64], lit: int) -> NDArray[np.bool_]:
+    """True where a press would light a button: all its parents are lit.
+
+    Args:
+        parents: bits of parents, any shape.
+        lit: bits of the buttons that are lit.
+    """
+    return (parents & ~np.uint64(lit)) == 0
 
 
 class _Draws:
@@ -133,18 +143,12 @@ def make_family(config: ButtonsConfig, count: int) -> GraphFamily:
     for edges, probability in list_graphs(config.graph, count).items():
         last = compute_order(count, edges)[-1] if config.goal is None else config.goal
         for label in labels:
-            found[_mask_parents(edges, label), label[last]] += probability / len(labels)
+            relabelled = ((label[parent], label[child]) for parent, child in edges)
+            found[mask_parents(relabelled, count), label[last]] += probability / len(labels)
     graphs = sorted(found)
     return GraphFamily(np.array([masks for masks, _ in graphs], dtype=np.uint64).reshape(len(graphs), count),
                        np.array([goal for _, goal in graphs], dtype=np.int64),
                        np.array([found[graph] for graph in graphs]))
-
-
-def _mask_parents(edges: Edges, label: Sequence[int]) -> tuple[int, ...]:
-    masks = [0] * len(label)
-    for parent, child in edges:
-        masks[label[child]] |= 1 << label[parent]
-    return tuple(masks)
 
 
 def find_schematic(instance: RoomInstance) -> RoomConfig:

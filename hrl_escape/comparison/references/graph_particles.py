@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.comparison.references.graph_family import can_light
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.puzzles.graphs import Edges, sample_relabelled
+from hrl_escape.env.puzzles.graphs import Edges, mask_parents, sample_relabelled
 from hrl_escape.ranges import Between
 
 __all__ = ["GraphParticles"]
@@ -44,8 +45,7 @@ class GraphParticles:
         self.goals = np.zeros(PARTICLES, np.int64)
         for number in range(PARTICLES):
             edges, self.goals[number] = _draw_graph(config, count, rng)
-            for parent, child in edges:
-                self.parents[number, child] |= np.uint64(1 << parent)
+            self.parents[number] = mask_parents(edges, count)
         self._doubts = np.zeros(PARTICLES)
 
     def learn(self, press: tuple[int, int, bool, bool]) -> None:
@@ -72,8 +72,7 @@ class GraphParticles:
         """
         weights = np.exp(-8.0 * self._doubts)
         weights = weights / weights.sum()
-        allowed = (self.parents & _complement(lit, self.parents.shape[1])) == 0
-        return weights @ allowed
+        return weights @ can_light(self.parents, lit)
 
     def _shake(self) -> None:
         """Exchange the labels of two buttons in every graph, where that explains the presses as well."""
@@ -89,7 +88,7 @@ class GraphParticles:
         """Doubts about every graph: `DOUBT` for each press that it does not explain."""
         doubts = np.zeros(len(parents))
         for button, lit, has_lit, has_opened in self._presses:
-            allowed = (parents[:, button] & _complement(lit, parents.shape[1])) == 0
+            allowed = can_light(parents[:, button], lit)
             doubts += DOUBT * (allowed != has_lit)
             if has_lit:
                 doubts += DOUBT * ((goals == button) != has_opened)
@@ -102,10 +101,6 @@ def _draw_graph(config: ButtonsConfig, count: int, rng: np.random.Generator) -> 
     if isinstance(most, Between):
         most = int(rng.integers(int(most.low), int(most.high), endpoint=True))
     return sample_relabelled(dataclasses.replace(config.graph, max_parents=most), count, rng, config.goal)
-
-
-def _complement(lit: int, count: int) -> np.uint64:
-    return np.uint64(~lit & (1 << count) - 1)
 
 
 def _exchange(parents: NDArray[np.uint64], goals: NDArray[np.int64], first: NDArray[np.int64],

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Annotated, Any
 
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.env.puzzles.graphs import ButtonNumber, compute_order, find_ancestors
+from hrl_escape.env.puzzles.graphs import ButtonNumber, compute_order, find_ancestors, mask_parents
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
 from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.errors import ConfigError
@@ -63,10 +63,7 @@ class GraphPuzzle(Graphed, BitPuzzle):
     @cached_property
     def parent_masks(self) -> tuple[int, ...]:
         """For each target, the bits of its parents."""
-        masks = [0] * self.count
-        for parent, child in self.edge_list:
-            masks[child] |= 1 << parent
-        return tuple(masks)
+        return mask_parents(self.edge_list, self.count)
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:

@@ -19,8 +19,8 @@ from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["Edges", "GraphConfig", "compute_order", "find_ancestors", "sample_graph", "sample_larg_graph",
-           "sample_locks", "sample_relabelled"]
+__all__ = ["Edges", "GraphConfig", "compute_order", "find_ancestors", "mask_parents", "sample_graph",
+           "sample_larg_graph", "sample_locks", "sample_relabelled"]
 
 Edges = tuple[tuple[int, int], ...]
 
@@ -83,6 +83,14 @@ def find_ancestors(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> se
         before = len(ancestors)
         ancestors |= {parent for parent, child in every if child in ancestors}
     return ancestors
+
+
+def mask_parents(edges: Iterable[tuple[int, int]], count: int) -> tuple[int, ...]:
+    """For each of `count` nodes the bits of its parents; edges are (parent, child) pairs."""
+    masks = [0] * count
+    for parent, child in edges:
+        masks[child] |= 1 << parent
+    return tuple(masks)
 
 
 def sample_graph(config: GraphConfig, count: int, rng: np.random.Generator) -> Edges:
