@@ -13,7 +13,7 @@ from typing import Any
 import jinja2
 
 from hrl_escape.comparison.statistics import LEAST_RUNS
-from hrl_escape.env.drawing.maps import save_figure
+from hrl_escape.figures import save_figure
 from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words
 from studies.study import ROOT, Page, Study

@@ -23,11 +23,12 @@ from sphinx.util.docutils import SphinxDirective
 
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.maps import Trajectory, save_figure, save_map
+from hrl_escape.env.drawing.maps import Trajectory, save_map
 from hrl_escape.env.drawing.video import save_picture
 from hrl_escape.env.engine import film
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.figures import save_figure
 from hrl_escape.planning.planner import get_planner
 
 CURVES = Path(__file__).parents[1] / "curves"

@@ -19,10 +19,10 @@ import tyro
 from rich.console import Console
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.drawing.formats import VIDEO_FORMATS
 from hrl_escape.env.drawing.video import save_video
 from hrl_escape.env.engine import check_camera, film
 from hrl_escape.errors import UnsupportedError
+from hrl_escape.figures import VIDEO_FORMATS
 from hrl_escape.names import make_console_text
 from hrl_escape.viewer.play.saved_episode import load_episode
 from hrl_escape.viewer.recording import Recording, record_driver, record_saved

@@ -22,13 +22,13 @@ from rich.text import Text
 
 from hrl_escape.commands.driving import Drive, drive_room, parse_primitives
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.drawing.formats import VIDEO_FORMATS, check_picture_name
 from hrl_escape.env.drawing.video import save_picture, save_video
 from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
+from hrl_escape.figures import VIDEO_FORMATS, check_picture_name
 from hrl_escape.names import make_console_text
 
 

@@ -20,7 +20,6 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.drawing.formats import VIDEO_FORMATS, check_picture_name
 from hrl_escape.env.drawing.video import make_filmstrip, save_picture, save_video
 from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.episode_end import EpisodeEnd
@@ -28,6 +27,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import UnsupportedError
+from hrl_escape.figures import VIDEO_FORMATS, check_picture_name
 from hrl_escape.names import make_console_text
 from hrl_escape.options.closed_loop import ClosedLoopExecution, pursue
 from hrl_escape.planning.motion.trajectory import make_trajectory

@@ -21,6 +21,7 @@ from hrl_escape.comparison.launching.monitor import Monitor
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.runs import RunResult, get_run_folder, load_run_result
 from hrl_escape.errors import ConfigError, FileReadError, RunBusyError
+from hrl_escape.figures import Pictured
 from hrl_escape.files import clear_unfinished, make_folder, open_for_writing, write_json
 from hrl_escape.names import parse_whole
 from hrl_escape.processes import take_lock
@@ -28,8 +29,8 @@ from hrl_escape.processes import take_lock
 __all__ = ["Comparison", "Shard", "count_missing", "read_comparison", "run_grid", "run_grids"]
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Pictured):
     """Runs of a grid that have ended.
 
     Attributes:
@@ -45,6 +46,12 @@ class Comparison:
     runs: tuple[tuple[GridRun, RunResult], ...]
     failures: tuple[Failure, ...]
     out: Path
+
+    _picture = "hrl_escape.comparison.reporting.figures:draw_comparison"
+
+    def __repr__(self) -> str:
+        return (f"<Comparison of {len(self.grid.agents)} agents in {len(self.places)} rooms: {len(self.runs)} finished "
+                f"runs, {len(self.failures)} failed, in {self.out}>")
 
 
 class Shard(NamedTuple):

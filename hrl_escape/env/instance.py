@@ -35,6 +35,7 @@ from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.puzzles.traits import Doored, Mapped, Propped, Pushing, get_trait
 from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError, show_value
+from hrl_escape.figures import Pictured
 from hrl_escape.files import read_json, write_json
 from hrl_escape.settings import Range
 
@@ -157,7 +158,7 @@ class SpaceLayout(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class RoomInstance(Schematic):
+class RoomInstance(Pictured, Schematic):
     """One room, ready to be simulated, planned in and drawn.
 
     The floor is the rectangle |x| <= half_width, |y| <= half_depth (plus the alcove behind
@@ -166,6 +167,7 @@ class RoomInstance(Schematic):
     """
 
     _section = "instance"
+    _picture = "hrl_escape.env.drawing.maps:make_map"
     name: str = "custom"
     """Name of the schematic."""
     seed: Annotated[int, Range(0, 2**63 - 1)] | None = None
@@ -257,6 +259,12 @@ class RoomInstance(Schematic):
             raise ConfigError("frame.target_names", frame.target_names, f"names that begin with {names}")
         if any(high < value for high, value in zip(most, own, strict=True)):
             raise ConfigError("frame", most, f"at least this room's {own}")
+
+    def __repr__(self) -> str:
+        seed = "" if self.seed is None else f", seed {self.seed}"
+        count = len(self.targets)
+        return (f"<RoomInstance {self.name}{seed}: {2 * self.half_width:g} x {2 * self.half_depth:g} m, {count} "
+                f"target{'s' * (count != 1)}, id {self.id}>")
 
     @cached_property
     def frame(self) -> SpaceLayout:

@@ -17,6 +17,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, describe_damage
+from hrl_escape.figures import Pictured
 from hrl_escape.files import read_json, write_json
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class LazySeeds(Sequence[int]):
         return self._known[index]
 
 
-class InstanceSet(Sequence[RoomInstance]):
+class InstanceSet(Pictured, Sequence[RoomInstance]):
     """Rooms of one schematic, generated on demand and kept.
 
         rooms = load_benchmark("ladder-1")["lattice"].train
@@ -71,6 +72,8 @@ class InstanceSet(Sequence[RoomInstance]):
         config: the schematic.
         seeds: instance seeds, in order.
     """
+
+    _picture = "hrl_escape.env.drawing.maps:make_strip"
 
     def __init__(self, name: str, config: RoomConfig, seeds: Sequence[int]) -> None:
         self.name, self.config, self.seeds = name, config, seeds

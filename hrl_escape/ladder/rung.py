@@ -50,6 +50,9 @@ class Rung:
     def __repr__(self) -> str:
         return f"<Rung {self.benchmark}/{self.name}: {self.isolates}>"
 
+    def _repr_svg_(self) -> str:
+        return self.train._repr_svg_()
+
     @cached_property
     def train(self) -> InstanceSet:
         """Rooms to learn on."""

@@ -59,6 +59,10 @@ class Execution(NamedTuple):
     end: EpisodeEnd
     as_predicted: bool
 
+    def __repr__(self) -> str:
+        exact = "as predicted" if self.as_predicted else "not as predicted"
+        return f"<Execution: {len(self.rewards)} primitives, return {sum(self.rewards):g}, {self.end.words}, {exact}>"
+
     @property
     def escaped(self) -> bool:
         """True where the robot escaped."""
@@ -105,6 +109,13 @@ class Plan:
     def also_pressed(self) -> tuple[str, ...]:
         """Names of targets that are pressed on the way because they cannot be avoided."""
         return tuple(name for part in self.parts for name in part.also_pressed)
+
+    def __repr__(self) -> str:
+        legs = ", ".join(part.name for part in self.parts)
+        return f"<Plan {self.name}: {self.cost} primitives, return {self.compute_return():g}, by {legs or 'no leg'}>"
+
+    def _repr_html_(self) -> str:
+        return self.play()
 
     def compute_return(self) -> float:
         """Compute the undiscounted return of the plan as predicted, regardless of the horizon."""
@@ -156,7 +167,8 @@ class Plan:
         Returns:
             The matplotlib figure.
         """
-        from hrl_escape.env.drawing.maps import Trajectory, make_map, save_figure  # loads matplotlib
+        from hrl_escape.env.drawing.maps import Trajectory, make_map  # loads matplotlib
+        from hrl_escape.figures import save_figure
 
         points = self.path
         legs = [Trajectory(points[part.start : part.stop + 1], f"{part.name} ({part.stop - part.start})")
@@ -165,6 +177,17 @@ class Plan:
         if path is not None:
             save_figure(path, figure)
         return figure
+
+    def play(self, width: int = 480) -> str:
+        """Play the plan on the room's map: an HTML frame for notebooks and pages, which loads nothing.
+
+        Args:
+            width: of the frame, in pixels.
+        """
+        from hrl_escape.env.drawing.moving_map import embed_moving_map, make_moving_map  # loads matplotlib
+
+        decisions = [(part.name, part.stop - part.start) for part in self.parts]
+        return embed_moving_map(self.instance, make_moving_map(self.instance, self.states, decisions), width)
 
     def make_rows(self) -> list[tuple[str, str, str, str]]:
         """Format the plan as rows of text: a header, one row a part, and the total."""

@@ -12,7 +12,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,12 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.errors import CheckpointError, EscapeError, FileReadError, describe_damage
+from hrl_escape.figures import make_svg
 from hrl_escape.files import read_json, read_text
 from hrl_escape.settings import read_record
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["METRICS", "EpisodeRecord", "SegmentRecord", "TrainResult", "load_episode_rows", "load_result",
            "make_evaluation_row", "read_result", "read_row"]
@@ -207,6 +211,15 @@ class TrainResult:
     agent: Agent | None = field(default=None, compare=False, repr=False)
     folder: Path | None = field(default=None, compare=False)
 
+    def __repr__(self) -> str:
+        first, last = self.first_escape, self.evaluations[-1] if self.evaluations else None
+        end = "" if last is None else f", return {last.mean_return:.4g} in {last.success_rate:.0%} successful episodes"
+        escape = "no success in training" if first is None else f"first success at {first:,}"
+        return f"<TrainResult {self.agent_name}, seed {self.seed}: {self.primitives:,} primitives{end}, {escape}>"
+
+    def _repr_svg_(self) -> str:
+        return make_svg(self.plot())
+
     @property
     def first_escape(self) -> int | None:
         """Primitives trained for at the end of the first episode that succeeded; None if none did.
@@ -233,6 +246,27 @@ class TrainResult:
         else:
             x = [getattr(evaluation, against) for evaluation in self.evaluations]
         return np.array(x, float), np.array([getattr(e, metric) for e in self.evaluations], float)
+
+    def plot(self, metric: str = "mean_return", against: str = "primitives") -> Figure:
+        """Draw the learning curve from the evaluations.
+
+        Args:
+            metric: as for `curve`.
+            against: as for `curve`.
+
+        Returns:
+            A matplotlib figure that belongs to no window; `figure.savefig(path)` writes it.
+        """
+        from matplotlib.figure import Figure
+
+        x, y = self.curve(metric, against)
+        figure = Figure(figsize=(5.6, 3.0), dpi=120, layout="constrained")
+        axes = figure.add_subplot()
+        axes.plot(x, y, color="#0072b2", linewidth=1.8, marker="o", markersize=3)
+        axes.set(xlabel=f"{against} of training", ylabel=f"{metric.replace('_', ' ')} of frozen weights",
+                 title=f"{self.agent_name}, seed {self.seed}")
+        axes.spines[["top", "right"]].set_visible(False)
+        return figure
 
     def to_json(self) -> dict[str, Any]:
         """JSON value without agent and folder."""

@@ -10,12 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.reporting.agent_style import choose_styles
-from hrl_escape.comparison.summary import PROFILE, Summary
+from hrl_escape.comparison.summary import PROFILE, Summary, summarise
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.maps import make_map, save_figure
+from hrl_escape.env.drawing.maps import make_map
+from hrl_escape.figures import save_figure
 
-__all__ = ["save_figures"]
+__all__ = ["draw_comparison", "save_figures"]
 
 AXES = {"primitives": "primitives of training", "decisions": "decisions of training", "seconds": "seconds of training"}
 METRIC_LABELS = {"efficiency": "efficiency (IQM, 95 % interval)", "success": "episodes that escape",
@@ -36,6 +38,12 @@ def save_figures(summary: Summary, folder: Path) -> None:
         save_figure(folder / "performance-profile.svg", draw_profile(summary))
     for room in summary.rooms:
         save_figure(folder / f"room-{room.instance.id}.svg", make_map(room.instance))
+
+
+def draw_comparison(comparison: Comparison) -> Figure:
+    """Learning curves of a comparison's agents: efficiency against primitives."""
+    with matplotlib.rc_context(_STYLE):
+        return draw_curves(summarise(comparison), "efficiency", "primitives")
 
 
 def draw_curves(summary: Summary, metric: str, against: str) -> Figure:

@@ -15,11 +15,8 @@ from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.reporting.agent_style import AgentStyle
 from hrl_escape.comparison.runs import read_episodes
 from hrl_escape.comparison.summary import PROFILE, AgentSummary, Curve, Summary
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.graph_inset import shorten
-from hrl_escape.env.drawing.map_axes import compute_extent
-from hrl_escape.env.geometry import Solid
-from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance
+from hrl_escape.env.drawing.moving_map import PLAYER_COLOURS, describe_room
+from hrl_escape.env.instance import RoomInstance
 
 __all__ = ["choose_replays", "make_page_data"]
 
@@ -29,7 +26,7 @@ BEST, MEDIAN = "best", "median"
 def make_page_data(summary: Summary, agent_styles: Sequence[AgentStyle], replays: Sequence[dict[str, Any]]
                    ) -> dict[str, Any]:
     """Collect what the page's scripts need."""
-    rooms = [_describe_room(room.instance) for room in summary.rooms]
+    rooms = [describe_room(room.instance) for room in summary.rooms]
     for replay in replays:
         room, primitives = rooms[replay["room"]], _list_primitives(summary.rooms[replay["room"]].instance)
         chosen = {name for name, _, _ in replay["decisions"]} - primitives
@@ -39,13 +36,7 @@ def make_page_data(summary: Summary, agent_styles: Sequence[AgentStyle], replays
         "thresholds": PROFILE.tolist(),
         "rooms": rooms,
         "replays": list(replays),
-        "looks": {
-            "floor": palette.FLOOR, "wall": palette.WALL, "obstacle": palette.OBSTACLE, "door": palette.DOOR,
-            "exitOpen": palette.EXIT_OPEN, "exitLocked": palette.EXIT_LOCKED, "exitInk": palette.EXIT_INK,
-            "body": palette.BODY, "bodyEdge": palette.BODY_EDGE, "arm": palette.ARM, "hand": palette.HAND,
-            "prop": palette.PROP, "propEdge": palette.PROP_EDGE, "plate": palette.PLATE, "trail": palette.TRAIL,
-            "lit": palette.LIT, "off": palette.OFF, "lines": palette.LINES,
-        },
+        "looks": PLAYER_COLOURS,
     }
 
 
@@ -103,42 +94,3 @@ def _round(values: NDArray[np.float64]) -> list[float]:
 
 def _list_primitives(instance: RoomInstance) -> set[str]:
     return set(instance.robot.actions.names)
-
-
-def _describe_room(instance: RoomInstance) -> dict[str, Any]:
-    x_min, x_max, y_min, y_max = compute_extent(instance)
-    return {
-        "extent": {"x_min": x_min, "x_max": x_max, "y_min": y_min, "y_max": y_max},
-        "floors": [_describe_rectangle(floor) for floor in palette.compute_floors(instance)],
-        "exit": _describe_rectangle(instance.exit),
-        "solids": [_describe_solid(solid) for solid in instance.solids],
-        "door": None if instance.door is None else _describe_solid(instance.door),
-        "targets": [
-            {**_describe_box(target.x, target.y, target.half_x, target.half_y, target.yaw),
-             "short": shorten(target.name), "front": palette.find_front(instance, target)}
-            for target in instance.targets
-        ],
-        "props": [_describe_prop(placed) for placed in instance.props],
-        "radius": instance.robot.inner_radius,
-        "corners": [list(corner) for corner in instance.robot.base.corners],
-        "hand": instance.robot.hand_radius,
-        "options": [],
-    }
-
-
-def _describe_rectangle(area: Rectangle) -> list[float]:
-    return [area.x_min, area.y_min, area.x_max - area.x_min, area.y_max - area.y_min]
-
-
-def _describe_box(x: float, y: float, half_x: float, half_y: float, yaw: float) -> dict[str, Any]:
-    return {"x": x, "y": y, "half_x": half_x, "half_y": half_y, "yaw": yaw}
-
-
-def _describe_solid(solid: Solid) -> dict[str, Any]:
-    box = _describe_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
-    return {**box, "shape": solid.shape, "role": solid.role}
-
-
-def _describe_prop(placed: PlacedProp) -> dict[str, Any]:
-    half = placed.prop.half_size
-    return {**_describe_box(placed.x, placed.y, half, half, placed.yaw), "kind": placed.prop.kind}

@@ -30,6 +30,7 @@ from hrl_escape.comparison.statistics import compute_iqm
 from hrl_escape.comparison.summary import AgentSummary, RoomSummary, Summary, summarise
 from hrl_escape.comparison.verdict import find_leader, write_verdict
 from hrl_escape.env.drawing.maps import make_map
+from hrl_escape.env.drawing.moving_map import PLAYER
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.files import write_text
 from hrl_escape.templates import embed_json, render_template
@@ -37,7 +38,7 @@ from hrl_escape.templates import embed_json, render_template
 __all__ = ["write_report"]
 
 PAGE = "report.html"
-SCRIPTS = ("chart.js", "replay.js", "page.js")
+SCRIPTS = ("chart.js", "moving_map.js", "page.js")
 BETTER, EVEN, WORSE = (0, 114, 178), (120, 110, 90), (213, 94, 0)
 """Tints of the odds: blue above one half, orange below."""
 
@@ -67,7 +68,6 @@ def write_report(comparison: Comparison, command: str) -> Summary:
 
 def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
     """The page as text."""
-    templates = files("hrl_escape.comparison.reporting") / "templates"
     agent_styles = choose_styles([agent.spec for agent in summary.agents])
     chips = {agent.label: _make_chip(agent, look) for agent, look in zip(summary.agents, agent_styles, strict=True)}
     verdict = [(sentence.kind, _mark_agents(sentence.text, chips)) for sentence in write_verdict(summary)]
@@ -78,8 +78,8 @@ def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
     return render_template(
         "hrl_escape.comparison.reporting", PAGE,
         grid=summary.grid,
-        css=Markup((templates / "report.css").read_text(encoding="utf-8")),
-        script=Markup("\n".join((templates / name).read_text(encoding="utf-8") for name in SCRIPTS)),
+        css=_read("report.css", "moving_map.css"),
+        script=_read(*SCRIPTS),
         data=embed_json(make_page_data(summary, agent_styles, replays)),
         headline=verdict[0][1],
         findings=[text for kind, text in verdict if kind == "finding"],
@@ -99,6 +99,13 @@ def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
                   for failure in comparison.failures],
         command=command,
     )
+
+
+def _read(*names: str) -> Markup:
+    """Scripts or styles of the page, and of the player in it, one after another."""
+    own = files("hrl_escape.comparison.reporting") / "templates"
+    return Markup("\n".join(((PLAYER if name.startswith("moving_map") else own) / name).read_text(encoding="utf-8")
+                            for name in names))
 
 
 # --- agents in words -------------------------------------------------------------------

@@ -47,7 +47,8 @@ class Trajectory:
     colour: str | None = None
 
 
-def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories: Sequence[Trajectory] = ()) -> None:
+def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories: Sequence[Trajectory] = (),
+              names: bool = True) -> None:
     """Draw a room on axes whose limits are set (wider than the room, for names to fit).
 
     Args:
@@ -55,9 +56,13 @@ def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories
         instance: the room.
         state: robot and lit targets to draw.
         trajectories: paths, drawn under the robot.
+        names: add the targets' names, and metres along the edges.
     """
     axes.set_aspect("equal")
-    _draw_ticks(axes, instance)
+    if names:
+        _draw_ticks(axes, instance)
+    else:
+        axes.set_axis_off()
     _draw_floor(axes, instance, state)
     for solid in instance.solids:
         wall = solid.role == "wall"
@@ -73,7 +78,9 @@ def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories
         axes.annotate(prop.name, (placed.x, placed.y), (0, -7 - 72 * half * _get_scale(axes)), fontsize=_LABEL_POINTS,
                       textcoords="offset points", ha="center", va="top", color=palette.PROP_EDGE, zorder=8,
                       path_effects=_HALO)
-    _draw_targets(axes, instance, state)
+    sides = _draw_targets(axes, instance, state)
+    for side, members in sides.items() if names else ():
+        _draw_names(axes, instance, state, side, members)
     for number, trajectory in enumerate(trajectories):
         _draw_trajectory(axes, trajectory, get_colour(trajectory, number))
     _draw_starts(axes, instance)
@@ -145,7 +152,7 @@ def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
 def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
     """Draw doors and things in cells, and next to a door between rooms the name of the target that opens it."""
     for number, door in enumerate(instance.inner_doors):
-        colour, share = palette.get_inner_colour(door), 0.9 if door.role == "door" else 0.4
+        colour, share = palette.get_inner_colour(door), palette.get_inner_share(door)
         shape = dataclasses.replace(door, half_x=share * door.half_x, half_y=share * door.half_y)
         if shut >> number & 1:
             axes.add_patch(_make_outline(shape, facecolor=colour, edgecolor=colour, zorder=5))
@@ -223,8 +230,8 @@ def _draw_trajectory(axes: Axes, trajectory: Trajectory, colour: str) -> None:
 # --- targets and their names ---------------------------------------------------------------
 
 
-def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
-    """Panels as coloured bars, pads as areas; names outside the nearest outer wall, by an inner panel, or on a pad."""
+def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> dict[str, list[int]]:
+    """Draw panels as coloured bars and pads as areas; return which targets have their names on which side."""
     puzzle = instance.puzzle
     sides: dict[str, list[int]] = {}
     for index, target in enumerate(instance.targets):
@@ -237,12 +244,11 @@ def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
                                    zorder=3.7, joinstyle="round"))
         side = "inside" if target.kind == "pad" else _find_side(instance, target)
         sides.setdefault(side, []).append(index)
-    for side, members in sides.items():
-        _draw_names(axes, instance, state, side, members)
+    return sides
 
 
 def _find_side(instance: RoomInstance, target: Target) -> str:
-    """The outer wall a target belongs to, or `inside`."""
+    """Find where a target's name goes: outside the outer wall that it belongs to, or `inside`."""
     gaps = {"left": target.x + instance.half_width, "right": instance.half_width - target.x,
             "bottom": target.y + instance.half_depth, "top": instance.half_depth - target.y}
     side = min(gaps, key=gaps.__getitem__)

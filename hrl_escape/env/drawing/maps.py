@@ -7,10 +7,8 @@ Bullet's cameras are in `bullet/cameras.py`.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -21,19 +19,15 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.formats import FORMATS
 from hrl_escape.env.drawing.graph_inset import draw_graph
 from hrl_escape.env.drawing.map_axes import Trajectory, compute_extent, draw_room, get_colour
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
-from hrl_escape.errors import UnsupportedError
-from hrl_escape.files import write_bytes
+from hrl_escape.figures import STYLE, save_figure
 
-__all__ = ["Trajectory", "make_map", "make_map_image", "save_figure", "save_map"]
+__all__ = ["Trajectory", "make_map", "make_map_image", "make_strip", "save_map"]
 
-_STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "svg.hashsalt": "hrl-escape", "svg.fonttype": "path",
-                          "text.parse_math": False}  # a name may hold a dollar
 _MAP_INCHES = 6.6  # the longer side of the room
 _PANEL_INCHES = 2.5
 _TICK_INCHES = 0.25  # for numbers along the lower and left edge
@@ -60,7 +54,7 @@ def make_map(instance: RoomInstance, state: RoomState | None = None, trajectorie
     wide, high = scale * (x_max - x_min) + 2 * names + _TICK_INCHES, scale * (y_max - y_min) + 2 * names + _TICK_INCHES
     total = wide + (_PANEL_INCHES if panel else 0.0)
     tall = max(high, 4.6) if panel else high
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(total, tall), dpi=150, facecolor=palette.BACKGROUND)
         axes = figure.add_axes((0.0, (tall - high) / 2 / tall, wide / total, high / tall))
         margin, ticks = names / scale, _TICK_INCHES / scale
@@ -68,6 +62,28 @@ def make_map(instance: RoomInstance, state: RoomState | None = None, trajectorie
         draw_room(axes, instance, state, trajectories)
         if panel:
             _draw_panel(figure, instance, state, trajectories)
+    return figure
+
+
+def make_strip(instances: Sequence[RoomInstance], most: int = 4, inches: float = 2.2) -> Figure:
+    """Draw rooms side by side at the start of their episodes, without names.
+
+    Args:
+        instances: the rooms.
+        most: number of rooms, the first of them, that are drawn.
+        inches: side of the square that each is drawn in.
+
+    Returns:
+        A figure that belongs to no window.
+    """
+    with matplotlib.rc_context(STYLE):
+        shown = [instances[number] for number in range(min(most, len(instances)))]
+        figure = Figure(figsize=(inches * len(shown), inches), dpi=150, layout="constrained",
+                        facecolor=palette.BACKGROUND)
+        for axes, instance in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
+            x_min, x_max, y_min, y_max = compute_extent(instance)
+            axes.set(xlim=(x_min - 0.5, x_max + 0.5), ylim=(y_min - 0.5, y_max + 0.5))
+            draw_room(axes, instance, Kinematics(instance).make_state(instance.starts[0], 0), names=False)
     return figure
 
 
@@ -79,23 +95,7 @@ def save_map(path: str | Path, instance: RoomInstance, state: RoomState | None =
         UnsupportedError: another ending.
         FileWriteError: the file could not be written.
     """
-    _get_format(path)
     save_figure(path, make_map(instance, state, trajectories, panel=panel))
-
-
-def save_figure(path: str | Path, figure: Figure) -> None:
-    """Write a figure atomically, without date: the same figure gives the same bytes.
-
-    Raises:
-        UnsupportedError: the ending of `path` is not one of `FORMATS`.
-        FileWriteError: the file could not be written.
-    """
-    kind = _get_format(path)
-    undated = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
-    content = io.BytesIO()
-    with matplotlib.rc_context(_STYLE):
-        figure.savefig(content, format=kind, metadata=undated)
-    write_bytes(path, content.getvalue())
 
 
 def make_map_image(instance: RoomInstance, state: RoomState | None = None, trajectories: Sequence[Trajectory] = (),
@@ -104,16 +104,9 @@ def make_map_image(instance: RoomInstance, state: RoomState | None = None, traje
     figure = make_map(instance, state, trajectories, panel=panel)
     figure.set_dpi(dots_per_inch)
     canvas = FigureCanvasAgg(figure)
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-
-def _get_format(path: str | Path) -> str:
-    kind = Path(path).suffix.lower().lstrip(".")
-    if kind not in FORMATS:
-        raise UnsupportedError(f"{path}: a picture's name must end in {', '.join('.' + f for f in FORMATS)}")
-    return kind
 
 
 # --- the panel at the right ----------------------------------------------------------------

@@ -16,8 +16,8 @@ from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.traits import Depicted, Graphed, get_trait
 
-__all__ = ["TargetLook", "choose_tile", "compute_floors", "find_front", "get_inner_colour", "get_target_look",
-           "name_target", "to_rgb"]
+__all__ = ["TargetLook", "choose_tile", "compute_floors", "find_front", "get_inner_colour", "get_inner_share",
+           "get_target_look", "name_target", "to_rgb"]
 
 BACKGROUND = "#ffffff"
 FLOOR = "#f4f1ea"
@@ -67,6 +67,11 @@ def get_target_look(puzzle: Puzzle, state: Hashable, target: int) -> TargetLook:
 def get_inner_colour(door: Solid) -> str:
     """Choose the colour of an inner door, or of a thing that blocks a cell."""
     return DOOR if door.role == "door" else PROP
+
+
+def get_inner_share(door: Solid) -> float:
+    """Share of its cell that an inner door, or a thing in a cell, fills in pictures."""
+    return 0.9 if door.role == "door" else 0.4
 
 
 def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:

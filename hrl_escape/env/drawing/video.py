@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.formats import VIDEO_FORMATS
 from hrl_escape.errors import FileWriteError, MissingExtraError, UnsupportedError
+from hrl_escape.figures import VIDEO_FORMATS
 from hrl_escape.files import temporary_folder, write_bytes
 
 __all__ = ["Picture", "make_filmstrip", "save_picture", "save_video"]

@@ -128,7 +128,8 @@ class TimedTrajectory:
 
     def draw(self, instance: RoomInstance, path: str | Path | None = None) -> Any:
         """Draw the base's way on the room's map; PNG, SVG or PDF if a path is given. Returns the matplotlib figure."""
-        from hrl_escape.env.drawing.maps import Trajectory, make_map, save_figure  # loads matplotlib
+        from hrl_escape.env.drawing.maps import Trajectory, make_map  # loads matplotlib
+        from hrl_escape.figures import save_figure
 
         if self.names[:2] != ("x", "y"):
             raise ConfigError("names", self.names, "a trajectory that moves the base: x, y, ...")

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from hrl_escape.env.drawing.formats import check_picture_name
 from hrl_escape.errors import UnsupportedError
+from hrl_escape.figures import check_picture_name
 
 
 @pytest.mark.parametrize("name", ["plan.svg", "plan.SVG", "a.b/plan.Png", "plan.pdf", "escape.gif", "escape.MP4"])

@@ -30,7 +30,7 @@ class Player {
   build(compact) {
     this.canvas = document.createElement("canvas");
     this.canvas.setAttribute("role", "img");
-    this.canvas.setAttribute("aria-label", `Replay: ${this.count} primitives, return ${this.replay.return}`);
+    this.canvas.setAttribute("aria-label", `Moving map of an episode of ${this.count} primitives`);
     this.canvas.addEventListener("click", () => this.toggle());
     this.strip = document.createElement("div");
     this.strip.className = "strip" + (this.replay.decisions.length > 90 ? " dense" : "");
@@ -167,9 +167,21 @@ class Player {
     c.setLineDash(open ? [] : [5 * metre, 3 * metre]);
     c.strokeRect(ex, ey, ew, eh);
     c.setLineDash([]);
+    for (const puddle of room.puddles || []) {
+      c.beginPath();
+      for (const [x, y] of puddle) c.lineTo(x, y);
+      c.fillStyle = look.puddle;
+      c.globalAlpha = 0.6;
+      c.fill();
+      c.globalAlpha = 1;
+    }
     for (const plate of room.props.filter((p) => p.kind === "plate")) this.box_(c, plate, look.plate, look.propEdge, metre);
     for (const solid of room.solids) this.solid(c, solid, solid.role === "wall" ? look.wall : look.obstacle);
     if (room.door && !open) this.solid(c, room.door, look.door);
+    const shut = new Set(frames.shut ? findLast(frames.shut, at.i) : []);
+    (room.inner_doors || []).forEach((door, index) => {
+      if (shut.has(index)) this.solid(c, door, door.role === "door" ? look.door : look.prop);
+    });
 
     c.lineJoin = c.lineCap = "round";
     c.strokeStyle = look.trail;

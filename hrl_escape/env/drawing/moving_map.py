@@ -1,0 +1,181 @@
+"""Moving maps: an episode seen from above, as a small web page that plays without a network.
+
+The page is `templates/moving_map.html`; a notebook or a site shows it in an HTML frame (`embed_moving_map`), and the
+report of a comparison plays the same data with the same script. Lengths are metres and angles radians, in the room's
+frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Hashable, Sequence
+from importlib.resources import files
+from typing import Any
+
+from markupsafe import Markup, escape
+
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.graph_inset import shorten
+from hrl_escape.env.drawing.map_axes import compute_extent
+from hrl_escape.env.drawing.meshes import outline_capsule
+from hrl_escape.env.geometry import Solid
+from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
+from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
+from hrl_escape.templates import embed_json, render_template
+
+__all__ = ["PLAYER_COLOURS", "PLAYER", "describe_room", "embed_moving_map", "make_frames", "make_moving_map"]
+
+PLAYER_COLOURS = {
+    "floor": palette.FLOOR, "puddle": palette.PUDDLE, "wall": palette.WALL, "obstacle": palette.OBSTACLE,
+    "door": palette.DOOR, "exitOpen": palette.EXIT_OPEN, "exitLocked": palette.EXIT_LOCKED, "exitInk": palette.EXIT_INK,
+    "body": palette.BODY, "bodyEdge": palette.BODY_EDGE, "arm": palette.ARM, "hand": palette.HAND,
+    "prop": palette.PROP, "propEdge": palette.PROP_EDGE, "plate": palette.PLATE, "trail": palette.TRAIL,
+    "lit": palette.LIT, "off": palette.OFF, "lines": palette.LINES,
+}
+"""Colours that the player draws with."""
+PLAYER = files("hrl_escape.env.drawing") / "templates"
+"""Folder of the player's script and style, `moving_map.js` and `moving_map.css`."""
+_PAD, _CONTROLS = 0.35, 76  # m round the room, as in the script; pixels of slider and words below it
+
+
+def make_moving_map(instance: RoomInstance, states: Sequence[RoomState], decisions: Sequence[tuple[str, int]] = (),
+                    title: str = "") -> str:
+    """Make a web page that plays an episode from above, over and over, with a slider to go through it.
+
+    Args:
+        instance: the room.
+        states: one more than primitives.
+        decisions: name and number of primitives of each decision, in order; their numbers add up to all primitives.
+        title: of the page; the room's name by default.
+
+    Returns:
+        One HTML document of some 15 kB, which loads nothing.
+    """
+    room = {**describe_room(instance), "options": sorted({name for name, _ in decisions})}
+    replay = {"decisions": [[name, count, "reached"] for name, count in decisions],
+              "frames": make_frames(Kinematics(instance), states)}
+    css, script = (Markup((PLAYER / f"moving_map.{kind}").read_text(encoding="utf-8")) for kind in ("css", "js"))
+    return render_template("hrl_escape.env.drawing", "moving_map.html", title=title or instance.name, css=css,
+                           script=script, data=embed_json({"room": room, "replay": replay, "looks": PLAYER_COLOURS}))
+
+
+def embed_moving_map(instance: RoomInstance, page: str, width: int = 480) -> str:
+    """Make an HTML frame that holds a moving map of a room.
+
+    Args:
+        instance: the room, which decides the frame's height.
+        page: what `make_moving_map` gave.
+        width: of the frame, in pixels; it gets narrower where there is less space.
+    """
+    x_min, x_max, y_min, y_max = compute_extent(instance)
+    height = round(width * (y_max - y_min + 2 * _PAD) / (x_max - x_min + 2 * _PAD)) + _CONTROLS
+    return (f'<iframe class="moving-map" sandbox="allow-scripts" loading="lazy" title="{escape(instance.name)}" '
+            f'style="width:100%;max-width:{width}px;height:{height}px;border:0" srcdoc="{escape(page)}"></iframe>')
+
+
+def describe_room(instance: RoomInstance) -> dict[str, Any]:
+    """Describe what stands still in a room as a JSON value for the player; `options` is left to be filled."""
+    x_min, x_max, y_min, y_max = compute_extent(instance)
+    return {
+        "extent": {"x_min": x_min, "x_max": x_max, "y_min": y_min, "y_max": y_max},
+        "floors": [_describe_rectangle(floor) for floor in palette.compute_floors(instance)],
+        "puddles": [[[round(x, 3), round(y, 3)] for x, y in outline_capsule(puddle)]
+                    for puddle in get_trait(instance.puzzle, Depicted).puddles],
+        "exit": _describe_rectangle(instance.exit),
+        "solids": [_describe_solid(solid) for solid in instance.solids],
+        "door": None if instance.door is None else _describe_solid(instance.door),
+        "inner_doors": [_describe_inner_door(door) for door in instance.inner_doors],
+        "targets": [
+            {**_describe_box(target.x, target.y, target.half_x, target.half_y, target.yaw),
+             "short": shorten(target.name), "front": palette.find_front(instance, target)}
+            for target in instance.targets
+        ],
+        "props": [_describe_prop(placed) for placed in instance.props],
+        "radius": instance.robot.inner_radius,
+        "corners": [list(corner) for corner in instance.robot.base.corners],
+        "hand": instance.robot.hand_radius,
+        "options": [],
+    }
+
+
+def make_frames(rules: Rules, states: Sequence[RoomState]) -> dict[str, Any]:
+    """Turn states into compact numbers for drawing.
+
+    Returns:
+        `x`, `y` (m) and `heading` (rad) a state; `arm`: per state where the arm's joints and hand are, [x, y] in the
+        room, empty without an arm; `lit`, `shut` and `open`: [frame, value] where the lit targets (indices), the inner
+        doors that block the way (indices) or the exit (true if it is open) change; `props`: per state [x, y, yaw] a
+        prop, empty where none can move.
+    """
+    puzzle, find_arm = rules.instance.puzzle, _make_arm_finder(rules)
+    bars = get_trait(puzzle, Barring)
+    return {
+        "x": [round(state.x, 3) for state in states],
+        "y": [round(state.y, 3) for state in states],
+        "heading": [round(rules.get_heading(state), 4) for state in states],
+        "arm": [find_arm(state) for state in states] if rules.instance.robot.joints else [],
+        "lit": _list_changes(states, lambda state: [n for n, on in enumerate(puzzle.get_lit(state)) if on]),
+        "shut": _list_changes(states, lambda state: [
+            n for n in range(len(rules.instance.inner_doors)) if bars.get_shut(state) >> n & 1]),
+        "open": _list_changes(states, puzzle.is_solved),
+        "props": [[_find_planar_pose(prop) for prop in state.physics.props] for state in states if state.physics],
+    }
+
+
+def _list_changes(states: Sequence[RoomState], read: Callable[[Hashable], Any]) -> list[list[Any]]:
+    """[frame, value] of the first state and of each whose value differs from that before it."""
+    changes: list[list[Any]] = []
+    for number, state in enumerate(states):
+        if number and state.puzzle == states[number - 1].puzzle:
+            continue
+        value = read(state.puzzle)
+        if not changes or changes[-1][1] != value:
+            changes.append([number, value])
+    return changes
+
+
+def _make_arm_finder(rules: Rules) -> Callable[[RoomState], list[list[float]]]:
+    """A function from a state to where each joint of the arm and the hand are, [x, y] in the room."""
+    robot = rules.robot
+    # the chain cut after each joint ends where the next link begins
+    cuts = [dataclasses.replace(robot, chain=robot.chain[: n + 1]) for n in range(len(robot.chain))]
+
+    def find(state: RoomState) -> list[list[float]]:
+        angles, heading = rules.get_angles(state), rules.get_heading(state)
+        cos, sin = math.cos(heading), math.sin(heading)
+        points = [cut.compute_hand(angles) for cut in cuts]
+        return [[round(float(state.x + cos * x - sin * y), 3), round(float(state.y + sin * x + cos * y), 3)]
+                for x, y, _ in points]
+
+    return find
+
+
+def _find_planar_pose(prop: Sequence[float]) -> list[float]:
+    x, y, _, qx, qy, qz, qw = prop[:7]
+    return [round(x, 3), round(y, 3), round(math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)), 4)]
+
+
+def _describe_rectangle(area: Rectangle) -> list[float]:
+    return [area.x_min, area.y_min, area.x_max - area.x_min, area.y_max - area.y_min]
+
+
+def _describe_box(x: float, y: float, half_x: float, half_y: float, yaw: float) -> dict[str, Any]:
+    return {"x": x, "y": y, "half_x": half_x, "half_y": half_y, "yaw": yaw}
+
+
+def _describe_solid(solid: Solid) -> dict[str, Any]:
+    box = _describe_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
+    return {**box, "shape": solid.shape, "role": solid.role}
+
+
+def _describe_inner_door(door: Solid) -> dict[str, Any]:
+    """A door, or a thing in a cell: drawn smaller than what it blocks, as on maps."""
+    share = palette.get_inner_share(door)
+    return _describe_solid(dataclasses.replace(door, half_x=share * door.half_x, half_y=share * door.half_y))
+
+
+def _describe_prop(placed: PlacedProp) -> dict[str, Any]:
+    half = placed.prop.half_size
+    return {**_describe_box(placed.x, placed.y, half, half, placed.yaw), "kind": placed.prop.kind}

@@ -1,0 +1,84 @@
+"""Figures: their style, their files, and values that show themselves as one in a notebook.
+
+Nothing here loads matplotlib before a figure is written, so the endings of files can be checked first.
+"""
+
+from __future__ import annotations
+
+import io
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.files import write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["FORMATS", "STYLE", "VIDEO_FORMATS", "Pictured", "check_picture_name", "make_svg", "save_figure"]
+
+FORMATS = ("png", "svg", "pdf")
+VIDEO_FORMATS = ("gif", "mp4")
+STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "svg.hashsalt": "hrl-escape", "svg.fonttype": "path",
+                         "text.parse_math": False}  # a name may hold a dollar
+"""Settings of matplotlib in which figures are drawn and written."""
+_UNDATED = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+
+
+class Pictured:
+    """Base of values that show themselves as a figure in a notebook.
+
+    What is drawn must not know what draws it, so the function is named by its place: `module:function`, from the value
+    to a matplotlib figure.
+    """
+
+    _picture: ClassVar[str]
+
+    def _repr_svg_(self) -> str:
+        module, _, function = self._picture.partition(":")
+        return make_svg(getattr(import_module(module), function)(self))
+
+
+def check_picture_name(path: Path, *others: str) -> None:
+    """Check the ending of a file that is to hold a map or a video.
+
+    Args:
+        path: the file.
+        others: further endings that will do.
+
+    Raises:
+        UnsupportedError: it is neither of these nor of `FORMATS` nor of `VIDEO_FORMATS`.
+    """
+    _get_ending(path, *FORMATS, *VIDEO_FORMATS, *others)
+
+
+def save_figure(path: str | Path, figure: Figure) -> None:
+    """Write a figure atomically, without date: the same figure gives the same bytes.
+
+    Raises:
+        UnsupportedError: the ending of `path` is not one of `FORMATS`.
+        FileWriteError: the file could not be written.
+    """
+    write_bytes(path, _render(figure, _get_ending(Path(path), *FORMATS)))
+
+
+def make_svg(figure: Figure) -> str:
+    """Return a figure as the text of an SVG picture."""
+    return _render(figure, "svg").decode()
+
+
+def _render(figure: Figure, kind: str) -> bytes:
+    import matplotlib
+
+    content = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(content, format=kind, metadata=_UNDATED[kind])
+    return content.getvalue()
+
+
+def _get_ending(path: Path, *endings: str) -> str:
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in endings:
+        raise UnsupportedError(f"{path}: a picture's name must end in {', '.join(f'.{each}' for each in endings)}")
+    return kind
