@@ -19,6 +19,7 @@ from typing import Any
 from docutils import nodes
 from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
 from sphinx.util.docutils import SphinxDirective
 
 from hrl_escape.agents.registry import (
@@ -52,10 +53,11 @@ def make_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def run_command(*arguments: str) -> str:
-    """What `hrl-escape` prints."""
+    """What `hrl-escape` prints; a command that fails fails the build."""
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        main(arguments)
+        if main(arguments):
+            raise ExtensionError(f"hrl-escape {' '.join(arguments)} failed")
     return printed.getvalue()
 
 

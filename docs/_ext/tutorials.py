@@ -1,21 +1,29 @@
-"""Tutorials: a script becomes a page, and its output is what it prints when the site is built.
+"""Tutorials: a script becomes a notebook that is run while the site is built, shown as a page and offered to download.
 
 The module's docstring, its title left out, opens the page; comments that stand alone at the left margin are prose
-(Markdown); the rest is code. A script that fails fails the build.
+(Markdown); the rest is code. Below each piece of code stands what it prints, and the picture of its last expression. A
+script that fails fails the build.
 """
 
 from __future__ import annotations
 
 import ast
+import logging
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
+import nbformat
 from docutils import nodes
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.util.docutils import SphinxDirective
+
+INSTALL = """# Where hrl-escape is not installed yet, upload a checkout, take the # away and run this first:
+# %pip install -q -c hrl_escape/constraints.txt ./hrl_escape"""
 
 
 def split(source: str) -> list[tuple[str, str]]:
@@ -36,17 +44,44 @@ def split(source: str) -> list[tuple[str, str]]:
     return [(kind, text) for kind, text in joined if text]
 
 
-def run(script: Path) -> str:
-    """What a script prints, run in an empty folder.
+def make_notebook(script: Path) -> Any:
+    """The script as a notebook that was run in an empty folder.
 
     Raises:
-        ExtensionError: it failed.
+        ExtensionError: a cell failed.
     """
+    source = script.read_text(encoding="utf-8")
+    title = (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0].rstrip(".")
+    cells = [nbformat.v4.new_markdown_cell(f"# {title}"), nbformat.v4.new_code_cell(INSTALL)]
+    cells += [nbformat.v4.new_markdown_cell(text) if kind == "prose" else nbformat.v4.new_code_cell(text)
+              for kind, text in split(source)]
+    for number, cell in enumerate(cells):
+        cell["id"] = f"{script.stem}-{number}".replace("_", "-")  # the same file each time
+    notebook = nbformat.v4.new_notebook(cells=cells)
     with tempfile.TemporaryDirectory() as folder:
-        done = subprocess.run([sys.executable, script], cwd=folder, capture_output=True, text=True)
-    if done.returncode:
-        raise ExtensionError(f"{script.name} failed:\n{done.stderr}")
-    return done.stdout
+        try:
+            NotebookClient(notebook, timeout=900, record_timing=False, resources={"metadata": {"path": folder}},
+                           log=logging.getLogger(__name__)).execute(stderr=subprocess.DEVNULL)  # a kernel's chatter
+        except CellExecutionError as error:
+            raise ExtensionError(f"{script.name} failed:\n{error}") from error
+    return notebook
+
+
+def show_output(output: Any) -> list[nodes.Node]:
+    """What a cell left: its text, or the richest form of its last value."""
+    if output["output_type"] == "stream":
+        return [show_text(output["text"])] if output["name"] == "stdout" else []
+    data = output["data"]
+    picture = data.get("text/html") or data.get("image/svg+xml", "").partition("<svg")[2]
+    if picture:
+        picture = picture if "text/html" in data else f"<svg{picture}"
+        return [nodes.raw("", f'<div class="tutorial-picture">{picture}</div>', format="html")]
+    return [show_text(data["text/plain"])]
+
+
+def show_text(text: str) -> nodes.Node:
+    """Text as it was printed."""
+    return nodes.literal_block(text.rstrip(), text.rstrip(), language="text", classes=["tutorial-output"])
 
 
 class Tutorial(SphinxDirective):
@@ -55,15 +90,21 @@ class Tutorial(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """Prose, code, and at the end the output."""
+        """Prose, code, and below each piece of code its output."""
         script = Path(self.env.doc2path(self.env.docname)).parent / self.arguments[0]
         self.env.note_dependency(str(script))
-        text = []
-        for kind, part in split(script.read_text(encoding="utf-8")):
-            text.append(part if kind == "prose" else f"```python\n{part}\n```")
-        text.append(f"It prints:\n\n```{{code-block}} text\n:class: tutorial-output\n{run(script).rstrip()}\n```")
-        text.append(f"The whole script: `python docs/tutorials/{script.name}`")
-        return self.parse_text_to_nodes("\n\n".join(text))
+        notebook = make_notebook(script)
+        folder = Path(self.env.app.outdir) / "_downloads"
+        folder.mkdir(parents=True, exist_ok=True)
+        nbformat.write(notebook, folder / f"{script.stem}.ipynb")
+        shown: list[nodes.Node] = []
+        for cell in notebook["cells"][2:]:  # the page has the title, and its reader the package
+            is_prose = cell["cell_type"] == "markdown"
+            shown += self.parse_text_to_nodes(cell["source"] if is_prose else f"```python\n{cell['source']}\n```")
+            shown += [node for output in cell.get("outputs", ()) for node in show_output(output)]
+        link = f'<p><a href="../_downloads/{script.stem}.ipynb" download>Download this page as a notebook</a></p>'
+        return [*shown, nodes.raw("", link, format="html"),
+                *self.parse_text_to_nodes(f"The whole script: `python docs/tutorials/{script.name}`")]
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

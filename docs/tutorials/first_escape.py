@@ -6,7 +6,7 @@ primitive costs 1, and the escape is worth 100. The exit opens once both buttons
 
 import gymnasium
 
-import hrl_escape  # noqa: F401  # registers the environments
+from hrl_escape import RoomPlanner
 from hrl_escape.planning.best_known import best_known_return
 
 env = gymnasium.make("hrl_escape/PaperTwoButton-v1")
@@ -17,6 +17,7 @@ print(f"x {observation[0]:g}, y {observation[1]:g}, heading {observation[3]:g}, 
 for target in room.targets:
     print(f"{target.name} at ({target.x:g}, {target.y:g})")
 print(f"exit: x from {room.exit.x_min:g} to {room.exit.x_max:g}, y from {room.exit.y_min:g} to {room.exit.y_max:g}")
+room  # in a notebook, a room draws itself
 
 # At heading 0 the robot looks along +x, so +y is to its left. We drive by hand: one primitive, repeated until something
 # happens. A move stops at the first obstacle. A press is the moment at which touching begins.
@@ -47,6 +48,8 @@ print("to the exit, along:", drive(FORWARD, lambda seen, info: seen[0] > room.ex
 print("to the exit, across:", drive(LEFT, lambda seen, info: False), "primitives")
 print(f"escaped: {ended}, return {total:g}")
 
-# How good is that? The planner knows a better way.
+# How good is that? The planner knows a better way, and a plan plays itself.
 
 print(f"best known return: {best_known_return(room):g}")
+env.reset(seed=0)
+RoomPlanner(room).solve(env.unwrapped.get_state())

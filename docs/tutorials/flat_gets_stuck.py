@@ -23,6 +23,7 @@ for config in ("paper-one-button", "paper-two-button"):
         if terminated or truncated:
             env.reset()
     print(f"{config}: random, 5,000 primitives: {escapes} escapes, {presses} presses")
+env.unwrapped.instance
 
 # The reward is -1 whatever the agent does until it escapes. An agent that never escapes sees a
 # constant, which teaches nothing: all actions look equally bad. Here is tabular Q-learning in the second room.

@@ -90,3 +90,4 @@ print("combination:", ", ".join(room.puzzle.target_names[i] for i in room.puzzle
 plan = RoomPlanner(room).solve(Kinematics(room).make_state(room.starts[0]))
 print("plan:", ", then ".join(part.name for part in plan.parts))
 print(f"escape in {plan.cost} primitives, return {plan.compute_return():g}")
+plan

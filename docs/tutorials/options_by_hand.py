@@ -47,6 +47,7 @@ class Cross(Option):
 env = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button")
 north, south = Cross("to-the-left-wall", 2, 8.0), Cross("to-the-right-wall", 3, -8.0)
 check_option(north, env)  # the contract, as a check that you can run on your own
+env.unwrapped.instance
 
 # `OptionsEnv` offers them beside the primitives. One `step` runs one of them to its end, and `info` holds the SMDP
 # transition: the duration k, the sum of gamma^i r_i, and the discount gamma^k of all that follows.

@@ -100,6 +100,7 @@ settings = {"learning_rate": 1.0, "epsilon_steps": 4_000}
 for agent, learned_on in (("q-learning", TimeLimit(Courier(), 200)), ("smdp-q-learning", make_env())):
     result = train(agent, learned_on, primitives=8_000, seed=0, settings=settings, progress=False)
     print(f"{agent}: mean return {result.evaluations[-1].mean_return:.1f} after {result.decisions:,} decisions")
+result
 
 # The options came from somebody who knows the floor. To see what learning adds, always run `smdp-random`, a random
 # policy over the same options, beside it.

@@ -27,6 +27,7 @@ plan = RoomPlanner(room).solve(env.unwrapped.get_state())
 for part in plan.parts:
     print(f"  {part.name}: {part.stop - part.start} primitives")
 print(f"plan: {plan.cost} primitives, return {plan.compute_return():g}")
+plan
 
 # The same escape by options, one decision each, in the plan's order. Each option takes the shortest way to its own
 # goal, so together they may take a few primitives more than a plan that looks ahead.
