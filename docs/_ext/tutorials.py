@@ -22,6 +22,8 @@ from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.util.docutils import SphinxDirective
 
+QUIET = logging.getLogger("tutorials.kernel")
+QUIET.setLevel(logging.ERROR)
 INSTALL = """# Where hrl-escape is not installed yet, upload a checkout, take the # away and run this first:
 # %pip install -q -c hrl_escape/constraints.txt ./hrl_escape"""
 
@@ -61,7 +63,7 @@ def make_notebook(script: Path) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         try:
             NotebookClient(notebook, timeout=900, record_timing=False, resources={"metadata": {"path": folder}},
-                           log=logging.getLogger(__name__)).execute(stderr=subprocess.DEVNULL)  # a kernel's chatter
+                           log=QUIET).execute(stderr=subprocess.DEVNULL)  # a kernel's chatter
         except CellExecutionError as error:
             raise ExtensionError(f"{script.name} failed:\n{error}") from error
     return notebook

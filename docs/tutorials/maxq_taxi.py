@@ -14,6 +14,7 @@ So what `navigate` learns about a depot serves `get` and `put` alike.
 import gymnasium
 import numpy as np
 
+from hrl_escape import generate, get_preset
 from hrl_escape.agents.hierarchy.price import compute_price
 from hrl_escape.agents.hierarchy.tabular_model import read_model
 from hrl_escape.agents.hierarchy.task_graph import maxq
@@ -23,6 +24,9 @@ DEPOTS = [(0, 0), (0, 4), (4, 0), (4, 3)]
 env = gymnasium.make("Taxi-v4")
 rng = np.random.default_rng(0)
 states = [tuple(map(int, env.unwrapped.decode(number))) for number in range(500)]  # row, column, passenger, destination
+
+
+generate(get_preset("taxi"), 0)  # the same world as a room of this package
 
 
 # The task graph: the children of each task, and where it is over. A passenger with number 4 sits in the taxi.

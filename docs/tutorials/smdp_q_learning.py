@@ -19,6 +19,9 @@ env = OptionsEnv(gymnasium.make("hrl_escape/PaperTwoButton-v1", observation="fea
                  discount=GAMMA, include_primitives=False)
 rng = np.random.default_rng(0)
 table = {}  # rounded observation -> Q of every option
+env.unwrapped.instance
+
+# The three functions of tabular Q-learning, for options:
 
 
 def read(observation):

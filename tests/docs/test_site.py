@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import html
 import importlib
+import json
 import re
 from pathlib import Path
 
@@ -101,7 +102,15 @@ TUTORIALS = {
 
 @pytest.mark.parametrize("name", TUTORIALS)
 def test_a_tutorial_shows_what_it_teaches(site: Path, name: str):
-    assert re.search(TUTORIALS[name], read(site / "tutorials" / f"{name}.html"))
+    """The notebook was run, prints what it is about, and draws."""
+    notebook = json.loads((site / "_downloads" / f"{name}.ipynb").read_text(encoding="utf-8"))
+    outputs = [output for cell in notebook["cells"] for output in cell.get("outputs", ())]
+    printed = " ".join("".join(text) for output in outputs if (text := output.get("text"))).split()
+    assert re.search(TUTORIALS[name], " ".join(printed))
+    kinds = {kind for output in outputs for kind in output.get("data", ())}
+    assert kinds & {"image/svg+xml", "text/html"}
+    page = (site / "tutorials" / f"{name}.html").read_text(encoding="utf-8")
+    assert 'class="tutorial-picture"' in page and f"_downloads/{name}.ipynb" in page
 
 
 @pytest.mark.parametrize(("name", "most"), [("new_puzzle", 50), ("smdp_q_learning", 60), ("maxq_taxi", 80)])
