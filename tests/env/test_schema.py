@@ -21,7 +21,7 @@ CLASSES = {
     "hrl_escape.env.config": "class RobotConfig(Schematic):",
     "hrl_escape.env.puzzles.buttons": "class ButtonsPuzzle(Doored, GraphPuzzle):",
     "hrl_escape.env.puzzles.places": "class Panels(Schematic):",
-    "hrl_escape.env.instance": "class RoomInstance(Schematic):",
+    "hrl_escape.env.instance": "class RoomInstance(Pictured, Schematic):",
 }
 
 

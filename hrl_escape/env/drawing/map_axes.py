@@ -20,13 +20,13 @@ from numpy.typing import ArrayLike
 from scipy.optimize import isotonic_regression
 
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.meshes import outline_capsule, rotate_box
+from hrl_escape.env.drawing.meshes import compute_extent, outline_capsule, rotate_box
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, get_trait
 
-__all__ = ["Trajectory", "compute_extent", "draw_room", "get_colour"]
+__all__ = ["Trajectory", "draw_room", "get_colour"]
 
 _LABEL_POINTS = 8.0
 _HALO = (withStroke(linewidth=2.5, foreground="white"),)
@@ -85,17 +85,6 @@ def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories
         _draw_trajectory(axes, trajectory, get_colour(trajectory, number))
     _draw_starts(axes, instance)
     _draw_robot(axes, instance, state)
-
-
-def compute_extent(instance: RoomInstance) -> tuple[float, float, float, float]:
-    """x_min, x_max, y_min, y_max of everything solid, and of the exit."""
-    xs = [-instance.half_width, instance.half_width, instance.exit.x_min, instance.exit.x_max]
-    ys = [-instance.half_depth, instance.half_depth, instance.exit.y_min, instance.exit.y_max]
-    for solid in instance.solids:
-        corners = rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
-        xs += [x for x, _ in corners]
-        ys += [y for _, y in corners]
-    return min(xs), max(xs), min(ys), max(ys)
 
 
 def _make_outline(solid: Solid, **style: Any) -> Patch:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.graph_inset import draw_graph
-from hrl_escape.env.drawing.map_axes import Trajectory, compute_extent, draw_room, get_colour
+from hrl_escape.env.drawing.map_axes import Trajectory, draw_room, get_colour
+from hrl_escape.env.drawing.meshes import compute_extent
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.traits import Graphed, get_trait

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid
-from hrl_escape.env.instance import Rectangle
+from hrl_escape.env.instance import Rectangle, RoomInstance
 from hrl_escape.env.puzzles.places import Capsule
 
 __all__ = [
     "Mesh",
     "compute_base_outline",
+    "compute_extent",
     "compute_outline",
     "format_obj",
     "make_base_column",
@@ -151,6 +152,17 @@ def compute_outline(solid: Solid) -> list[Point]:
         angles = [n * math.tau / FACETS for n in range(FACETS)]
         return [(solid.x + solid.half_x * math.cos(a), solid.y + solid.half_x * math.sin(a)) for a in angles]
     return rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
+
+
+def compute_extent(instance: RoomInstance) -> tuple[float, float, float, float]:
+    """x_min, x_max, y_min, y_max of everything solid, and of the exit."""
+    xs = [-instance.half_width, instance.half_width, instance.exit.x_min, instance.exit.x_max]
+    ys = [-instance.half_depth, instance.half_depth, instance.exit.y_min, instance.exit.y_max]
+    for solid in instance.solids:
+        corners = rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
+        xs += [x for x, _ in corners]
+        ys += [y for _, y in corners]
+    return min(xs), max(xs), min(ys), max(ys)
 
 
 def rotate_box(x: float, y: float, half_x: float, half_y: float, yaw: float) -> list[Point]:

@@ -17,8 +17,7 @@ from markupsafe import Markup, escape
 
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.graph_inset import shorten
-from hrl_escape.env.drawing.map_axes import compute_extent
-from hrl_escape.env.drawing.meshes import outline_capsule
+from hrl_escape.env.drawing.meshes import compute_extent, outline_capsule
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules

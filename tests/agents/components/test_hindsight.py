@@ -116,8 +116,8 @@ def test_no_decision_is_stored_under_a_goal_that_was_achieved_before_it():
 def test_values_of_all_goals_come_out_exact():
     """With d bits wrong after an action, 0 if d = 0, else -(1 - gamma^d) / (1 - gamma)."""
     env, gamma = BitFlip(3), 0.9
-    settings = QUICK | {"gamma": gamma, "hindsight_goals": 4, "average_rate": 0.0, "target_every": 50}
-    agent = train("dqn", env, primitives=2_500, settings=settings, eval_episodes=0).agent
+    settings = QUICK | {"gamma": gamma, "hindsight_goals": 4}
+    agent = train("dqn", env, primitives=3_500, settings=settings, eval_episodes=0).agent
     states = [np.array(list(np.binary_repr(n, 3)), np.float32) for n in range(8)]
     for state in states:
         for goal in states:
