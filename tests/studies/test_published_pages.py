@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from studies.__main__ import main
+from studies.running import open_store
 from studies.study import find_study, list_studies
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
@@ -25,3 +26,10 @@ def test_a_published_page_is_what_its_results_give(tmp_path: Path, name: str):
 def test_every_page_of_results_but_the_index_and_the_quickstart_is_a_study_s():
     pages = {path.stem for path in RESULTS.glob("*.md")} - {"index", "quickstart"}
     assert pages == {study.page for study in list_studies().values()}
+
+
+def test_the_readme_s_figure_is_told_in_the_words_of_its_study():
+    study = find_study("buttons")
+    headline = study.analysis.analyse(study, open_store(study, None).load()).values["headline"]
+    readme = (RESULTS.parents[1] / "README.md").read_text()
+    assert headline.removesuffix(".") in readme and f"docs/results/figures/{study.name}.svg" in readme

@@ -1,0 +1,332 @@
+"""First escape against buttons: runs that end with their first escape, growth as a power law, and one figure."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import multiprocessing
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullLocator
+from numpy.typing import NDArray
+from rich.console import Console
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.training.results import EpisodeRecord
+from hrl_escape.agents.training.train import train
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.references.registry import make_reference
+from hrl_escape.comparison.runs import make_env
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ComparisonError
+from studies.figures import FIGURE_STYLE, finish_axes
+from studies.page import make_table
+from studies.running import StudyArgs
+from studies.scaling.results import RoomKind
+from studies.scaling.rounds import make_room
+from studies.store import Store
+from studies.study import Page, Study
+
+__all__ = ["LINES", "Args", "EscapeRun", "FirstEscape", "Growth", "analyse", "fit_growth", "measure", "run_once",
+           "tell_growth", "tell_reach"]
+
+RESAMPLES = 2_000
+LEAST_SIZES = 4
+"""Sizes from which a growth is fitted."""
+SURE = 0.95
+"""Share of resamples in which one law must fit better than the other to be told."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Args(StudyArgs):
+    """Options of the study."""
+
+    agents: tuple[str, ...] = ()
+    """Agents to run; all by default."""
+    runs: int | None = None
+    """Runs of each agent with each number of buttons; those of `study.toml` by default."""
+    workers: int = 1
+    """Runs at a time."""
+    first_seed: int = 0
+    """Lowest seed of rooms and training."""
+
+
+@dataclasses.dataclass(frozen=True)
+class EscapeRun:
+    """A run until its first escape.
+
+    Attributes:
+        agent: name with traits.
+        buttons: number of buttons.
+        run: seed of room, agent and episodes.
+        budget: most primitives; the last decision may go beyond.
+        first_escape: primitives at the end of the first episode that escaped; None if none did.
+    """
+
+    agent: str
+    buttons: int
+    run: int
+    budget: int
+    first_escape: int | None
+
+    @property
+    def place(self) -> tuple[str, int, int]:
+        """Subject of the line."""
+        return self.agent, self.buttons, self.run
+
+
+LINES = (EscapeRun,)
+
+
+class FirstEscape:
+    """Probe that ends a run with its first escape."""
+
+    def __init__(self) -> None:
+        self.is_done = False
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The stopping rule."""
+        return {"until": "first escape"}
+
+    def after_decision(self, agent: Agent, primitives: int) -> None:
+        """Nothing to measure."""
+
+    def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
+        """Look at the episode's end."""
+        self.is_done = self.is_done or episode.success
+
+    def state_dict(self) -> StateTree:
+        """The flag of an escape."""
+        return {"is_done": self.is_done}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Go on where `state_dict` was taken."""
+        self.is_done = bool(state["is_done"])
+
+
+# --- runs ------------------------------------------------------------------------------------
+
+
+def run_once(agent: str, graph: str, rule: str, buttons: int, seed: int, budget: int) -> EscapeRun:
+    """Run an agent in a room of its own until its first escape, or to the end of the budget."""
+    spec = AgentSpec.parse(agent)
+    room = generate(make_room(RoomKind(graph, buttons, rule)), seed)
+    env, recorder = make_env(spec, room, "objects" if "objects" in agent else "features")
+    try:
+        player = make_reference(spec.name, env, recorder) if spec.is_reference else spec.name
+        result = train(player, env, primitives=budget, seed=seed, settings=None if spec.is_reference else spec.settings,
+                       eval_episodes=0, probe=FirstEscape(), progress=False)
+    finally:
+        env.close()
+    return EscapeRun(agent, buttons, seed, budget, result.first_escape)
+
+
+def measure(study: Study, args: Args, store: Store) -> None:
+    """Run what is missing, size by size; an agent whose runs all failed with fewer buttons does not run with more."""
+    data, console = study.data, Console(stderr=True, highlight=False)
+    seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
+    with ProcessPoolExecutor(args.workers, multiprocessing.get_context("spawn")) as pool:
+        for agent in args.agents or data["agents"]:
+            for size in data["sizes"]:
+                known = {run.place: run for run in store.load()}
+                jobs = [pool.submit(run_once, agent, data["graph"], data["rule"], size, seed, data["budget"])
+                        for seed in seeds if (agent, size, seed) not in known]
+                for job in as_completed(jobs):
+                    store.add([job.result()])
+                ends = [run.first_escape for run in store.load() if (run.agent, run.buttons) == (agent, size)]
+                escaped = sum(end is not None for end in ends)
+                console.print(f"{agent}, {size} buttons: {escaped} of {len(ends)} runs escaped", markup=False)
+                if not escaped:
+                    break
+
+
+# --- growth ----------------------------------------------------------------------------------
+
+
+class Growth(NamedTuple):
+    """Growth of the primitives to the first escape with the number of buttons.
+
+    Attributes:
+        exponent: k of the power law, primitives = c n^k.
+        low: lower end of its 95 % interval.
+        high: upper end.
+        factor: c.
+        power: share of resamples in which the power law fits better than an exponential.
+        largest: most buttons with which at least half of the runs escaped.
+    """
+
+    exponent: float
+    low: float
+    high: float
+    factor: float
+    power: float
+    largest: int
+
+
+def list_times(runs: Sequence[EscapeRun]) -> dict[int, NDArray[np.float64]]:
+    """Primitives to the first escape by number of buttons, infinite where none came: where half of the runs escape."""
+    sizes = sorted({run.buttons for run in runs})
+    times = {size: np.array([math.inf if run.first_escape is None else run.first_escape
+                             for run in runs if run.buttons == size]) for size in sizes}
+    return {size: values for size, values in times.items() if np.isfinite(np.median(values))}
+
+
+def fit_growth(runs: Sequence[EscapeRun], rng: np.random.Generator) -> Growth | None:
+    """Fit medians over runs by least squares of logarithms; runs are resampled within each number of buttons.
+
+    Returns:
+        None with fewer than `LEAST_SIZES` numbers of buttons with which half of the runs escape.
+    """
+    times = list_times(runs)
+    if len(times) < LEAST_SIZES:
+        return None
+    sizes = np.array(list(times), float)
+
+    def fit(draws: Sequence[NDArray[np.float64]]) -> tuple[float, float, bool]:
+        medians = np.array([np.median(values) for values in draws])
+        kept = np.isfinite(medians)
+        logs = np.log(medians[kept])
+        slope, start = np.polyfit(np.log(sizes[kept]), logs, 1)
+        rate, base = np.polyfit(sizes[kept], logs, 1)
+        power = np.sum((start + slope * np.log(sizes[kept]) - logs) ** 2)
+        return slope, math.exp(start), bool(power < np.sum((base + rate * sizes[kept] - logs) ** 2))
+
+    exponent, factor, _ = fit(list(times.values()))
+    resampled = [fit([rng.choice(values, len(values)) for values in times.values()]) for _ in range(RESAMPLES)]
+    low, high = np.quantile([slope for slope, *_ in resampled], [0.025, 0.975])
+    return Growth(float(exponent), float(low), float(high), float(factor),
+                  float(np.mean([better for *_, better in resampled])), int(sizes[-1]))
+
+
+def tell_reach(largest: Mapping[str, int | None], words: Mapping[str, str], most: int) -> str:
+    """One sentence: who still escapes with the most buttons, and where the others stop.
+
+    Args:
+        largest: agent -> most buttons with which at least half of the runs escape; None for none.
+        words: agent -> what it stands for.
+        most: buttons in the largest rooms.
+    """
+    arrived = [words[agent] for agent, reach in largest.items() if reach == most]
+    stops: dict[int, list[str]] = {}
+    for agent, reach in largest.items():
+        if reach != most:
+            stops.setdefault(reach or 0, []).append(words[agent])
+    there = f"{_join(arrived) or 'nobody'} still escape{'' if len(arrived) > 1 else 's'} with {most} buttons"
+    rest = [f"{_join(names)} stop{'' if len(names) > 1 else 's'} "
+            + (f"at {reach}" if reach else "before the smallest room") for reach, names in sorted(stops.items())[::-1]]
+    return (there[0].upper() + there[1:]) + ("; " + ", ".join(rest) if rest else "") + "."
+
+
+def _join(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def tell_growth(growths: Mapping[str, Growth | None], largest: Mapping[str, int | None], words: Mapping[str, str],
+                most: int) -> Iterator[str]:
+    """Sentences on who escapes with how many buttons, and how the price grows.
+
+    Args:
+        growths: agent -> fit.
+        largest: agent -> most buttons with which at least half of the runs escape; None for none.
+        words: agent -> what it stands for.
+        most: buttons in the largest rooms.
+    """
+    for agent, word in words.items():
+        if agent not in largest:
+            continue
+        reach = largest[agent]
+        if reach is None:
+            yield f"**{word}** (`{agent}`): fewer than half of the runs escape, however few the buttons."
+            continue
+        text = f"**{word}** (`{agent}`): half of the runs or more escape with up to {reach} of {most} buttons"
+        growth = growths[agent]
+        if growth is None:
+            yield f"{text}."
+            continue
+        law = ("; a power law fits better than an exponential" if growth.power >= SURE else
+               "; an exponential fits better than a power law" if growth.power <= 1 - SURE else
+               "; these sizes do not tell a power law from an exponential")
+        yield (f"{text}, after a number of primitives that grows as n^{growth.exponent:.1f} "
+               f"({growth.low:.1f} to {growth.high:.1f}){law}.")
+    known = {agent: growth for agent, growth in growths.items() if growth is not None and growth.largest == most}
+    learners = [agent for agent in known if not AgentSpec.parse(agent).is_reference]
+    searchers = [agent for agent in known if AgentSpec.parse(agent).is_reference]
+    for learner in learners:
+        for searcher in searchers:
+            ratio = _predict(known[searcher], most) / _predict(known[learner], most)
+            yield (f"With {most} buttons **{words[searcher]}** needs {ratio:.1f} times the primitives of "
+                   f"**{words[learner]}** until its first escape (ratio of the fits).")
+
+
+def _predict(growth: Growth, size: int) -> float:
+    return growth.factor * size**growth.exponent
+
+
+# --- page ------------------------------------------------------------------------------------
+
+
+def analyse(study: Study, lines: Sequence[EscapeRun]) -> Page:
+    """Sentences, table and figure.
+
+    Raises:
+        ComparisonError: there are no runs.
+    """
+    if not lines:
+        raise ComparisonError("there are no runs to tell of")
+    words: Mapping[str, str] = study.data["agents"]
+    of = {agent: own for agent in words if (own := [run for run in lines if run.agent == agent])}
+    growths = {agent: fit_growth(own, np.random.default_rng(0)) for agent, own in of.items()}
+    largest = {agent: max(list_times(own), default=None) for agent, own in of.items()}
+    sizes = study.data["sizes"]
+    rows = [[f"{words[agent]} (`{agent}`)", *(_describe([run for run in own if run.buttons == size])
+                                              for size in sizes)] for agent, own in of.items()]
+    sentences = list(tell_growth(growths, largest, words, max(sizes)))
+    headline = tell_reach(largest, words, max(sizes))
+    return Page({"headline": headline, "sentences": sentences, "table": make_table(["agent", *map(str, sizes)], rows),
+                 "runs": max(sum(run.buttons == sizes[0] for run in own) for own in of.values()),
+                 "budget": study.data["budget"], "graph": study.data["graph"], "rule": study.data["rule"]},
+                {"buttons": draw(of, growths, words)}, [headline, *sentences])
+
+
+def _describe(runs: Sequence[EscapeRun]) -> str:
+    if not runs:
+        return "—"
+    times = [math.inf if run.first_escape is None else run.first_escape for run in runs]
+    middle = float(np.median(times))
+    return f"{sum(map(math.isfinite, times))} of {len(times)}; {'never' if math.isinf(middle) else f'{middle:,.0f}'}"
+
+
+def draw(of: Mapping[str, Sequence[EscapeRun]], growths: Mapping[str, Growth | None], words: Mapping[str, str]
+         ) -> Figure:
+    """Medians and runs against buttons, both logarithmic, with the fits."""
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(7.6, 4.2), facecolor=palette.BACKGROUND, layout="constrained")
+        axes = figure.add_subplot()
+        for number, (agent, own) in enumerate(of.items()):
+            colour = palette.LINES[number]
+            dots = [(run.buttons, run.first_escape) for run in own if run.first_escape is not None]
+            axes.scatter(*zip(*dots, strict=True) if dots else ([], []), s=9, alpha=0.35, color=colour, linewidths=0)
+            times, growth = list_times(own), growths[agent]
+            label = words[agent] if growth is None else (
+                f"{words[agent]}\n$n^{{{growth.exponent:.1f}}}$  ({growth.low:.1f} to {growth.high:.1f})")
+            axes.plot(list(times), [np.median(values) for values in times.values()], "o-", color=colour, markersize=5,
+                      linewidth=1.8, label=label)
+            failed = [run.buttons for run in own if run.first_escape is None]
+            axes.scatter(failed, [own[0].budget * 1.35 ** (number + 1)] * len(failed), marker="x", s=20, color=colour,
+                         linewidths=1)
+        finish_axes(axes)
+        sizes = sorted({run.buttons for own in of.values() for run in own})
+        axes.set(xscale="log", yscale="log", xlabel="buttons", ylabel="primitives to the first escape")
+        axes.set_xticks(sizes, [str(size) for size in sizes])
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, labelspacing=1.0)
+    return figure
