@@ -204,8 +204,11 @@ def test_no_docstring_opens_with_a_question_word():
 
 
 def test_no_module_uses_global_random_state():
-    assert {module: found for module, source in (SOURCES | STUDIES).items()
-            if (found := find_global_random_state(source))} == {}
+    """But one, which lends torch's generator to TorchRL, and whose own test sees that it is put back."""
+    found = {module.name: uses for module, source in (SOURCES | STUDIES).items()
+             if (uses := find_global_random_state(source))}
+    assert list(found) == ["torchrl_agent.py"]
+    assert [use.split()[-1] for use in found["torchrl_agent.py"]] == ["torch.random.fork_rng", "torch.set_rng_state"]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from .option import FLAVOURS, FunctionOption, Option, ScriptedOption, TableOptio
 from .options_env import OptionsEnv
 from .pushing import PushOption
 from .skills import make_go_to, make_press, make_reach
+from .torchrl_env import OptionsTorchRLEnv, SMDPTransform
 
 __all__ = [
     "BatchedOptionsEnv",
@@ -20,8 +21,10 @@ __all__ = [
     "OptionDegradation",
     "OptionDomain",
     "OptionsEnv",
+    "OptionsTorchRLEnv",
     "PlannedOption",
     "PushOption",
+    "SMDPTransform",
     "ScriptedOption",
     "TableOption",
     "TraceStep",

@@ -146,5 +146,4 @@ def test_in_a_room_options_end_in_some_states_and_go_on_in_others(seed):
                 observation, _ = env.reset()
         spreads.append(np.ptp(betas, axis=0))
         env.close()
-    assert (spreads[0] > 0.1).all() and spreads[0].max() > 0.7
-    assert spreads[1].max() < 0.01
+    assert spreads[0].min() > 0.05 and spreads[1].max() < 0.01

@@ -1,0 +1,109 @@
+"""Deep Q-network by TorchRL's parts: `QValueActor`, `EGreedyModule`, `ReplayBuffer`, `DQNLoss` and `HardUpdate`.
+
+The algorithm is that of `dqn` with one-step targets, without its averaged network; see `components/torchrl_agent.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import gymnasium
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from torchrl.data import Categorical
+from torchrl.modules import EGreedyModule, QValueActor
+from torchrl.objectives import DQNLoss, HardUpdate, ValueEstimators
+
+from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.components.replay import UpdateSchedule
+from hrl_escape.agents.components.torchrl_agent import TorchRLAgent, TorchRLReplay, TorchRLSettings
+from hrl_escape.agents.state import Kept
+from hrl_escape.settings import Range
+
+__all__ = ["TorchRLDQN", "TorchRLDQNSettings"]
+
+
+@dataclass(frozen=True)
+class TorchRLDQNSettings(TorchRLSettings):
+    """Exploration, replay and targets of `torchrl-dqn`."""
+
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Primitives over which epsilon falls linearly."""
+    double: bool = True
+    """The online network chooses the next action, the target network values it."""
+    target_every: Annotated[int, Range(1)] = 200
+    """Updates between copies of the online network into the target network."""
+    replay_capacity: Annotated[int, Range(1)] = 50_000
+    """Decisions kept for replay."""
+    warmup: Annotated[int, Range(0)] = 500
+    """Primitives before the first update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates for each primitive; an option of 16 primitives is followed by 16 times as many."""
+
+
+class TorchRLDQN(TorchRLAgent):
+    """Minimise the Huber loss of R + gamma^k (1 - terminated) Q_target(s', o*) - Q_theta(s, o) over replay.
+
+    o* is the legal argmax at s' of Q_theta, or of Q_target without `double`.
+
+    Args:
+        observation_space: of the environment.
+        action_space: Discrete.
+        seed: fixes weights, exploration and batches.
+        settings: of the agent.
+    """
+
+    name: ClassVar[str] = "torchrl-dqn"
+    Settings: ClassVar[type] = TorchRLDQNSettings
+    settings: TorchRLDQNSettings
+    STATE = ("replay", "_exploration", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"),
+             Kept("_target.counter", "since_target"))
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: TorchRLDQNSettings | None = None) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        settings = self.settings
+        with self._own_chance():
+            spec = Categorical(self._actions)
+            actor = QValueActor(self._network, spec=spec, in_keys=["observation"],
+                                action_space="categorical", action_mask_key="action_mask")
+            loss = DQNLoss(actor, loss_function="smooth_l1", delay_value=True, double_dqn=settings.double,
+                           action_space="categorical")
+        loss.make_value_estimator(ValueEstimators.TD0, gamma=settings.gamma)
+        self._begin(actor, loss)
+        self._target = HardUpdate(loss, value_network_update_interval=settings.target_every)
+        self._greed = EGreedyModule(spec, settings.epsilon_start, settings.epsilon_end, settings.epsilon_steps,
+                                    action_mask_key="action_mask")
+        self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
+        self.replay = TorchRLReplay(settings.replay_capacity, settings.batch_size)
+
+    @property
+    def _exploration(self) -> dict[str, torch.Tensor]:
+        """Epsilon now, and its schedule."""
+        return dict(self._greed.named_buffers())
+
+    def compute_values(self, observation: Any) -> NDArray:
+        """Compute Q(s, .) at an observation, in units of return, float32 (actions,)."""
+        return self._compute(observation) / self.settings.reward_scale
+
+    def _explore(self, seen: TensorDictBase) -> TensorDictBase:
+        """Choose greedily, or with probability epsilon uniformly."""
+        return self._greed(self._actor(seen))
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Store the decision, then make the updates that are due."""
+        self.replay.add(self._make_decision(transition))
+        self._greed.step(transition.duration)
+        told: dict[str, float] = {}
+        for _ in range(self._schedule.advance(transition.duration, len(self.replay))):
+            with self._own_chance():
+                told = self._descend(self.replay.sample())
+            self._target.step()
+        return told

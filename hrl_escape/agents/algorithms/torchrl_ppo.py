@@ -1,0 +1,117 @@
+"""Proximal policy optimisation by TorchRL's parts: `ProbabilisticActor`, `GAE` and `ClipPPOLoss`.
+
+The algorithm is that of `ppo` without memory and bonus; see `components/torchrl_agent.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict
+from torchrl.modules import ValueOperator
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+
+from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.components.torchrl_agent import TorchRLAgent, TorchRLSettings
+from hrl_escape.agents.state import Kept
+from hrl_escape.settings import Range
+
+__all__ = ["TorchRLPPO", "TorchRLPPOSettings"]
+
+
+@dataclass(frozen=True)
+class TorchRLPPOSettings(TorchRLSettings):
+    """Rollouts and losses of `torchrl-ppo`."""
+
+    rollout: Annotated[int, Range(2)] = 256
+    """Decisions between updates."""
+    epochs: Annotated[int, Range(1)] = 10
+    """Passes over a rollout."""
+    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
+    """Lambda of generalised advantages, per decision."""
+    clip: Annotated[float, Range(0, open_low=True)] = 0.2
+    """Distance from 1 at which the ratio of probabilities is clipped."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the policy's entropy in the loss."""
+    value_weight: Annotated[float, Range(0)] = 0.5
+    """Weight of the critic's squared error in the loss."""
+
+
+class TorchRLPPO(TorchRLAgent):
+    """Maximise the mean of min(ratio A, clip(ratio, 1 - eps, 1 + eps) A) + entropy; see `ppo`.
+
+    A are generalised advantages in which a decision of k primitives discounts by gamma^k lambda.
+
+    Args:
+        observation_space: of the environment.
+        action_space: Discrete.
+        seed: fixes weights, actions and minibatches.
+        settings: of the agent.
+    """
+
+    name: ClassVar[str] = "torchrl-ppo"
+    Settings: ClassVar[type] = TorchRLPPOSettings
+    settings: TorchRLPPOSettings
+    STATE = (Kept("_rollout", "rollout", unpack=dict),)
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: TorchRLPPOSettings | None = None) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        settings = self.settings
+        with self._own_chance():
+            actor = self._make_policy()
+            self._critic = ValueOperator(self._make_mlp(1), in_keys=["observation"])
+        self._begin(actor, ClipPPOLoss(
+            actor, self._critic, clip_epsilon=settings.clip, entropy_coeff=settings.entropy_weight,
+            critic_coeff=settings.value_weight, normalize_advantage=True, loss_critic_type="l2"))
+        self.estimator = GAE(gamma=settings.gamma, lmbda=settings.gae_lambda, value_network=self._critic)
+        self._rows: list[TensorDict] = []
+
+    def compute_preferences(self, observation: Any) -> NDArray:
+        """Compute the logits of the policy at an observation, before any mask, float32 (actions,)."""
+        return self._compute(observation)
+
+    def compute_state_value(self, observation: Any) -> float:
+        """Compute V(s) at an observation, in units of return."""
+        with torch.no_grad():
+            seen = self._critic(self._see(observation, np.ones(self._actions, np.bool_)))
+        return float(seen["state_value"]) / self.settings.reward_scale
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Keep the decision; update when the rollout is full."""
+        self._rows.append(self._make_decision(transition))
+        return self._learn() if len(self._rows) >= self.settings.rollout else {}
+
+    def _learn(self) -> dict[str, float]:
+        """Make the updates from the rollout, which then begins anew; returns means over them."""
+        rollout = torch.stack(self._rows)
+        self._rows = []
+        with torch.no_grad():
+            policy = self._actor.get_dist(rollout)
+            rollout["action_log_prob"] = policy.log_prob(rollout["action"])  # the policy is still the one that chose
+            self.estimator(rollout)
+        told: list[dict[str, float]] = []
+        for _ in range(self.settings.epochs):
+            order = torch.randperm(len(rollout), generator=self._chance)
+            told += [self._descend(rollout[rows]) for rows in order.split(self.settings.batch_size) if len(rows) > 1]
+        return {name: float(np.mean([each[name] for each in told])) for name in told[0]}
+
+    @property
+    def _rollout(self) -> dict[str, Any] | None:
+        """Decisions of the rollout so far by key; None where it is empty."""
+        return {key: value.numpy() for key, value in torch.stack(self._rows).flatten_keys(" ").items()
+                } if self._rows else None
+
+    @_rollout.setter
+    def _rollout(self, saved: Mapping[str, Any] | None) -> None:
+        self._rows = []
+        if saved is not None:
+            kept = {key: torch.from_numpy(np.array(value)) for key, value in saved.items()}
+            self._rows = list(TensorDict(kept, [len(kept["action"])]).unflatten_keys(" ").unbind(0))

@@ -1,0 +1,94 @@
+"""Discrete soft actor-critic by TorchRL's parts: `ProbabilisticActor`, `ReplayBuffer`, `DiscreteSACLoss`, `SoftUpdate`.
+
+Soft actor-critic (Haarnoja et al. 2018) for discrete actions (Christodoulou 2019): the policy is random, and its
+entropy is worth a temperature that is learned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from tensordict.nn import TensorDictModule
+from torchrl.objectives import DiscreteSACLoss, SoftUpdate, ValueEstimators
+
+from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.components.replay import UpdateSchedule
+from hrl_escape.agents.components.torchrl_agent import TorchRLAgent, TorchRLReplay, TorchRLSettings
+from hrl_escape.agents.state import Kept
+from hrl_escape.settings import Range
+
+__all__ = ["TorchRLSAC", "TorchRLSACSettings"]
+
+
+@dataclass(frozen=True)
+class TorchRLSACSettings(TorchRLSettings):
+    """Temperature, replay and targets of `torchrl-sac`."""
+
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam."""
+    alpha: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Temperature at the beginning, in scaled rewards a nat."""
+    entropy_share: Annotated[float, Range(0, 1)] = 0.2
+    """Share of the entropy of the uniform policy over all actions towards which the temperature is learned."""
+    target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.02
+    """Share of the critics blended into their targets at each update."""
+    replay_capacity: Annotated[int, Range(1)] = 50_000
+    """Decisions kept for replay."""
+    warmup: Annotated[int, Range(0)] = 500
+    """Primitives before the first update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates for each primitive."""
+
+
+class TorchRLSAC(TorchRLAgent):
+    """Maximise E[Q(s, o) + alpha H(pi(. | s))], with two critics whose smaller value counts.
+
+    The critics' target is R + gamma^k (1 - terminated) sum over legal o' of pi(o' | s') (min Q'(s', o') - alpha log
+    pi(o' | s')).
+
+    Args:
+        observation_space: of the environment.
+        action_space: Discrete.
+        seed: fixes weights, actions and batches.
+        settings: of the agent.
+    """
+
+    name: ClassVar[str] = "torchrl-sac"
+    Settings: ClassVar[type] = TorchRLSACSettings
+    settings: TorchRLSACSettings
+    STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"))
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: TorchRLSACSettings | None = None) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        settings = self.settings
+        with self._own_chance():
+            actor = self._make_policy()
+            critic = TensorDictModule(self._make_mlp(self._actions), ["observation"], ["action_value"])
+            loss = DiscreteSACLoss(actor, critic, action_space="categorical", num_actions=self._actions,
+                                   alpha_init=settings.alpha,
+                                   target_entropy=settings.entropy_share * float(np.log(self._actions)))
+        loss.make_value_estimator(ValueEstimators.TD0, gamma=settings.gamma)
+        self._begin(actor, loss)
+        self._target = SoftUpdate(loss, tau=settings.target_rate)
+        self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
+        self.replay = TorchRLReplay(settings.replay_capacity, settings.batch_size)
+
+    def compute_preferences(self, observation: Any) -> NDArray:
+        """Compute the logits of the policy at an observation, before any mask, float32 (actions,)."""
+        return self._compute(observation)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Store the decision, then make the updates that are due."""
+        self.replay.add(self._make_decision(transition))
+        told: dict[str, float] = {}
+        for _ in range(self._schedule.advance(transition.duration, len(self.replay))):
+            with self._own_chance():
+                told = self._descend(self.replay.sample())
+            self._target.step()
+        return told

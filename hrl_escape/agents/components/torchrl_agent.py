@@ -1,0 +1,230 @@
+"""Base of agents made of TorchRL's parts: decisions as TensorDicts, chance of their own, descent and checkpoints.
+
+TorchRL (Bou et al. 2023) gives the networks, losses, value estimators, replay and target updates; this project's
+training loop plays the environment, so run folders, evaluations and reports are those of every other agent. TorchRL's
+estimators discount by gamma to the power of the root key `steps_to_next_obs`, which here is a decision's duration.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor
+from torchrl.objectives import LossModule
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.components.exploration import choose_best, make_rng
+from hrl_escape.agents.components.networks import ObservationEncoder, make_generator
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.state import Kept
+from hrl_escape.errors import DivergenceError
+from hrl_escape.settings import Range
+
+__all__ = ["TorchRLAgent", "TorchRLReplay", "TorchRLSettings"]
+
+ILLEGAL = -1e6
+"""Logit of an illegal action: its probability is exactly 0, and 0 times its logarithm is 0, where minus infinity would
+make `DiscreteSACLoss` NaN."""
+logging.getLogger("torchrl").setLevel(logging.WARNING)  # or it tells of every replay buffer
+
+
+@dataclass(frozen=True)
+class TorchRLSettings(AgentSettings):
+    """Settings that the agents made of TorchRL's parts have in common."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a decision of k primitives discounts by gamma^k."""
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0, open_low=True)] = 10.0
+    """Gradients are scaled down to this Euclidean norm."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in an update."""
+    scale_observations: bool = True
+    """Map components with finite bounds in the observation space to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Networks learn rewards times this; logged values stay in units of return."""
+
+
+class TorchRLAgent(Agent):
+    """Base: an agent whose policy is an actor over TensorDicts and whose learning is the descent of a TorchRL loss.
+
+    A subclass makes the actor and the loss and calls `_begin` with them; it runs on the CPU.
+    """
+
+    name: ClassVar[str]
+    settings: TorchRLSettings
+    is_markov = True
+    STATE = ("_weights", Kept("_moments", "moments", unpack=dict), "_chance")
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any
+                 ) -> None:
+        self.settings = settings or self.Settings()
+        self._actions = count_actions(action_space, self.name)
+        self._encoder = ObservationEncoder(observation_space, self.settings.scale_observations)
+        self._chance = make_generator(make_rng(seed, "torchrl"))
+        with self._own_chance():
+            self._network = self._make_mlp(self._actions)
+
+    def _begin(self, actor: TensorDictModule, loss: LossModule) -> None:
+        """Take the policy and the loss, whose parameters Adam moves from now on."""
+        self._actor, self._loss = actor, loss
+        self._trained = [parameter for parameter in loss.parameters() if parameter.requires_grad]
+        self._adam = torch.optim.Adam(self._trained, lr=self.settings.learning_rate)
+        self._updates = 0
+
+    def _make_mlp(self, outputs: int) -> MLP:
+        return MLP(in_features=math.prod(self._encoder.shape), out_features=outputs, num_cells=self.settings.hidden,
+                   activation_class=nn.Tanh)
+
+    def _make_policy(self) -> ProbabilisticActor:
+        """The network with its outputs as the logits of a distribution over legal actions."""
+        return ProbabilisticActor(
+            TensorDictModule(self._network, ["observation"], ["logits"]),
+            in_keys={"logits": "logits", "mask": "action_mask"}, distribution_class=MaskedCategorical,
+            distribution_kwargs={"neg_inf": ILLEGAL}, return_log_prob=True)
+
+    @contextmanager
+    def _own_chance(self) -> Iterator[None]:
+        """TorchRL draws from torch's global generator: lend it the agent's own, and put it back."""
+        with torch.random.fork_rng(devices=()):
+            torch.set_rng_state(self._chance.get_state())
+            yield
+            self._chance.set_state(torch.get_rng_state())
+
+    # --- acting --------------------------------------------------------------------------
+
+    def _see(self, observation: Any, action_mask: NDArray[np.bool_]) -> TensorDict:
+        encoded = torch.from_numpy(self._encoder.encode(observation).reshape(-1))
+        return TensorDict({"observation": encoded, "action_mask": torch.from_numpy(np.array(action_mask, np.bool_))})
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Explore by the actor, legal actions only."""
+        with torch.no_grad(), self._own_chance(), set_exploration_type(ExplorationType.RANDOM):
+            return int(self._explore(self._see(observation, action_mask))["action"])
+
+    def _explore(self, seen: TensorDictBase) -> TensorDictBase:
+        """Write an exploring `action`."""
+        return self._actor(seen)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Choose the legal action of highest value, or the likeliest."""
+        return choose_best(self._compute(observation), action_mask)
+
+    def _compute(self, observation: Any) -> NDArray:
+        """Compute the outputs of the actor's network, float32 (actions,): scaled values, or logits.
+
+        The actor around it takes ten times as long.
+        """
+        with torch.no_grad():
+            return self._network(torch.from_numpy(self._encoder.encode(observation).reshape(-1))).numpy()
+
+    # --- learning ------------------------------------------------------------------------
+
+    def _make_decision(self, transition: SMDPTransition) -> TensorDict:
+        """A decision under the keys that TorchRL's losses read; `reward` is R, scaled."""
+        seen = self._see(transition.observation, transition.action_mask)
+        reached = self._see(transition.next_observation, transition.next_action_mask)
+        ended = transition.terminated or transition.truncated
+        reached.update({"reward": torch.tensor([transition.reward * self.settings.reward_scale]),
+                        "terminated": torch.tensor([transition.terminated]), "done": torch.tensor([ended])})
+        return seen.update({"action": torch.tensor(transition.action), "next": reached,
+                            "steps_to_next_obs": torch.tensor([transition.duration])})
+
+    def _descend(self, batch: TensorDictBase) -> dict[str, float]:
+        """One step of Adam down the sum of the losses of a batch; returns numbers to log.
+
+        Raises:
+            DivergenceError: the loss or its gradient is not finite.
+        """
+        parts = self._loss(batch)
+        loss = sum(value for key, value in parts.items() if key.startswith("loss"))
+        assert isinstance(loss, Tensor)
+        self._adam.zero_grad()
+        loss.backward()
+        norm = float(nn.utils.clip_grad_norm_(self._trained, self.settings.max_grad_norm))
+        if not math.isfinite(norm) or not math.isfinite(loss.item()):
+            raise DivergenceError(self.name, self._updates, loss=loss.item(), gradient_norm=norm)
+        self._adam.step()
+        self._updates += 1
+        return {"loss": loss.item(), "gradient_norm": norm}
+
+    # --- checkpoints ---------------------------------------------------------------------
+
+    @property
+    def _weights(self) -> dict[str, Tensor]:
+        """Parameters and buffers of the loss, target networks among them."""
+        named = (*self._loss.named_parameters(), *self._loss.named_buffers())
+        return {name: tensor.detach() for name, tensor in named}
+
+    @property
+    def _moments(self) -> dict[str, Any]:
+        """Adam's state by parameter and name, and the number of updates."""
+        state = self._adam.state_dict()["state"]
+        return {"updates": self._updates,
+                **{f"{index} {name}": np.asarray(value) for index, own in state.items() for name, value in own.items()}}
+
+    @_moments.setter
+    def _moments(self, saved: Mapping[str, Any]) -> None:
+        state: dict[int, dict[str, Tensor]] = {}
+        for key, value in saved.items():
+            index, _, name = key.partition(" ")
+            if name:
+                state.setdefault(int(index), {})[name] = torch.from_numpy(np.array(value))
+        self._adam.load_state_dict({**self._adam.state_dict(), "state": state})
+        self._updates = int(saved["updates"])
+
+
+class TorchRLReplay:
+    """TorchRL's replay buffer, with a checkpoint of arrays.
+
+    Args:
+        capacity: decisions kept.
+        batch_size: decisions drawn.
+    """
+
+    def __init__(self, capacity: int, batch_size: int) -> None:
+        self._buffer = ReplayBuffer(storage=LazyTensorStorage(capacity), batch_size=batch_size)
+
+    def __len__(self) -> int:
+        return len(self._buffer)
+
+    def add(self, decision: TensorDict) -> None:
+        """Keep a decision in place of the oldest."""
+        self._buffer.add(decision)
+
+    def sample(self) -> TensorDictBase:
+        """Draw a batch uniformly, with repetition, from torch's generator."""
+        return self._buffer.sample()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Decisions by key, and where the next goes."""
+        if not len(self):
+            return {}
+        kept = self._buffer[:].flatten_keys(" ")
+        return {"writer": dict(self._buffer.writer.state_dict()),
+                "decisions": {key: value.numpy().copy() for key, value in kept.items()}}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state_dict` was taken."""
+        self._buffer.empty()
+        if state:
+            decisions = {key: torch.from_numpy(np.array(value)) for key, value in state["decisions"].items()}
+            self._buffer.extend(TensorDict(decisions, [len(decisions["action"])]).unflatten_keys(" "))
+            self._buffer.writer.load_state_dict(state["writer"])
