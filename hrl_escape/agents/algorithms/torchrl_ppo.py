@@ -89,9 +89,14 @@ class TorchRLPPO(TorchRLAgent):
         self._rows.append(self._make_decision(transition))
         return self._learn() if len(self._rows) >= self.settings.rollout else {}
 
+    def _stack(self) -> Any:
+        """The rollout as one TensorDict."""
+        rows: Any = self._rows  # torch's annotations know no TensorDict
+        return torch.stack(rows)
+
     def _learn(self) -> dict[str, float]:
         """Make the updates from the rollout, which then begins anew; returns means over them."""
-        rollout = torch.stack(self._rows)
+        rollout = self._stack()
         self._rows = []
         with torch.no_grad():
             policy = self._actor.get_dist(rollout)
@@ -106,7 +111,7 @@ class TorchRLPPO(TorchRLAgent):
     @property
     def _rollout(self) -> dict[str, Any] | None:
         """Decisions of the rollout so far by key; None where it is empty."""
-        return {key: value.numpy() for key, value in torch.stack(self._rows).flatten_keys(" ").items()
+        return {key: value.numpy() for key, value in self._stack().flatten_keys(" ").items()
                 } if self._rows else None
 
     @_rollout.setter

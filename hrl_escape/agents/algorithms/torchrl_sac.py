@@ -70,9 +70,9 @@ class TorchRLSAC(TorchRLAgent):
         with self._own_chance():
             actor = self._make_policy()
             critic = TensorDictModule(self._make_mlp(self._actions), ["observation"], ["action_value"])
+            target: Any = settings.entropy_share * float(np.log(self._actions))
             loss = DiscreteSACLoss(actor, critic, action_space="categorical", num_actions=self._actions,
-                                   alpha_init=settings.alpha,
-                                   target_entropy=settings.entropy_share * float(np.log(self._actions)))
+                                   alpha_init=settings.alpha, target_entropy=target)
         loss.make_value_estimator(ValueEstimators.TD0, gamma=settings.gamma)
         self._begin(actor, loss)
         self._target = SoftUpdate(loss, tau=settings.target_rate)

@@ -39,6 +39,8 @@ __all__ = ["TorchRLAgent", "TorchRLReplay", "TorchRLSettings"]
 ILLEGAL = -1e6
 """Logit of an illegal action: its probability is exactly 0, and 0 times its logarithm is 0, where minus infinity would
 make `DiscreteSACLoss` NaN."""
+PARAMETERS: Any = {"logits": "logits", "mask": "action_mask"}
+"""Keys of a distribution's parameters: a mapping, which TorchRL takes and does not declare."""
 logging.getLogger("torchrl").setLevel(logging.WARNING)  # or it tells of every replay buffer
 
 
@@ -69,7 +71,7 @@ class TorchRLAgent(Agent):
     """
 
     name: ClassVar[str]
-    settings: TorchRLSettings
+    settings: Any
     is_markov = True
     STATE = ("_weights", Kept("_moments", "moments", unpack=dict), "_chance")
 
@@ -97,7 +99,7 @@ class TorchRLAgent(Agent):
         """The network with its outputs as the logits of a distribution over legal actions."""
         return ProbabilisticActor(
             TensorDictModule(self._network, ["observation"], ["logits"]),
-            in_keys={"logits": "logits", "mask": "action_mask"}, distribution_class=MaskedCategorical,
+            in_keys=PARAMETERS, distribution_class=MaskedCategorical,
             distribution_kwargs={"neg_inf": ILLEGAL}, return_log_prob=True)
 
     @contextmanager
