@@ -105,7 +105,7 @@ class Orders:
         """
         facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
         extend = self._make_extend(state, clock, settings, last, report)
-        if search.count_legs(facts, REAL_LEGS + 1) <= REAL_LEGS:
+        if len(search.list_legs(facts, REAL_LEGS + 1)) <= REAL_LEGS:
             return search.find_order(facts, state, extend)
         ends = {"": state}
         costs: dict[tuple[str, str], float | None] = {}

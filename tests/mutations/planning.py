@@ -111,9 +111,23 @@ MUTATIONS = [
     Mutation(
         "lower bounds suppose that no primitive goes farther than a stride",
         "planning/lower_bounds.py",
-        "self._step = instance.robot.actions.longest",
-        "self._step = instance.robot.actions.stride",
+        "self.step = instance.robot.actions.longest",
+        "self.step = instance.robot.actions.stride",
         "planning/test_action_tables.py::test_no_walk_is_shorter_than_the_bound_of_where_it_leads_nor_proven_impossible",
+    ),
+    Mutation(
+        "a bound takes each press for a primitive of its own",
+        "planning/lower_bounds.py",
+        "return _compute_gap(a, b) <= self._span",
+        "return False",
+        "planning/test_escape_bound.py",
+    ),
+    Mutation(
+        "places of two presses are bounded one by one",
+        "planning/escape_bound.py",
+        "found = (costs[node][:, None] + compute_costs(node[1], then[1])).min(axis=0)",
+        "found = costs[node].min() + 0 * cells[then[1]][:, 0] + compute_costs(node[1], then[1]).min()",
+        "planning/test_escape_bound.py",
     ),
     Mutation(
         "a search knows the turns of one turn step only",

@@ -16,10 +16,23 @@ from typing import Any, NamedTuple, TypeAlias
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.search import OpenNodes
 
-__all__ = ["ExtendLeg", "Leg", "TaskPlan", "TaskSearch", "find_relevant_operators"]
+__all__ = ["EXIT", "START", "ExtendLeg", "Leg", "TaskNode", "TaskPlan", "TaskSearch", "find_relevant_operators"]
 
+START, EXIT = -1, -2
 LARGEST_SEARCH = 200_000
 """Most legs of an exact search: 12 targets in any order have 135,000."""
+
+
+class TaskNode(NamedTuple):
+    """Node of a search over orders.
+
+    Attributes:
+        facts: code of the facts that hold.
+        last: number of the operator done last, `START` or `EXIT`.
+    """
+
+    facts: int
+    last: int
 
 
 class Leg(NamedTuple):
@@ -194,23 +207,26 @@ class TaskSearch:
             known = self._estimates[facts] = sum(self._least_to[n] for n in pending) + self._least_exit
         return known
 
-    def count_legs(self, facts: frozenset[str], most: int) -> int:
-        """Count the legs of an exhaustive search, up to `most`; `RoomPlanner` chooses the way to cost legs by it."""
-        queue: list[tuple[int, int]] = [(self._encode(facts), -1)]
+    def list_legs(self, facts: frozenset[str], most: int) -> list[tuple[TaskNode, TaskNode]]:
+        """Legs of an exhaustive search, up to `most`, as the nodes that they join; the first begins at the beginning.
+
+        `RoomPlanner` chooses the way to cost legs by their number.
+        """
+        queue: list[TaskNode] = [TaskNode(self._encode(facts), START)]
         seen = set(queue)
-        legs = 0
-        while queue and legs < most:
-            at, _ = queue.pop()
-            if at & self._goal == self._goal:
-                legs += 1
+        legs: list[tuple[TaskNode, TaskNode]] = []
+        while queue and len(legs) < most:
+            node = queue.pop()
+            if node.facts & self._goal == self._goal:
+                legs.append((node, TaskNode(node.facts, EXIT)))
                 continue
-            for n in self._list_next(at):
-                legs += 1
-                then = (self._apply(n, at), n)
+            for n in self._list_next(node.facts):
+                then = TaskNode(self._apply(n, node.facts), n)
+                legs.append((node, then))
                 if then not in seen:
                     seen.add(then)
                     queue.append(then)
-        return min(legs, most)
+        return legs[:most]
 
     def find_order(
         self, facts: frozenset[str], place: Any, extend: ExtendLeg, largest: int = LARGEST_SEARCH
