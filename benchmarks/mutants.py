@@ -1,8 +1,10 @@
-"""Mutants drawn at random: small bugs in the files that have changed, each tried against the tests that import them.
+"""Mutants drawn at random: small bugs in the package, each tried against the tests that import the file it is in.
 
-Run: `python -m benchmarks.mutants --count 40 --since HEAD~20` (a minute for three or so; extra `mutants`). It prints
-those that no test sees; some change nothing that anybody could see, the others want a test. The seed is the day by
-default, so that a nightly run draws new ones.
+    python -m benchmarks.mutants --count 40 --since HEAD~20    # in the files that have changed
+    python -m benchmarks.mutants --count 50 --package floor --seed 1
+
+A minute for three or so; extra `mutants`. It prints those that no test sees; some change nothing that anybody could
+see, the others want a test. The seed is the day by default, so that a nightly run draws new ones.
 """
 
 from __future__ import annotations
@@ -84,10 +86,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--since", default="HEAD~20", help="commit since which files have changed")
+    parser.add_argument("--package", help="folder within hrl_escape, in place of the files that have changed")
     parser.add_argument("--files", nargs="+", default=[], help="paths within hrl_escape, in place of those changed")
     parser.add_argument("--seed", type=int, default=datetime.date.today().toordinal())
     arguments = parser.parse_args()
-    places = [place for file in arguments.files or list_changed(arguments.since) if find_tests(file)
+    if arguments.package:
+        package = ROOT / "hrl_escape" / arguments.package
+        files = sorted(path.relative_to(ROOT / "hrl_escape").as_posix() for path in package.rglob("*.py"))
+    else:
+        files = arguments.files or list_changed(arguments.since)
+    places = [place for file in files if find_tests(file)
               for place in list_places(file)]
     rng = random.Random(arguments.seed)
     chosen = [rng.choice(mutants) for mutants in rng.sample(places, min(arguments.count, len(places)))]

@@ -22,8 +22,10 @@ PYTEST = """
 import sys, pytest
 sys.exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", *sys.argv[1:]]))
 """
-SEEN = (pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED, -signal.SIGXCPU)
-"""A test failed, its module could not even be loaded, or it did not end."""
+SEEN = (pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED, -signal.SIGXCPU, -signal.SIGSEGV, -signal.SIGABRT)
+"""A test failed, its module could not even be loaded, it did not end, or the interpreter crashed."""
+UNSEEN = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
+"""All passed, or all were skipped."""
 
 
 class Mutation(NamedTuple):
@@ -95,6 +97,6 @@ class PackageCopy:
                             timeout=10 * seconds)
         except subprocess.TimeoutExpired:
             return True
-        if done.returncode not in (pytest.ExitCode.OK, *SEEN):
+        if done.returncode not in (*UNSEEN, *SEEN):
             raise RuntimeError(f"the tests did not run:\n{(done.stdout + done.stderr)[-3000:]}")
         return done.returncode in SEEN

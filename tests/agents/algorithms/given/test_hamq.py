@@ -179,7 +179,7 @@ def make_driver(env, seed, rates):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize(("dynamics", "episodes"), [("still", 5_000), ("noisy", 5_000), ("fickle", 5_000),
+@pytest.mark.parametrize(("dynamics", "episodes"), [("still", 5_000), ("noisy", 5_000), ("fickle", 8_000),
                                                     ("both", 8_000)])
 def test_taxi_is_solved_over_ten_seeds(dynamics, episodes):
     """To the best that the program allows.
