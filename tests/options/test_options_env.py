@@ -239,6 +239,8 @@ def test_trap_15_an_option_is_consistent_only_where_it_may_start():
     assert [7 in dict(step.consistent) for step in info["trace"]] == [
         step.state.heading_steps % 2 == 0 for step in info["trace"]]
     assert {7 in dict(step.consistent) for step in info["trace"]} == {True, False}
+    assert [bool(step.next_action_mask[7]) for step in info["trace"]] == [
+        step.next_state.heading_steps % 2 == 0 for step in info["trace"]], "the mask is that of the state reached"
 
 
 # --- one step is one transition ---------------------------------------------------------------

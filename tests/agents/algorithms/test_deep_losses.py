@@ -13,6 +13,7 @@ from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, ValueEstimators
 from torchrl.objectives.value import GAE
 
+from hrl_escape.agents.agent import make_transition
 from hrl_escape.agents.algorithms.ddpg import DDPG, DDPGSettings, OneHotRelaxation
 from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
@@ -364,3 +365,20 @@ def test_ppo_loss_equals_the_formula_by_hand(seed):
     columns = (rollout.observation, rollout.mask, rollout.action, old, advantage, target)
     loss, _ = agent.compute_loss(*map(torch.from_numpy, columns))
     assert loss.item() == pytest.approx(-gain + 0.5 * error - 0.05 * entropy, abs=2e-6)
+
+
+def test_targets_begin_as_the_network_they_are_copied_from():
+    agent = DQN(*SPACES, 0, DQNSettings(**COMMON, average_rate=0.01))
+    for copy in (agent.values.target, agent.values.average):
+        assert torch.equal(copy.weights, agent.values.online.weights) and copy is not agent.values.online
+
+
+def test_logged_numbers_are_means_over_the_updates():
+    """The entropy of a new policy is that of the uniform one."""
+    agent = PPO(*SPACES, 0, PPOSettings(**COMMON, rollout=SIZE, batch_size=16, epochs=2, learning_rate=1e-6))
+    rng, every, told = np.random.default_rng(0), np.ones(ACTIONS, np.bool_), {}
+    for _ in range(SIZE):
+        seen, following = rng.standard_normal((2, INPUTS)).astype(np.float32)
+        told = agent.observe(make_transition(seen, agent.act(seen, every), every, (following, -1.0, False, False, {}),
+                                             GAMMA))
+    assert told["entropy"] == pytest.approx(np.log(ACTIONS), rel=0.01)

@@ -79,8 +79,9 @@ def test_free_moves_agree_with_kinematics(make_room, robot):
         assert real.joint_offsets == pytest.approx([0.0] * robot.joints, abs=5e-3)
 
 
-def test_noise_and_slip_are_those_of_kinematics(make_room):
-    room = make_room(WIDE, noise=0.2, slip=0.3)
+@pytest.mark.parametrize(("slip", "slips"), [(0.3, range(3, 26)), (0.0, range(1))])
+def test_noise_and_slip_are_those_of_kinematics(make_room, slip, slips):
+    room = make_room(WIDE, noise=0.2, slip=slip)
     rules = Kinematics(room.instance)
     ideal = rules.make_state(room.instance.starts[0], 5)
     room.reset(room.instance.starts[0], 5)
@@ -92,7 +93,7 @@ def test_noise_and_slip_are_those_of_kinematics(make_room):
         assert (real.x, real.y) == pytest.approx((ideal.x, ideal.y), abs=1e-3)
         turned = room.rules.get_heading(real) - rules.get_heading(ideal)
         assert math.remainder(turned, math.tau) == pytest.approx(0.0, abs=1e-4)
-    assert 3 <= slipped <= 25
+    assert slipped in slips
 
 
 def make_thin_room(seed: int, step: float) -> BulletRoom:
