@@ -5,30 +5,33 @@ k primitives, so the next value must be discounted by gamma^k. TorchRL does that
 `steps_to_next_obs` beside the observation; `SMDPTransform` puts it there.
 """
 
+import logging
+
 import torch
 from torchrl.collectors import Collector
 from torchrl.data import Categorical, LazyTensorStorage, ReplayBuffer
-from torchrl.envs.utils import check_env_specs
 from torchrl.modules import MLP, EGreedyModule, QValueActor
 from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
 from hrl_escape.options import OptionsTorchRLEnv, SMDPTransform
 
+logging.getLogger("torchrl").setLevel(logging.WARNING)
 torch.manual_seed(0)
 GAMMA, ROOMS = 0.99, 16
 env = OptionsTorchRLEnv(ROOMS, "paper-two-button", discount=GAMMA, include_primitives=False)
 env.set_seed(0)
-check_env_specs(env)
 env.rooms.get_streams().rooms.instances[0]
 
 # The policy, the loss and the replay buffer are TorchRL's own. `action_mask` keeps illegal options out of choices and
 # targets alike.
 
 actions = Categorical(len(env.rooms.action_names))
-network = MLP(in_features=env.observation_spec["observation"].shape[-1], out_features=actions.n, num_cells=(64, 64))
+inputs = env.observation_spec["observation"].shape[-1]
+network = MLP(in_features=inputs, out_features=actions.n, num_cells=(64, 64))
 actor = QValueActor(network, spec=actions, in_keys=["observation"], action_space="categorical",
                     action_mask_key="action_mask")
-greed = EGreedyModule(actions, eps_init=1.0, eps_end=0.05, annealing_num_steps=2_000, action_mask_key="action_mask")
+greed = EGreedyModule(actions, eps_init=1.0, eps_end=0.05, annealing_num_steps=2_000,
+                      action_mask_key="action_mask")
 loss = DQNLoss(actor, delay_value=True, double_dqn=True, action_space="categorical")
 loss.make_value_estimator(ValueEstimators.TD0, gamma=GAMMA)
 target, adam = SoftUpdate(loss, tau=0.01), torch.optim.Adam(loss.parameters(), lr=1e-3)
@@ -42,8 +45,9 @@ def explore(tensordict):
 
 # The collector runs 16 rooms. Rewards are discounted within each decision already.
 
-for number, data in enumerate(Collector(env, explore, frames_per_batch=ROOMS * 16, total_frames=ROOMS * 16 * 20,
-                                        postproc=SMDPTransform())):
+collector = Collector(env, explore, frames_per_batch=ROOMS * 16, total_frames=ROOMS * 16 * 20,
+                      postproc=SMDPTransform())
+for number, data in enumerate(collector):
     replay.extend(data.reshape(-1))
     greed.step(data.numel())
     for _ in range(32):
@@ -54,8 +58,7 @@ for number, data in enumerate(Collector(env, explore, frames_per_batch=ROOMS * 1
         target.step()
     escapes = data["next", "terminated"].sum().item()
     if number % 5 == 4:
-        print(f"{data.numel() * (number + 1):5,} decisions: {escapes:3} escapes in the last {data.numel()}, "
-              f"{data['next', 'duration'].float().mean():.1f} primitives a decision")
+        print(f"{data.numel() * (number + 1):5,} decisions: {escapes:3} escapes in the last {data.numel()}")
 
 # Does it matter? An estimator that does not see the durations takes a walk of ten primitives for one step, and its
 # targets are too far from zero.
@@ -67,7 +70,8 @@ with torch.no_grad():
     right, wrong = (estimate(data.clone(), target_params=loss.target_value_network_params)
                     for data in (batch, batch.exclude("steps_to_next_obs")))
 later = ~batch["next", "terminated"]
-print(f"targets of long walks: {right[later].mean():.1f} with durations, {wrong[later].mean():.1f} without")
+print(f"targets of long walks: {right[later].mean():.1f} with durations, "
+      f"{wrong[later].mean():.1f} without")
 
 # The same in this project's training loop, with checkpoints, evaluations and reports, is
 # `hrl-escape train smdp-torchrl-dqn`, and `torchrl-ppo` and `torchrl-sac` beside it.

@@ -120,7 +120,10 @@ def _prefer_learners(agents: Sequence[AgentSummary]) -> list[AgentSummary]:
 
 
 def _compare_with_chance(summary: Summary) -> list[str]:
-    """Learners over options against choosing among the same options at random: what learning adds."""
+    """Learners over options against choosing among the same options at random.
+
+    That learning adds to it is said only of a learner that beats the best searcher that learns nothing.
+    """
     sentences = []
     for chance in summary.agents:
         if not chance.spec.chooses_options or chance.spec.algorithm != "random":
@@ -136,7 +139,8 @@ def _compare_with_chance(summary: Summary) -> list[str]:
         if _beats(summary, best, chance):
             both = min(chance.success.value, best.success.value) >= SETTLED
             gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
-            sentences.append(f"{start}. Learning adds to it: `{best.label}` {gain}.")
+            adds = "Learning adds to it: " if _beats_searchers(summary, best) else ""
+            sentences.append(f"{start}. {adds}`{best.label}` {gain}.")
         elif _beats(summary, chance, best):
             sentences.append(f"{start}. No learner matches it: the best, `{best.label}`, "
                              f"{_describe_escapes(best)}.")
@@ -148,6 +152,11 @@ def _compare_with_chance(summary: Summary) -> list[str]:
             names = join_words([f"`{agent.label}`" for agent in worse])
             sentences.append(f"{names} {'ends' if len(worse) == 1 else 'end'} below choosing at random.")
     return sentences
+
+
+def _beats_searchers(summary: Summary, agent: AgentSummary) -> bool:
+    searchers = [other for other in summary.agents if other.spec.name in references.SEARCHERS]
+    return bool(searchers) and _beats(summary, agent, find_leader(searchers))
 
 
 def _compare_with_searchers(summary: Summary) -> list[str]:

@@ -29,15 +29,22 @@ GOOD = runs(80, 81, 82, 82, 84, 85)
 CHANCE = runs(10, 12, 14, 16, 18, 20)
 
 
-def test_options_that_help_and_learning_that_adds_to_them_are_told_apart():
+def test_options_that_help_and_what_learners_make_of_them_are_told_apart():
     said = judge({"random": NEVER, "dqn": NEVER, "smdp-random": CHANCE, "smdp-dqn": GOOD})
     assert said["headline"] == ["`smdp-dqn` is best: it escapes every time, in 19 primitives."]
     assert said["finding"][:2] == [
         "Without options nobody escapes: `random` and `dqn` never do within 1,000 primitives. With options, `smdp-dqn` "
         "escapes every time, in 19 primitives.",
         "Choosing among the options at random (`smdp-random`) already escapes every time, in 86 primitives: that much "
-        "comes from their planners. Learning adds to it: `smdp-dqn` shortens that to 19.",
+        "comes from their planners. `smdp-dqn` shortens that to 19.",
     ]
+
+
+@pytest.mark.parametrize(("searcher", "adds"), [(CHANCE, True), (GOOD, False), (runs(*[90] * 6), False)])
+def test_that_learning_adds_is_said_of_who_beats_the_searcher(searcher, adds):
+    said = judge({"smdp-random": CHANCE, "smdp-dqn": GOOD, "smdp-untried-nearest": searcher})
+    assert any("Learning adds to it: `smdp-dqn`" in text for text in said["finding"]) == adds
+    assert any("`smdp-dqn` shortens that to 19." in text for text in said["finding"])
 
 
 def test_learning_that_adds_nothing_is_not_praised():
