@@ -18,6 +18,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "api",
+    "findings",
     "gallery",
     "mathematics",
     "pictures",

@@ -130,3 +130,13 @@ def test_a_tutorial_is_as_short_as_its_title_says(name: str, most: int):
 def test_every_tutorial_is_on_the_site_and_tested():
     scripts = {path.stem for path in (ROOT / "docs/tutorials").glob("*.py")}
     assert scripts == set(TUTORIALS) == {path.stem for path in (ROOT / "docs/tutorials").glob("*.md")} - {"index"}
+
+
+def test_every_result_is_a_card_with_its_finding(site: Path):
+    """The first words in bold on the result's own page."""
+    index = (site / "results" / "index.html").read_text(encoding="utf-8")
+    cards = index.split('class="finding-card')[1:]
+    assert len(cards) == len(list((ROOT / "docs/results").glob("*.md"))) - 1
+    reach = re.search(r"\*\*(.+?)\*\*", (ROOT / "docs/results/buttons.md").read_text(encoding="utf-8"))
+    assert reach and reach[1] in cards[0] and "buttons.svg" in cards[0] and 'href="buttons.html"' in cards[0]
+    assert all(len(re.sub(r"<[^>]*>", "", card.partition("</div>")[0]).split()) > 10 for card in cards)

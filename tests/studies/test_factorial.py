@@ -280,7 +280,7 @@ def test_the_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pyte
     assert main(["factorial", "--from-raw", "--docs", str(tmp_path)]) == 0, "all whose results are there"
     page = (tmp_path / "why-it-worsens.md").read_text()
     assert page.startswith("# Why SARSA and DDPG get worse with meta-actions\n")
-    assert "- **sarsa**. One correction is shown to raise the area: exploration (+0." in page
+    assert "- **sarsa: One correction is shown to raise the area: exploration (+0." in page
     assert page.count("| exploration | +0.4") == 2 and "the same conclusion" in page
     for words in ("sarsa --rooms 4 --runs 5", "ddpg --rooms 4 --runs 5", "sarsa --first-seed 100 --rooms 3 --runs 1"):
         assert f"factorial --algorithms {words} --primitives" in page
