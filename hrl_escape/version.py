@@ -6,7 +6,7 @@ import functools
 
 __all__ = ["__version__", "find_versions"]
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 LIBRARIES = ("gymnasium", "numpy", "scipy", "numba", "torch", "torchrl", "pybullet", "ompl", "pin")
 
