@@ -10,6 +10,7 @@ import gymnasium
 import lazy_loader
 
 from hrl_escape.env.presets import PRESETS, make_env_name
+from hrl_escape.plugins import RUN_OBSERVERS
 from hrl_escape.version import __version__ as __version__
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
@@ -26,3 +27,4 @@ for _suffix, (_one, _many) in _DOORS.items():
         _id = f"hrl_escape/{make_env_name(_name)}{_suffix}-v1"
         gymnasium.register(_id, _one, vector_entry_point=_many, kwargs={"config": _name})
 
+RUN_OBSERVERS.append("hrl_escape.comparison.records:record_escapes")

@@ -1,4 +1,4 @@
-"""Entry points of other packages, loaded in one way.
+"""Entry points of other packages, loaded in one way, and functions that training calls without knowing them.
 
 What cannot be loaded is an error only for who asks for it by name; to everybody else it is a warning.
 """
@@ -14,7 +14,12 @@ from hrl_escape.errors import PluginError
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["load_entry_point", "load_entry_points"]
+__all__ = ["RUN_OBSERVERS", "load_entry_point", "load_entry_points"]
+
+RUN_OBSERVERS: list[str] = []
+"""Functions, `module:name`, that `train` calls at its end as `observer(env, seeds, evaluations, source)`: the
+evaluation environment, the seeds of an evaluation's episodes, the evaluations, agent and seed in words. They are
+imported when a run has ended, so that layers above training can add one without being loaded."""
 
 
 def load_entry_points(group: str, what: str, shape: str, take: Callable[[Any], object], wanted: object = None) -> None:

@@ -32,8 +32,8 @@ from hrl_escape.commands.room_choice import RoomChoice, VectorObservation, split
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.places import RunPlace
+from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.runs import find_starts, make_env
-from hrl_escape.comparison.score_range import record_returns
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text, make_file_name
@@ -134,7 +134,7 @@ def run(args: TrainArgs) -> None:
         env = args.make_batch(spec, instance)
     result = train(args.agent, env, primitives=args.primitives, seed=args.training_seed, settings=resolved,
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out, tensorboard=args.tensorboard,
-                   threads=args.threads)
+                   threads=args.threads, observed=recorder is None)
     if isinstance(env, gymnasium.Env) and recorder is not None:
         _record(env, recorder, result, f"{spec.label}, seed {args.training_seed}")
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):

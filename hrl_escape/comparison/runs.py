@@ -23,8 +23,9 @@ from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder, record_episode
 from hrl_escape.comparison.grid import AgentSpec, GridRun
 from hrl_escape.comparison.places import RoomSchedule, RunPlace, Split
+from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.score_range import ScoreRange, compute_score_range, record_returns
+from hrl_escape.comparison.score_range import ScoreRange, compute_score_range
 from hrl_escape.comparison.solved_probe import Solution, SolvedProbe
 from hrl_escape.comparison.statistics import compute_final, compute_mean_efficiency
 from hrl_escape.env.instance import RoomInstance
@@ -290,7 +291,7 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
         settings=run.settings, eval_env=eval_env, eval_every=run.grid.evaluation_step,
         eval_episodes=run.grid.eval_episodes, eval_seed=run.eval_seed, out=get_training_folder(out, run),
         checkpoint_seconds=checkpoint_seconds, progress=False, probe=probe,
-        eval_trials=1 if place.split is None else len(list_sets(place.split.test)),
+        eval_trials=1 if place.split is None else len(list_sets(place.split.test)), observed=False,
     )
     assert result.agent is not None, "a run that this process finished or loaded has its agent"
     solution = None if probe is None else probe.solution

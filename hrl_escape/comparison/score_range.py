@@ -8,11 +8,10 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -20,7 +19,7 @@ from hrl_escape.errors import EscapeError
 from hrl_escape.files import read_json, write_json
 from hrl_escape.version import __version__
 
-__all__ = ["CEILING", "PLANNER", "ScoreRange", "compute_score_range", "record_returns"]
+__all__ = ["CEILING", "PLANNER", "ScoreRange", "compute_score_range"]
 
 PLANNER, CEILING = "planner", "ceiling"
 
@@ -78,26 +77,6 @@ def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent:
     best, fewest, reachable, fewest_reachable = zip(*(end for end in ends if end), strict=True)
     return ScoreRange(worst, poses, best, reachable, fewest, fewest_reachable, PLANNER,
                       any(_has_noise(room) for room, _ in starts))
-
-
-def record_returns(starts: Sequence[tuple[RoomInstance, RoomState]], best: Sequence[float],
-                   evaluations: Iterable[Evaluation], source: str, records: Path | None = None) -> None:
-    """Raise the best known returns that an agent has beaten in evaluations, and warn; see `record_return`.
-
-    Args:
-        starts: room and first state of each episode.
-        best: best known return of each.
-        evaluations: of these episodes.
-        source: agent and seed.
-        records: file that keeps the better returns; None for this process only.
-    """
-    from hrl_escape.planning.best_known import record_return  # brings the planners in
-
-    for evaluation in evaluations:
-        episodes = zip(starts, best, evaluation.returns, evaluation.lengths, strict=True)
-        for (instance, state), known, value, length in episodes:
-            if length and value > known + 1e-9:
-                record_return(instance, state, value, source, records)
 
 
 def _has_noise(instance: RoomInstance) -> bool:

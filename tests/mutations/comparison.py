@@ -4,8 +4,22 @@ from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
     Mutation(
+        "training tells nobody of its evaluations",
+        "agents/training/train.py",
+        "if observed and result.evaluations",
+        "if not observed and result.evaluations",
+        "comparison/test_score_range.py::test_training_raises_what_its_agent_has_beaten_but_believes_no_wrappers_reward",
+    ),
+    Mutation(
+        "a wrapper's reward is taken for the room's",
+        "comparison/records.py",
+        "if math.isclose(value, compute_escape_return(instance, length))",
+        "if value",
+        "comparison/test_score_range.py::test_training_raises_what_its_agent_has_beaten_but_believes_no_wrappers_reward",
+    ),
+    Mutation(
         "an agent that beats the best known return leaves it as it was",
-        "comparison/score_range.py",
+        "comparison/records.py",
         "if length and value > known + 1e-9:",
         "if length and value > known + 1e9:",
         "comparison/test_score_range.py::test_a_run_that_beats_the_best_known_return_raises_it",

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import gymnasium
@@ -23,11 +24,13 @@ from hrl_escape.agents.registry import get_agent_class, make_agent, read_structu
 from hrl_escape.agents.streams import SingleEnvSource, StreamAgent, Streams
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
+from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.run import Probe, Run, RunArguments, load_agent_state, make_origin, refusing_damage
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
 from hrl_escape.errors import AgentSettingsError, CheckpointError
+from hrl_escape.plugins import RUN_OBSERVERS
 
 __all__ = ["load_agent", "load_env", "train"]
 
@@ -53,6 +56,7 @@ def train(
     threads: int = 1,
     until_return: float | None = None,
     eval_trials: int = 1,
+    observed: bool = True,
 ) -> TrainResult:
     """Train an agent on an environment, flat or with options.
 
@@ -87,6 +91,8 @@ def train(
         until_return: end before the budget, after two evaluations in a row whose mean return is at least this; None
             trains for all of it.
         eval_trials: parts of an evaluation episode that count as episodes of their own; see `evaluate`.
+        observed: call `plugins.RUN_OBSERVERS` at the end. This package's raises the best known return of a room, with a
+            warning, where an evaluation has beaten it. Not called where `eval_trials` is above 1.
 
     Returns:
         Curves, episodes, totals and the trained agent.
@@ -146,9 +152,14 @@ def train(
             run.open(os.fspath(out).replace("{key}", run.key), tensorboard)
         try:
             with show_progress(f"{name} seed {seed}", primitives, run.primitives, progress) as report:
-                return run.finish(checkpoint_seconds, report)
+                result = run.finish(checkpoint_seconds, report)
         finally:
             run.close()
+        if observed and result.evaluations and eval_trials == 1:
+            seeds = [compute_episode_seed(eval_seed, "evaluation", n) for n in range(eval_episodes)]
+            for observer in RUN_OBSERVERS:
+                resolve_name(observer)(eval_env or single, seeds, result.evaluations, f"{name}, seed {seed}")
+        return result
 
 
 @contextmanager
