@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import gymnasium
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import EzPickle
 
 from hrl_escape.env.config import RoomConfig
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["InstanceSet", "InstanceSetEnv", "LazySeeds"]
 
+LADDER_ID, LADDER_ENTRY = "hrl_escape/Ladder-v1", "hrl_escape.ladder.room_sets:make_ladder_env"
 CHOOSING_ROOMS = ("config", "instance", "instance_seed", "instances", "resample_instance")
 """Arguments of `EscapeRoomEnv` that a set gives itself."""
 
@@ -71,12 +73,14 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
         name: such as `ladder-1/lattice/train`.
         config: the schematic.
         seeds: instance seeds, in order.
+        place: arguments by which `hrl_escape/Ladder-v1` finds the set, so that its environments have a `spec`.
     """
 
     _picture = "hrl_escape.env.drawing.maps:make_strip"
 
-    def __init__(self, name: str, config: RoomConfig, seeds: Sequence[int]) -> None:
-        self.name, self.config, self.seeds = name, config, seeds
+    def __init__(self, name: str, config: RoomConfig, seeds: Sequence[int], place: Mapping[str, str] | None = None
+                 ) -> None:
+        self.name, self.config, self.seeds, self.place = name, config, seeds, place
         self._rooms: dict[int, RoomInstance] = {}
 
     def __len__(self) -> int:
@@ -88,8 +92,11 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
     def __getitem__(self, index: slice) -> InstanceSet: ...
     def __getitem__(self, index: int | slice) -> RoomInstance | InstanceSet:
         if isinstance(index, slice):
-            return self._choose(f"{self.name}[{index.start}:{index.stop}:{index.step}]",
-                                range(*index.indices(len(self))))
+            chosen = range(*index.indices(len(self)))
+            rooms = self._choose(f"{self.name}[{index.start}:{index.stop}:{index.step}]", chosen)
+            if self.place is not None and "slice" not in self.place and chosen.step == 1 and len(chosen):
+                rooms.place = {**self.place, "slice": f"{chosen.start}:{chosen.stop}"}
+            return rooms
         seed = self.seeds[index]
         if seed not in self._rooms:
             self._rooms[seed] = generate(self.config, seed)
@@ -99,7 +106,7 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
         return f"<InstanceSet {self.name}: {len(self)} rooms>"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"name": self.name, "config": self.config, "seeds": list(self.seeds), "_rooms": {}}
+        return {"name": self.name, "config": self.config, "seeds": list(self.seeds), "place": self.place, "_rooms": {}}
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -140,7 +147,8 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
     def make_env(self, options: bool | Mapping[str, Any] = False, **arguments: Any) -> gymnasium.Env:
         """Make an environment whose resets draw a room of the set from the episode's stream.
 
-        `reset(options={"instance_index": i})` chooses room i.
+        `reset(options={"instance_index": i})` chooses room i. Environments of a rung's set, or of a slice of one, have
+        a `spec` that makes them again; see `make_ladder_env`.
 
         Args:
             options: wrap it in an `OptionsEnv`; a table gives its arguments.
@@ -154,6 +162,8 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
             if name not in known:
                 raise UnknownNameError("argument of EscapeRoomEnv (OptionsEnv's go into options={...})", name, known)
         env = InstanceSetEnv(self, **arguments)
+        if self.place is not None:
+            env.spec = EnvSpec(LADDER_ID, entry_point=LADDER_ENTRY, kwargs={**self.place, **arguments})
         if not isinstance(options, Mapping) and not options:
             return env
         from hrl_escape.options.options_env import OptionsEnv

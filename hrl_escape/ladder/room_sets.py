@@ -12,6 +12,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
 
 from hrl_escape.env.presets import get_preset
 from hrl_escape.errors import ConfigError, UnknownNameError
@@ -19,7 +23,7 @@ from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.names import parse_whole
 
-__all__ = ["parse_room_set"]
+__all__ = ["make_ladder_env", "make_ladder_vec", "parse_room_set"]
 
 _FORM = re.compile(r"(?P<name>[^\[\]]+)(?:\[(?P<start>\d*)(?P<colon>:?)(?P<stop>\d*)\])?")
 
@@ -41,8 +45,41 @@ def parse_room_set(text: str) -> InstanceSet:
         stop = int(form["stop"] or len(rooms)) if form["colon"] else start + 1
         if not start < min(stop, len(rooms)):
             raise ConfigError("rooms", text, f"at least one of the {len(rooms)} rooms of {form['name']}")
-        rooms = InstanceSet(rooms.name + text[len(form["name"]):], rooms.config, rooms.seeds[start:stop])
+        name, rooms = rooms.name, rooms[start:stop]
+        rooms.name = name + text[len(form["name"]):]
     return rooms
+
+
+def make_ladder_env(benchmark: str = "ladder-1", rung: str = "pair", set: str = "train", slice: str = "",
+                    options: bool | Mapping[str, Any] = False, **arguments: Any) -> gymnasium.Env:
+    """Make an environment over a rung's set of rooms; the entry point of `hrl_escape/Ladder-v1`.
+
+    Args:
+        benchmark: one that comes with the package, or a manifest file.
+        rung: name of the rung.
+        set: `train`, `valid`, `test` or `test_task`.
+        slice: part of the set, such as `:64`, `64:128` or `3`; empty for all rooms.
+        options: wrap it in an `OptionsEnv`; a table gives its arguments.
+        arguments: all other arguments of `EscapeRoomEnv`, such as `observation="objects"`.
+
+    Raises:
+        UnknownNameError: no such benchmark, rung, set or argument.
+        ConfigError: the slice holds no room.
+    """
+    return _find_ladder(benchmark, rung, set, slice).make_env(options, **arguments)
+
+
+def make_ladder_vec(num_envs: int = 1, benchmark: str = "ladder-1", rung: str = "pair", set: str = "train",
+                    slice: str = "", **arguments: Any) -> Any:
+    """Make a vector environment over a rung's set; every episode draws a room. See `make_ladder_env`."""
+    from hrl_escape.env.vector_env import EscapeRoomVectorEnv  # loads torch
+
+    rooms = list(_find_ladder(benchmark, rung, set, slice))
+    return EscapeRoomVectorEnv(num_envs, instance=rooms, resample_instance=True, **arguments)
+
+
+def _find_ladder(benchmark: str, rung: str, role: str, part: str) -> InstanceSet:
+    return parse_room_set(f"{benchmark}/{rung}/{role}" + (f"[{part}]" if part else ""))
 
 
 def _find(name: str) -> InstanceSet:

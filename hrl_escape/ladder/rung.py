@@ -36,6 +36,7 @@ class Rung:
     Args:
         benchmark: name of the benchmark.
         record: the rung in the manifest.
+        source: name or file by which `load_benchmark` finds it, so that environments of its sets have a `spec`.
 
     Attributes:
         name: of the rung.
@@ -43,8 +44,8 @@ class Rung:
         config: schematic of its rooms.
     """
 
-    def __init__(self, benchmark: str, record: RungRecord) -> None:
-        self.benchmark, self.record = benchmark, record
+    def __init__(self, benchmark: str, record: RungRecord, source: str = "") -> None:
+        self.benchmark, self.record, self.source = benchmark, record, source
         self.name, self.isolates, self.config = record.name, record.isolates, record.config
 
     def __repr__(self) -> str:
@@ -85,7 +86,8 @@ class Rung:
         skipped = set(record.skipped)
         seeds = record.seeds or LazySeeds(
             (seed for index, seed in self.iterate_seeds(role) if index not in skipped), record.count)
-        return InstanceSet(f"{self.benchmark}/{self.name}/{role}", self.config, seeds)
+        place = {"benchmark": self.source, "rung": self.name, "set": role} if self.source else None
+        return InstanceSet(f"{self.benchmark}/{self.name}/{role}", self.config, seeds, place)
 
     def iterate_seeds(self, role: str) -> Iterator[tuple[int, int]]:
         """Yield (index, seed) of the candidates for a set: all but those whose task belongs elsewhere."""

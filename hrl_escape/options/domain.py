@@ -215,8 +215,8 @@ class OptionDomain:
         """Add the entries of this kind of environment to a decision's `info`; none here.
 
         Args:
-            info: of the decision, changed in place; of a reset where there are no steps.
-            steps: those of the decision.
+            info: of the decision, changed in place.
+            steps: those of the decision; none at a reset.
             option: the option that ran, if any.
         """
 
@@ -295,10 +295,9 @@ class RoomDomain(OptionDomain):
         pressed = [target for step in steps for target in self._list_pressed(step)]
         info["pressed"] = np.zeros(len(targets), dtype=np.int8)
         info["pressed"][pressed] = 1
-        if steps:
-            own = range(len(targets)) if option is None or option.targets is None else option.targets
-            info["option"]["pressed"] = tuple(targets[i].name for i in pressed)
-            info["option"]["also_pressed"] = tuple(targets[i].name for i in pressed if i not in own)
+        own = range(len(targets)) if option is None or option.targets is None else option.targets
+        info["option"]["pressed"] = tuple(targets[i].name for i in pressed)
+        info["option"]["also_pressed"] = tuple(targets[i].name for i in pressed if i not in own)
 
     def _list_pressed(self, step: DomainStep) -> Sequence[int]:
         if self.lower is not None:

@@ -66,8 +66,9 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     | `trace` | tuple of `TraceStep`, one a step of the wrapped environment, with `trace=True` |
     | `calls` | tuple of `OptionCall`, the runs of options that ended, nested ones first, with `trace=True` |
 
-    `reset` gives `action_mask` too. The backup is `discounted_reward` + `discount` (1 - terminated) max over
-    legal o' of Q(s', o').
+    `reset` gives the same keys, of a decision in which nothing ran: duration 0, discount 1, an option without a name
+    and with the index -1. The backup is `discounted_reward` + `discount` (1 - terminated) max over legal o' of
+    Q(s', o').
 
     `info["option"]` has `name`, `index` and `ended`: `reached` (its termination fired; always so for a
     primitive), `interrupted` (see `interruptible`), `timeout` (`max_duration`), `episode-over` (by exit or
@@ -182,15 +183,15 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     # --- Gymnasium ---------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; `info` has `action_mask`, and in a room a `pressed` of zeros.
+        """Begin an episode; `info` has the keys of a step's, of a decision in which nothing ran.
 
         The seed, in a room the episode's noise key, also fixes terminations and stochastic policies.
         """
         observation, info = self.env.reset(seed=seed, options=options)
         mask = self._begin(observation, seed, info)
-        info = {**info, "action_mask": mask}
-        self._domain.inform(info, (), None)
-        return self._show(observation, mask), info
+        nothing = RunningDecision(self.env, self._domain, observation)
+        nothing.info, nothing.ended = info, ""
+        return self._show(observation, mask), self._inform(-1, nothing, mask)
 
     def resume(self, observation: Any = None, info: Mapping[str, Any] = MappingProxyType({})) -> NDArray[np.int8]:
         """Take over an episode that has already begun in the wrapped environment, instead of `reset`.
@@ -299,7 +300,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             "rewards": tuple(decision.rewards),
             "discounted_reward": discounted,
             "action_mask": mask,
-            "option": {"name": self.action_names[index], "index": index, "ended": decision.ended,
+            "option": {"name": self.action_names[index] if index >= 0 else "", "index": index, "ended": decision.ended,
                        **vars(decision.report), "cache_hit_rate": self._hits / max(self._calls, 1),
                        "reason": decision.reason},
         }

@@ -26,6 +26,7 @@ from hrl_escape.errors import (
 from hrl_escape.options.learned import LearnedOption
 from hrl_escape.options.option import Option, ScriptedOption
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.planner import get_planner
 
 GAMMA = 0.9
 FORWARD, BACK, LEFT, RIGHT, TURN_LEFT, TURN_RIGHT = range(6)
@@ -652,3 +653,41 @@ def test_environments_over_options_pickle_within_an_episode_and_go_on_alike(name
         assert np.array_equal(one, other) and rest[:3] == same[:3]
     env.close()
     copy.close()
+
+
+def list_keys(info):
+    return {name: sorted(value) if isinstance(value, dict) else type(value) for name, value in info.items()}
+
+
+@pytest.mark.parametrize("tracing", [False, True])
+def test_a_reset_tells_the_keys_of_a_step_of_a_decision_in_which_nothing_ran(tracing):
+    env = gymnasium.make("hrl_escape/PaperTwoButtonOptions-v1", trace=tracing)
+    _, begun = env.reset(seed=0)
+    _, _, _, _, stepped = env.step(env.unwrapped.action_space.n)  # the first option
+    assert list_keys(begun) == list_keys(stepped)
+    assert (begun["duration"], begun["discount"], begun["rewards"], begun["discounted_reward"]) == (0, 1.0, (), 0.0)
+    option = begun["option"]
+    assert option == option | {"index": -1, "name": "", "ended": "", "pressed": (), "planner_calls": 0}
+    assert not begun["pressed"].any() and begun["pressed"].shape == stepped["pressed"].shape
+    assert stepped["option"]["index"] == 6 and stepped["duration"] > 1
+
+
+def test_pressed_means_the_same_in_the_flat_room_under_options_and_in_the_batch():
+    flat = gymnasium.make("hrl_escape/PaperTwoButton-v1")
+    options = gymnasium.make("hrl_escape/PaperTwoButtonOptions-v1")
+    batch = gymnasium.make_vec("hrl_escape/PaperTwoButtonOptions-v1", num_envs=1)
+    _, flat_info = flat.reset(seed=3)
+    _, info = options.reset(seed=3)
+    _, batch_info = batch.reset(seed=[3])
+    for meta in (6, 7):
+        assert info["pressed"].tolist() == batch_info["pressed"][0].tolist()
+        assert info["pressed"].dtype == flat_info["pressed"].dtype == batch_info["pressed"].dtype == np.int8
+        plan = get_planner(options.unwrapped.instance).plan(options.unwrapped.get_state(), f"button-{meta - 5}")
+        _, _, _, _, info = options.step(meta)
+        _, _, _, _, batch_info = batch.step([meta])
+        seen = np.zeros(2, np.int8)
+        for primitive in plan.primitives:
+            _, _, _, _, flat_info = flat.step(primitive)
+            seen |= flat_info["pressed"]
+        assert info["pressed"].tolist() == seen.tolist() and seen[meta - 6] == 1
+    assert info["pressed"].tolist() == batch_info["pressed"][0].tolist()

@@ -30,7 +30,7 @@ _ELSEWHERE = {
     "option_features": "infos['action_mask'] tells what is legal",
     "planner": "options follow cost-to-go fields",
 }
-_TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives")
+_TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives", "success")
 
 
 class OptionsVectorEnv(VectorEnv):
@@ -38,7 +38,8 @@ class OptionsVectorEnv(VectorEnv):
 
     `infos` holds arrays over rooms: `action_mask` (bool), `duration`, `discount` and `discounted_reward` as
     `OptionsEnv` gives them, as `pressed`, `ended` (an index into `ENDINGS`), `primitives` (of the episode so far) and
-    `success`. The three kinds of automatic reset are those of `EscapeRoomVectorEnv`.
+    `success`; at a reset those of a decision in which nothing ran. The three kinds of automatic reset are those of
+    `EscapeRoomVectorEnv`.
 
     Args:
         num_envs: number of rooms.
@@ -155,11 +156,16 @@ class OptionsVectorEnv(VectorEnv):
     # --- in and out --------------------------------------------------------------------
 
     def _inform(self, done: Transitions | None, mask: Tensor, more: dict[str, Any]) -> dict[str, Any]:
-        infos = {"action_mask": self._give(mask)}
-        if done is not None:
-            pressed = unpack_bits(done.pressed, self._batch.room.layout.targets, torch.int8).T
-            infos |= {name: self._give(getattr(done, name)) for name in _TOLD} | {
-                "success": self._give(done.success), "pressed": self._give(pressed)}
+        if done is None:
+            none = torch.zeros(self.num_envs, dtype=torch.int32, device=self.device)
+            told = {"duration": none, "discount": none.float() + 1, "discounted_reward": none.float(),
+                    "ended": none.to(torch.int8) - 1, "primitives": self._batch.room.state.primitives,
+                    "success": none.bool()}
+            pressed = none.long()
+        else:
+            told, pressed = {name: getattr(done, name) for name in _TOLD}, done.pressed
+        told["pressed"] = unpack_bits(pressed, self._batch.room.layout.targets, torch.int8).T
+        infos = {name: self._give(field) for name, field in ({"action_mask": mask} | told).items()}
         every = self._give(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
         return infos | {f"_{name}": every for name in infos} | more
 
