@@ -24,7 +24,6 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Transition
 from hrl_escape.env.noise import draw_episode
 from hrl_escape.env.observations.base import make_observer
-from hrl_escape.env.observations.objects import OBJECT_WORDS
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
@@ -164,8 +163,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self.rules = self.room.rules
         self._observer = make_observer(self._kind, self.rules, self._renderer)
         low, high = self._observer.low, self._observer.high
-        rows = self._observer.rows
-        self.observation_space = make_vector_space(low, high, rows, OBJECT_WORDS)
+        self.observation_space = make_vector_space(low, high, self._observer.rows, self._observer.words)
         self._count = len(self.rules.actions)
         self.action_space = spaces.Discrete(self._count)
         self._lit: dict[Any, NDArray[np.int8]] = {}

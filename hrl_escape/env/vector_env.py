@@ -23,7 +23,6 @@ from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import INSTEAD
-from hrl_escape.env.observations.objects import OBJECT_WORDS
 from hrl_escape.env.sampling.sources import SchematicForm
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
 from hrl_escape.spaces import make_vector_space
@@ -118,7 +117,8 @@ class EscapeRoomVectorEnv(VectorEnv):
         self._view = (camera, *render_size)
         if render_mode is not None:
             self._get_camera(*self._view)
-        self.single_observation_space = make_vector_space(self.room.low, self.room.high, self.room.rows, OBJECT_WORDS)
+        room = self.room
+        self.single_observation_space = make_vector_space(room.low, room.high, room.rows, room.words)
         self.single_action_space = spaces.Discrete(self.room.actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -57,6 +57,7 @@ def compute_layout_key(room: RoomInstance) -> str:
 def compute_task_key(puzzle: Puzzle) -> str:
     """Hash of a puzzle's rules; button puzzles that differ in the numbers of their buttons alone have the same."""
     rules = puzzle.to_dict()
+    rules.pop("marks", None)  # they change no rule
     if isinstance(puzzle, ButtonsPuzzle):
         colours = [int(button == puzzle.goal) for button in range(puzzle.count)] + [2] * len(puzzle.locks)
         colours += [3] * len(puzzle.doors)

@@ -19,7 +19,7 @@ import importlib.machinery, json, re, sys
 OLD = importlib.machinery.SourceFileLoader.get_code
 CLASSES = {
     "hrl_escape.env.config": "class RobotConfig(Schematic):",
-    "hrl_escape.env.puzzles.buttons": "class ButtonsPuzzle(Doored, GraphPuzzle):",
+    "hrl_escape.env.puzzles.buttons": "class ButtonsPuzzle(Doored, Marked, GraphPuzzle):",
     "hrl_escape.env.puzzles.places": "class Panels(Schematic):",
     "hrl_escape.env.instance": "class RoomInstance(Pictured, Schematic):",
 }

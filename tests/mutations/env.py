@@ -4,6 +4,27 @@ from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
     Mutation(
+        "shuffled marks are those of the room's own graph",
+        "env/puzzles/buttons.py",
+        "if self.marks.shuffled:",
+        "if False:",
+        "env/puzzles/test_marks.py",
+    ),
+    Mutation(
+        "marks are dealt to the wrong buttons in a batch",
+        "env/batched/tables.py",
+        "np.pad(row, ((0, targets - len(row)), (0, 0)))",
+        "np.pad(row[::-1], ((0, targets - len(row)), (0, 0)))",
+        "env/puzzles/test_marks.py",
+    ),
+    Mutation(
+        "a deceptive mark is never a true one",
+        "env/puzzles/marks.py",
+        "return np.prod(self.truth * own + (1 - self.truth) / self.symbols, axis=1)",
+        "return np.prod(self.truth * own + (1 - self.truth) * (own == 0) / self.symbols, axis=1)",
+        "env/puzzles/test_marks.py::test_likelihoods_are_those_of_the_draws",
+    ),
+    Mutation(
         "a rectangle's corners sweep through solids between its first and its last heading",
         "env/bases/rectangle.py",
         "return (bearing - corner) % math.pi <= turn or (bearing + corner) % math.pi <= turn",

@@ -85,7 +85,7 @@ class BatchedCamera:
     Raises:
         UnknownNameError: no camera of that name.
         ConfigError: an impossible size.
-        UnsupportedError: the camera `chase`, or a robot with an arm.
+        UnsupportedError: the camera `chase`, a robot with an arm, or targets with marks.
     """
 
     def __init__(self, room: TensorRoom, camera: str = "robot", width: int = 84, height: int = 84) -> None:
@@ -96,6 +96,8 @@ class BatchedCamera:
                                    "gymnasium.make makes a room with every camera")
         if room.layout.robot.joints:
             raise UnsupportedError("the batched cameras draw no arm: gymnasium.make makes a room that does")
+        if room.tables.marks.numel():
+            raise UnsupportedError("the batched cameras draw no marks: gymnasium.make makes a room that does")
         self._room = room
         self._scenery, scenery_form = stack_scenery(room.instances, room.layout, room.device)
         self._form = _Form(camera, width, height, scenery_form)

@@ -150,6 +150,7 @@ class TensorRoom:
         low: smallest value of each number that a room shows, in any instance, float32.
         high: largest value of each.
         rows: names of the objects to which the observation's first rows belong, if any.
+        words: names of the numbers in such a row.
     """
 
     def __init__(self, rooms: Rooms, *, autoreset: Autoreset = "next-step") -> None:
@@ -173,7 +174,8 @@ class TensorRoom:
         self.count, self.actions = rooms.num_envs, len(self.layout.actions)
         self._observation, self.is_compiled = load_observation(rooms.observation), rooms.compile
         self.low, self.high = compute_bounds(self.instances, rooms.observation)
-        self.rows = make_observer(rooms.observation, Rules(self.instances[0])).rows
+        observer = make_observer(rooms.observation, Rules(self.instances[0]))
+        self.rows, self.words = observer.rows, observer.words
         self._autoreset: Autoreset = autoreset
         self._state: TensorState | None = None
         self._rules: dict[int, Rules] = {}

@@ -94,6 +94,10 @@ class _Rooms:
         return numbers < pick(self._layout, self._tables.target_counts, self._state.instance)
 
     @property
+    def marks(self) -> Tensor:
+        return pick(self._layout, self._tables.marks, self._state.instance)
+
+    @property
     def lit(self) -> Tensor:
         return unpack_bits(self._form.get_lit(self._columns, self._state.puzzle), self._layout.targets, torch.bool)
 

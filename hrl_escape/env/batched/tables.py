@@ -20,7 +20,8 @@ from hrl_escape.env.config import DynamicsConfig, RobotConfig
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.primitives import ActionTable
-from hrl_escape.env.puzzles.traits import Mapped, Pushing
+from hrl_escape.env.puzzles.marks import make_mark_rows
+from hrl_escape.env.puzzles.traits import Mapped, Marked, Pushing, get_trait
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sight import list_hiders
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, stack_shapes
@@ -115,6 +116,7 @@ class Tables(NamedTuple):
         target_reach: largest distance on the floor from the body's axis at which it touches, m, float32; -1 if never.
         target_margin: that from the outline of a rectangular base, or from its axis over a pad, m; -1 if never.
         is_panel: true for the targets that are no pads, bool.
+        marks: numbers of the targets' marks, float32 (targets, `MARK_WORDS`, instances), of width 0 without marks.
         exits: x_min, x_max, y_min, y_max, (4, instances).
         half_sizes: largest |x| and |y| of the floor in the frame of observations, (2, instances).
         rewards: of a primitive, and of one that exits, (2, instances).
@@ -144,6 +146,7 @@ class Tables(NamedTuple):
     target_reach: Tensor
     target_margin: Tensor
     is_panel: Tensor
+    marks: Tensor
     exits: Tensor
     half_sizes: Tensor
     rewards: Tensor
@@ -235,7 +238,9 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
         for what, mine, theirs in (("robot", first.robot, other.robot), ("dynamics", first.dynamics, other.dynamics),
                                    ("kind of puzzle", first.puzzle.kind, other.puzzle.kind),
                                    ("number of targets", len(first.frame.target_names),
-                                    len(other.frame.target_names))):
+                                    len(other.frame.target_names)),
+                                   ("marks on targets", *(bool(get_trait(one.puzzle, Marked).marks)
+                                                          for one in (first, other)))):
             if mine != theirs:
                 raise UnsupportedError(f"instance {index} of a batch differs from instance 0 in {what} ({theirs} "
                                        f"and not {mine}): make one batch for each")
@@ -314,6 +319,7 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
                             torch.float32),
         target_margin=floats(columns([pad([i.compute_press_margin(t) for t in i.targets]) for i in instances])),
         is_panel=floats(columns([pad([t.kind == "panel" for t in i.targets]) for i in instances])) > 0.5,
+        marks=floats(_stack_marks(instances, layout.targets), torch.float32),
         exits=floats(columns([(i.exit.x_min, i.exit.x_max, i.exit.y_min, i.exit.y_max) for i in instances])),
         half_sizes=floats(columns([(i.frame.reach_x, i.frame.reach_y) for i in instances]), torch.float32),
         rewards=floats(columns([(i.reward.step, i.reward.on_exit) for i in instances]), torch.float32),
@@ -329,6 +335,12 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         headings=floats(columns(turns)),
         total=integers(len(instances)),
     )
+
+
+def _stack_marks(instances: Sequence[RoomInstance], targets: int) -> np.ndarray:
+    """Marks of every instance, 0 for targets that it lacks, (targets, `MARK_WORDS`, instances)."""
+    rows = [make_mark_rows(get_trait(instance.puzzle, Marked).marks) for instance in instances]
+    return np.stack([np.pad(row, ((0, targets - len(row)), (0, 0))) for row in rows], axis=-1)
 
 
 def _list_leaves(instances: Sequence[RoomInstance], most: int) -> Tensor:

@@ -26,6 +26,7 @@ from hrl_escape.env.drawing.meshes import (
     compute_base_outline,
     compute_outline,
     format_obj,
+    make_badge,
     make_base_column,
     make_cylinder,
     make_flat,
@@ -221,6 +222,8 @@ class Stage:
         deep = target.half_y + (min(0.4, 0.5 * self._instance.robot.inner_radius) if target.kind == "panel" else 0.0)
         middle = (target.x + ahead[0] * deep / 2, target.y + ahead[1] * deep / 2)
         mat = make_flat(rotate_box(*middle, target.half_x, deep / 2, target.yaw), 4 * _LAYER)
+        for number, (colour, outline) in enumerate(palette.list_badge(self._instance.puzzle, target.name), 1):
+            self._add(make_badge(outline, target, ahead, number * _LAYER).facing(SUN), colour)
         return _Lamp([bodies[0][0], bodies[1][0]], self._add(mat, _MAT))
 
     def _add_base(self) -> tuple[list[int], int]:

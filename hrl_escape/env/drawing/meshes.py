@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid
-from hrl_escape.env.instance import Rectangle, RoomInstance
+from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.puzzles.places import Capsule
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "compute_extent",
     "compute_outline",
     "format_obj",
+    "make_badge",
     "make_base_column",
     "make_cylinder",
     "make_flat",
@@ -100,6 +101,23 @@ def make_flat(outline: Sequence[Point], z: float, up: bool = True) -> Mesh:
     vertices = np.column_stack([np.array(outline, dtype=np.float64), np.full(n, z)])
     fan = np.array([(0, i, i + 1) for i in range(1, n - 1)], dtype=np.int64).reshape(-1, 3)
     return Mesh(vertices, np.tile((0.0, 0.0, 1.0 if up else -1.0), (n, 1)), fan if up else fan[:, ::-1])
+
+
+def make_badge(outline: Sequence[Point], target: Target, front: Point, lift: float) -> Mesh:
+    """A flat polygon, star-shaped about (0, 0), on the front of a panel.
+
+    Args:
+        outline: corners, counter-clockwise, in halves of the panel's smaller side.
+        target: the panel.
+        front: unit vector from the panel to the side that shows it.
+        lift: distance from its face, m.
+    """
+    scale, (x, y) = 0.8 * min(target.half_x, target.half_z), front
+    centre = np.array([target.x + (target.half_y + lift) * x, target.y + (target.half_y + lift) * y, target.z])
+    corners = np.array([(0.0, 0.0), *outline]) * scale
+    vertices = centre + corners[:, :1] * (-y, x, 0.0) + corners[:, 1:] * (0.0, 0.0, 1.0)
+    fan = [(0, number, number % len(outline) + 1) for number in range(1, len(outline) + 1)]
+    return Mesh(vertices, np.tile((x, y, 0.0), (len(vertices), 1)), np.array(fan, dtype=np.int64))
 
 
 def make_prism(outline: Sequence[Point], low: float, high: float) -> Mesh:

@@ -77,6 +77,7 @@ def embed_moving_map(instance: RoomInstance, page: str, width: int = 480) -> str
 def describe_room(instance: RoomInstance) -> dict[str, Any]:
     """Describe what stands still in a room as a JSON value for the player; `options` is left to be filled."""
     x_min, x_max, y_min, y_max = compute_extent(instance)
+    marks = palette.list_marks(instance.puzzle)
     return {
         "extent": {"x_min": x_min, "x_max": x_max, "y_min": y_min, "y_max": y_max},
         "floors": [_describe_rectangle(floor) for floor in palette.compute_floors(instance)],
@@ -88,8 +89,9 @@ def describe_room(instance: RoomInstance) -> dict[str, Any]:
         "inner_doors": [_describe_inner_door(door) for door in instance.inner_doors],
         "targets": [
             {**_describe_box(target.x, target.y, target.half_x, target.half_y, target.yaw),
-             "short": shorten(target.name), "front": palette.find_front(instance, target)}
-            for target in instance.targets
+             "short": shorten(target.name), "front": palette.find_front(instance, target),
+             "mark": marks[number] if marks else None}
+            for number, target in enumerate(instance.targets)
         ],
         "props": [_describe_prop(placed) for placed in instance.props],
         "radius": instance.robot.inner_radius,

@@ -1,4 +1,4 @@
-"""Colours of a room in every picture, of a target in each of its states, and of paint on the floor.
+"""Colours of a room in every picture, of a target in each of its states, of its mark, and of paint on the floor.
 
 Colours are hexadecimal sRGB text, shared by maps, Bullet's cameras and reports; nothing here
 draws. The line colours are those of Okabe and Ito (2008), which people with any colour
@@ -14,10 +14,11 @@ from typing import NamedTuple
 from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.env.puzzles.traits import Depicted, Graphed, get_trait
+from hrl_escape.env.puzzles.marks import split_mark
+from hrl_escape.env.puzzles.traits import Depicted, Graphed, Marked, get_trait
 
 __all__ = ["TargetLook", "choose_tile", "compute_floors", "find_front", "get_inner_colour", "get_inner_share",
-           "get_target_look", "name_target", "to_rgb"]
+           "get_target_look", "list_badge", "list_marks", "name_target", "to_rgb"]
 
 BACKGROUND = "#ffffff"
 FLOOR = "#f4f1ea"
@@ -32,6 +33,8 @@ PROP, PROP_EDGE, PLATE = "#8e6bb0", "#5d4380", "#cdbfe0"
 INK, MUTED = "#22262e", "#7b818c"
 LOCK = "#d55e00"
 TRAIL = "#0072b2"
+MARKS = ("#d62728", "#2f6db5", "#2ca02c", "#f0d000", "#8e44ad", "#17becf", "#f08c2e", "#22262e")
+"""Colours of marks, in the order of their numbers."""
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
@@ -62,6 +65,28 @@ def get_target_look(puzzle: Puzzle, state: Hashable, target: int) -> TargetLook:
     name, facts = puzzle.target_names[target], puzzle.symbolic.get_facts(state)
     operators = [o for o in puzzle.symbolic.make_symbolic_model().operators if o.target == name]
     return OFF if not operators or any(operator.is_applicable(facts) for operator in operators) else WAITING
+
+
+def list_marks(puzzle: Puzzle) -> list[tuple[str, list[tuple[float, float]]]]:
+    """Colour and outline of the mark on each target, within a unit circle; empty where targets bear none."""
+    corners = (24, 4, 3, 10)  # of a disc, a square, a triangle and a star, whose every other corner lies further in
+    found = []
+    for mark in get_trait(puzzle, Marked).marks:
+        colour, shape, size = split_mark(mark)
+        turns = [math.tau * (number / corners[shape] + 0.25) for number in range(corners[shape])]
+        radii = [(0.4, 0.7, 1.0)[size] * (0.42 if shape == 3 and number % 2 else 1.0) for number in range(len(turns))]
+        found.append((MARKS[colour], [(radius * math.cos(turn), radius * math.sin(turn))
+                                      for radius, turn in zip(radii, turns, strict=True)]))
+    return found
+
+
+def list_badge(puzzle: Puzzle, target: str) -> list[tuple[str, list[tuple[float, float]]]]:
+    """Colours and outlines of a target's mark on a white disc, the lower one first; empty without marks."""
+    marks = list_marks(puzzle)
+    if not marks:
+        return []
+    disc = [(math.cos(turn), math.sin(turn)) for turn in (math.tau * number / 24 for number in range(24))]
+    return [(BACKGROUND, disc), marks[puzzle.target_names.index(target)]]
 
 
 def get_inner_colour(door: Solid) -> str:

@@ -91,6 +91,11 @@ class BatchView(Protocol):
         ...
 
     @property
+    def marks(self) -> Tensor:
+        """Numbers of the targets' marks, float32 (targets, `MARK_WORDS`, rooms); (targets, 0, rooms) without marks."""
+        ...
+
+    @property
     def are_cells(self) -> bool:
         """True if the targets are cells of a map."""
         ...
@@ -129,7 +134,8 @@ class Observer(ABC):
         names: name of each number, in order; empty for pictures.
         low: smallest value of each number, in the observation's shape and type.
         high: largest value of each number.
-        rows: name of the object of each row of `OBJECT_WORDS` that the vector begins with; none in most kinds.
+        rows: name of the object of each row that the vector begins with; none in most kinds.
+        words: name of each number in such a row.
     """
 
     name: ClassVar[str]
@@ -139,6 +145,7 @@ class Observer(ABC):
     low: NDArray[Any]
     high: NDArray[Any]
     rows: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
 
     def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
         self._rules = rules

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from hrl_escape.env.engine import Renderer
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchView, Observer, clip, register_observation
-from hrl_escape.env.puzzles.traits import Mapped
+from hrl_escape.env.puzzles.marks import MARK_WORDS, make_mark_rows
+from hrl_escape.env.puzzles.traits import Mapped, Marked, get_trait
 from hrl_escape.env.sight import SIGHT_SLACK, Scanner, list_hiders
 
 if TYPE_CHECKING:
@@ -26,9 +27,10 @@ LIDAR_RAYS = 16
 class EgocentricObserver(Observer):
     """Ranges and bearings from the robot's place, its joints, and a ring of lidar, all in [-1, 1].
 
-    For each target its range over the room's diagonal, sine and cosine of its bearing, and 1 if it is lit; for each
-    block, each plate and the exit range, sine and cosine. What is out of sight, or not in this instance, is all 0. Then
-    joint angles over their limits, and lidar ranges over the diagonal, from straight ahead counter-clockwise.
+    For each target its range over the room's diagonal, sine and cosine of its bearing, 1 if it is lit, and, where
+    targets bear marks, `MARK_WORDS`; for each block, each plate and the exit range, sine and cosine. What is out of
+    sight, or not in this instance, is all 0. Then joint angles over their limits, and lidar ranges over the diagonal,
+    from straight ahead counter-clockwise.
 
     Walls, obstacles and shut doors hide things and stop rays.
     """
@@ -39,7 +41,9 @@ class EgocentricObserver(Observer):
     def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
         super().__init__(rules)
         instance, frame = self._instance, self._frame
-        per_target = tuple(f"{name}-{word}" for name in frame.target_names for word in ("range", "sin", "cos", "lit"))
+        self._marks = make_mark_rows(get_trait(instance.puzzle, Marked).marks).tolist()
+        words = ("range", "sin", "cos", "lit", *(MARK_WORDS if self._marks else ()))
+        per_target = tuple(f"{name}-{word}" for name in frame.target_names for word in words)
         things = (*(placed.prop.name for placed in instance.props), "exit")
         per_thing = tuple(f"{name}-{word}" for name in things for word in ("range", "sin", "cos"))
         self.names = (*per_target, *per_thing, *self._joint_names, *(f"lidar-{i}" for i in range(LIDAR_RAYS)))
@@ -50,7 +54,8 @@ class EgocentricObserver(Observer):
         half = [math.hypot(t.half_x, t.half_y) if are_cells else t.half_y for t in instance.targets]
         self._slack = SIGHT_SLACK + np.array([
             *half, *(placed.prop.half_size for placed in instance.props), 0.0])
-        self._absent = [0.0] * (4 * (len(frame.target_names) - len(instance.targets)))
+        self._per_target = len(words)
+        self._absent = [0.0] * (len(words) * (len(frame.target_names) - len(instance.targets)))
         self._bearings = np.arange(LIDAR_RAYS, dtype=np.float64) * (math.tau / LIDAR_RAYS)
         self._hiders, self._solids = list_hiders(instance), [solid.footprint for solid in instance.solids]
         leaves = (number for number, door in enumerate(instance.inner_doors) if door.role == "door")
@@ -99,9 +104,9 @@ class EgocentricObserver(Observer):
                     ahead, aside = 1.0, 0.0  # a point at the robot's own place has the bearing +x
                 numbers += away / diagonal, aside * cos - ahead * sin, ahead * cos + aside * sin
                 if is_target:
-                    numbers.append(float(lit[number]))
+                    numbers += float(lit[number]), *(self._marks[number] if self._marks else ())
             else:
-                numbers += (0.0,) * (4 if is_target else 3)
+                numbers += (0.0,) * (self._per_target if is_target else 3)
             if number == len(lit) - 1:
                 numbers += self._absent
         numbers += map(clip, map(operator.truediv, self._rules.get_angles(state), self._joint_limits))
@@ -136,7 +141,8 @@ class EgocentricObserver(Observer):
         targets, lit = rooms.targets, rooms.lit.to(torch.float32)
         half = torch.hypot(targets.half_x, targets.half_y) if rooms.are_cells else targets.half_y
         looks, in_sight = look_at(targets.x, targets.y, SIGHT_SLACK + half)
-        seen = torch.where((rooms.is_present & in_sight).unsqueeze(1), torch.cat([looks, lit.unsqueeze(1)], dim=1), 0.0)
+        looks = torch.cat([looks, lit.unsqueeze(1), rooms.marks.expand(-1, -1, len(rooms.x))], dim=1)
+        seen = torch.where((rooms.is_present & in_sight).unsqueeze(1), looks, 0.0)
         way_out, in_sight = look_at(((x_min + x_max) / 2).unsqueeze(0), ((y_min + y_max) / 2).unsqueeze(0),
                                     torch.full_like(half_x, SIGHT_SLACK, dtype=torch.float64))
         way_out = torch.where(in_sight, way_out[0], 0.0)

@@ -12,6 +12,8 @@ from hrl_escape.env.engine import Renderer
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchView, Observer, register_observation
 from hrl_escape.env.poses import get_planar_pose
+from hrl_escape.env.puzzles.marks import MARK_WORDS, make_mark_rows
+from hrl_escape.env.puzzles.traits import Marked, get_trait
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -29,7 +31,8 @@ class ObjectObserver(Observer):
     Rows are those of the targets, blocks, plates and the exit. A row holds 1 where the object is present (rows of
     targets that this instance lacks are all 0: the mask), its type, its place ahead and to the left of the robot, sine
     and cosine of its direction as seen from the robot, half its sizes, and 1 if it is lit, or the exit open. Lengths
-    are shares of the floor's diagonal. The order of rows has no meaning. Joint angles over their limits follow.
+    are shares of the floor's diagonal. Where targets bear marks, `MARK_WORDS` follow in every row: 1 for the colour,
+    the shape and the size of a target's mark. The order of rows has no meaning. Joint angles over their limits follow.
     """
 
     name = "objects"
@@ -40,7 +43,9 @@ class ObjectObserver(Observer):
         instance, frame = self._instance, self._frame
         props, exit_ = instance.props, instance.exit
         self.rows = rows = (*frame.target_names, *(placed.prop.name for placed in props), "exit")
-        self.names = (*(f"{row}-{word}" for row in rows for word in OBJECT_WORDS), *self._joint_names)
+        marks = make_mark_rows(get_trait(instance.puzzle, Marked).marks)
+        self.words = words = OBJECT_WORDS + MARK_WORDS[: marks.shape[1]]
+        self.names = (*(f"{row}-{word}" for row in rows for word in words), *self._joint_names)
         self._diagonal = 2 * math.hypot(frame.reach_x, frame.reach_y)
         things = [(t.x, t.y, t.yaw, t.half_x, t.half_y, "target") for t in instance.targets]
         things += [(p.x, p.y, p.yaw, p.prop.half_size, p.prop.half_size, p.prop.kind) for p in props]
@@ -49,7 +54,8 @@ class ObjectObserver(Observer):
         self._targets, absent = len(instance.targets), len(frame.target_names) - len(instance.targets)
         self._props = slice(self._targets, self._targets + len(props))
         self._places = [*range(self._targets), *range(self._targets + absent, len(rows))]
-        self._rows = np.zeros((len(rows), len(OBJECT_WORDS)))
+        self._rows = np.zeros((len(rows), len(words)))
+        self._rows[: len(marks), len(OBJECT_WORDS):] = marks
         for place, (_, _, _, half_x, half_y, kind) in zip(self._places, things, strict=True):
             self._rows[place, [0, OBJECT_WORDS.index(kind)]] = 1.0
             self._rows[place, 9:11] = half_x / self._diagonal, half_y / self._diagonal
@@ -95,11 +101,13 @@ class ObjectObserver(Observer):
 
         rows = make_rows("target", targets.x, targets.y, targets.cos, targets.sin, targets.half_x, targets.half_y,
                          rooms.lit.to(torch.float64))
+        rows = torch.cat([rows, rooms.marks.expand(-1, -1, len(rooms.x))], dim=1)
         rows = torch.where(rooms.is_present.unsqueeze(1), rows, 0.0)
         nought, is_open = torch.zeros_like(rooms.x), rooms.is_solved.to(torch.float64)
         exit_ = [((x_min + x_max) / 2, (y_min + y_max) / 2), (nought + 1.0, nought), ((x_max - x_min) / 2,
                  (y_max - y_min) / 2), (is_open,)]
         way_out = make_rows("exit", *(part.unsqueeze(0) for pair in exit_ for part in pair))
+        way_out = torch.cat([way_out, torch.zeros_like(rows[:1, len(OBJECT_WORDS):])], dim=1)
         limits = torch.tensor([max(abs(low), abs(high)) for low, high in rooms.limits], device=nought.device)
         joints = rooms.angles.to(torch.float32) / limits.unsqueeze(1)
         return [part.clamp(-1.0, 1.0) for part in (rows.flatten(0, 1), way_out.flatten(0, 1), joints)]

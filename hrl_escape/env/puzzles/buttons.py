@@ -2,7 +2,8 @@
 
 A press turns a button on only if all its parents are on. One button is the goal: while
 it is on, the exit is open. The state is an integer whose bit i is button i. A lock (a, b) is a dead end:
-once a is on, b cannot be turned on any more. A button may open a door between two rooms.
+once a is on, b cannot be turned on any more. A button may open a door between two rooms, and bear a mark
+(`marks.py`).
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from hrl_escape.env.puzzles.graphs import (
     sample_locks,
     sample_relabelled,
 )
+from hrl_escape.env.puzzles.marks import Mark, MarksConfig
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
-from hrl_escape.env.puzzles.traits import Doored
+from hrl_escape.env.puzzles.traits import Doored, Marked
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -58,6 +60,8 @@ class ButtonsConfig(PuzzleConfig):
     """Locks: pairs of buttons. Once the first is on, the second, which the goal needs, cannot be turned on any more."""
     doors: Annotated[int, Range(0, 15)] = 0
     """Number of doorways with a door; each opens once a button of its own is on."""
+    marks: MarksConfig = MarksConfig()
+    """Symbols on the buttons that say something of the graph."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -85,13 +89,17 @@ class ButtonsConfig(PuzzleConfig):
             locks = sample_locks(self.count, edges, goal, self.dead_ends, rng) if self.dead_ends else ()
             if len(locks) == self.dead_ends:
                 doors = tuple(rng.choice(self.count, self.doors, replace=False).tolist()) if self.doors else ()
-                return ButtonsPuzzle(self.count, edges, goal, self.on_violation, self.allow_off, locks, doors)
+                shown = (edges, goal)
+                if self.marks.shuffled:
+                    shown = sample_relabelled(self.graph, self.count, rng, self.goal)
+                marks = () if self.marks.kind == "none" else self.marks.draw(self.count, *shown, rng)
+                return ButtonsPuzzle(self.count, edges, goal, self.on_violation, self.allow_off, locks, doors, marks)
         raise ConfigError("puzzle.dead_ends", self.dead_ends,
                           "as many as such graphs have pairs of buttons of which neither needs the other")
 
 
 @dataclasses.dataclass(frozen=True)
-class ButtonsPuzzle(Doored, GraphPuzzle):
+class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
     """A concrete button puzzle. Button i is called `button-<i+1>`."""
 
     kind = "buttons"
@@ -103,6 +111,8 @@ class ButtonsPuzzle(Doored, GraphPuzzle):
     """Pairs (a, b): while button a is on, b cannot be turned on."""
     doors: tuple[ButtonNumber, ...] = ()
     """Button that opens each inner door."""
+    marks: tuple[Mark, ...] = ()
+    """Number of the symbol on each button; none where buttons bear no marks."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -113,6 +123,8 @@ class ButtonsPuzzle(Doored, GraphPuzzle):
             needed = find_ancestors(self.edge_list, (self.goal,))
             # in some order nothing that is needed is locked before it is on
             compute_order(self.count, (*self.edge_list, *((b, a) for a, b in self.locks if b in needed)))
+        if len(self.marks) not in (0, self.count):
+            raise ConfigError("puzzle.marks", self.marks, f"none, or one for each of {self.count} buttons")
         if any(button >= self.count for button in self.doors):
             raise ConfigError("puzzle.doors", self.doors, f"numbers from 0 to {self.count - 1}")
         if self.doors and (self.allow_off or self.on_violation == "reset"):

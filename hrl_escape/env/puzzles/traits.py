@@ -1,4 +1,4 @@
-"""Traits that some puzzles have besides their rules: a graph, signs, doors, a map, things to push.
+"""Traits that some puzzles have besides their rules: a graph, signs, marks, doors, a map, things to push.
 
 A puzzle declares a trait as a base class, `class Sokoban(Pushing, Puzzle)`. The defaults of each trait are those
 of a puzzle without it: `get_trait(puzzle, Graphed).edges` is empty for a puzzle that is not `Graphed`.
@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from hrl_escape.env.puzzles.places import Capsule, Prop
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["Barring", "Depicted", "Doored", "Graphed", "Mapped", "Propped", "Pushing", "get_trait"]
+__all__ = ["Barring", "Depicted", "Doored", "Graphed", "Mapped", "Marked", "Propped", "Pushing", "get_trait"]
 
 Trait = TypeVar("Trait")
 
@@ -52,6 +52,13 @@ class Depicted:
     def get_sign(self, state: Any, target: int) -> str:
         """Text that drawings show at a target besides its name, such as its stock; empty for none."""
         return ""
+
+
+class Marked:
+    """Trait: targets bear symbols that agents see, and that change no rule; see `marks.py`."""
+
+    marks: tuple[int, ...] = ()
+    """Number of the symbol on each target; none where targets bear no marks."""
 
 
 class Barring:

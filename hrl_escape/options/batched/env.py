@@ -26,7 +26,6 @@ from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import Layout, map_tensors
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.observations.objects import OBJECT_WORDS
 from hrl_escape.env.sampling.sources import SchematicForm
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, UnsupportedError, show_value
 from hrl_escape.options.batched.cost_to_go import check_presses, stack_fields
@@ -146,7 +145,7 @@ class BatchedOptionsEnv:
         self.actions = len(self.action_names)
         targets = self.room.instances[0].frame.target_names
         self.action_space = PointingDiscrete(self.actions, (*(None for _ in names), *targets, "exit"))
-        self.observation_space = make_vector_space(self.room.low, self.room.high, self.room.rows, OBJECT_WORDS)
+        self.observation_space = make_vector_space(self.room.low, self.room.high, self.room.rows, self.room.words)
         fail_after = math.ceil(FAIL_AFTER / (1.0 - layout.dynamics.slip)) if layout.dynamics.slip < 1.0 else FAIL_AFTER
         self._arguments = {"options": options, "include_primitives": include_primitives, "discount": self.gamma,
                            "flavour": flavour, "interruptible": interruptible, "max_duration": max_duration,

@@ -12,6 +12,7 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.meshes import (
     Mesh,
     compute_outline,
+    make_badge,
     make_cylinder,
     make_flat,
     make_prism,
@@ -103,8 +104,8 @@ def _make_faces(wall: Solid, floors: tuple[Rectangle, ...]) -> list[tuple[Mesh, 
     return list(zip(meshes, kinds, strict=True))
 
 
-def make_target(instance: RoomInstance, target: Target) -> tuple[Painted, Painted, Painted]:
-    """A panel: its face, which lights up, its frame, and the mat on the floor in front of it."""
+def make_target(instance: RoomInstance, target: Target) -> tuple[Painted, ...]:
+    """A panel: its face, which lights up, its frame, the mat on the floor in front of it, and its mark, if any."""
     low, high = max(0.02, target.z - target.half_z), target.z + target.half_z
     rim = min(0.08, 0.2 * min(target.half_x, target.half_z))
     face = rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
@@ -115,7 +116,9 @@ def make_target(instance: RoomInstance, target: Target) -> tuple[Painted, Painte
     mat = make_flat(rotate_box(*middle, target.half_x, deep / 2, target.yaw), 4 * LAYER)
     return (Painted("face", make_prism(face, low, high), palette.OFF.fill),
             Painted("frame", make_prism(frame, max(0.0, low - rim), high + rim), PANEL_FRAME),
-            Painted("mat", mat, MAT))
+            Painted("mat", mat, MAT),
+            *(Painted(f"mark-{number}", make_badge(outline, target, ahead, LAYER * (number + 1)), colour)
+              for number, (colour, outline) in enumerate(palette.list_badge(instance.puzzle, target.name))))
 
 
 def make_exit(instance: RoomInstance) -> tuple[Painted, Painted]:

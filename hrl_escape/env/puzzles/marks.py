@@ -1,0 +1,121 @@
+"""Marks: a symbol on every target that says something of the hidden graph, by a code that all rooms share.
+
+A symbol is a colour, a shape and a size. The code, part of the schematic, gives each symbol one class, and a target
+shows some symbol of its own class: so what a symbol means can be learned in some rooms and used in others. Marks never
+change the rules. Nothing else that can be observed before the first press tells of the graph.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+from typing import Annotated, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.puzzles.graphs import Edges, compute_order, find_ancestors
+from hrl_escape.env.schema import Schematic
+from hrl_escape.errors import ConfigError
+from hrl_escape.settings import Range
+
+__all__ = ["MARK_WORDS", "MOST_SYMBOLS", "Mark", "MarksConfig", "compute_depths", "make_mark_rows", "split_mark"]
+
+COLOURS = ("red", "blue", "green", "yellow", "purple", "cyan", "orange", "black")
+SHAPES = ("disc", "square", "triangle", "star")
+SIZES = ("small", "medium", "large")
+MARK_WORDS = (*COLOURS, *SHAPES, *SIZES)
+"""Names of the numbers that a marked target's row has besides: 1 for its colour, its shape and its size."""
+MOST_SYMBOLS = len(COLOURS) * len(SHAPES) * len(SIZES)
+
+Mark: TypeAlias = Annotated[int, Range(0, MOST_SYMBOLS - 1)]
+"""Number of a symbol: colour + 8 shape + 32 size."""
+
+
+def split_mark(mark: int) -> tuple[int, int, int]:
+    """Numbers of a symbol's colour, shape and size."""
+    rest, colour = divmod(mark, len(COLOURS))
+    size, shape = divmod(rest, len(SHAPES))
+    return colour, shape, size
+
+
+def make_mark_rows(marks: tuple[int, ...]) -> NDArray[np.float64]:
+    """Numbers of each target's mark, (targets, `MARK_WORDS`); (0, 0) where there are no marks."""
+    rows = np.zeros((len(marks), len(MARK_WORDS) if marks else 0))
+    for row, mark in zip(rows, marks, strict=True):
+        colour, shape, size = split_mark(mark)
+        row[[colour, len(COLOURS) + shape, len(COLOURS) + len(SHAPES) + size]] = 1.0
+    return rows
+
+
+def compute_depths(count: int, edges: Edges) -> list[int]:
+    """Longest way to each node of a DAG from one without parents, in edges."""
+    depths = [0] * count
+    for node in compute_order(count, edges):
+        depths[node] = max((depths[parent] + 1 for parent, child in edges if child == node), default=0)
+    return depths
+
+
+@dataclasses.dataclass(frozen=True)
+class MarksConfig(Schematic):
+    """Marks on targets: what they tell of the graph, and by which code."""
+
+    _section = "marks"
+    kind: Literal["none", "rank", "needed"] = "none"
+    """`rank`: a mark tells how many buttons must be on before its own, along the longest way. `needed`: whether the
+    goal depends on it."""
+    levels: Annotated[int, Range(2, 64)] = 8
+    """Ranks that marks tell apart; the last stands for all higher ones."""
+    symbols: Annotated[int, Range(2, MOST_SYMBOLS)] = 8
+    """Number of different symbols: the vocabulary that is to be learned. Up to 8 differ in colour only."""
+    truth: Annotated[float, Range(0, 1)] = 1.0
+    """Share of marks that are drawn from the target's own class; the others are any symbol."""
+    shuffled: bool = False
+    """Marks are those of another graph of the schematic: they look the same and say nothing, for control."""
+    code: Annotated[int, Range(0, 2**63 - 1)] = 0
+    """Seed of the code, which gives each symbol its class."""
+
+    def check(self) -> None:
+        """Check that there are symbols for every class."""
+        if self.kind != "none" and self.symbols < self.classes:
+            raise ConfigError("marks.symbols", self.symbols, f"at least {self.classes}, one for each class of targets")
+
+    @property
+    def classes(self) -> int:
+        """Number of classes of targets that marks tell apart."""
+        return self.levels if self.kind == "rank" else 2
+
+    @cached_property
+    def meanings(self) -> NDArray[np.int64]:
+        """Class of each symbol, (symbols,): as many of each class as of any other, or one more."""
+        return np.random.default_rng([self.code, 3]).permutation(self.symbols) % self.classes
+
+    def classify(self, count: int, edges: Edges, goal: int) -> NDArray[np.int64]:
+        """Class of each target of a graph, (count,)."""
+        if self.kind == "needed":
+            needed = find_ancestors(edges, (goal,))
+            return np.array([int(node in needed) for node in range(count)])
+        return np.minimum(compute_depths(count, edges), self.levels - 1)
+
+    def draw(self, count: int, edges: Edges, goal: int, rng: np.random.Generator) -> tuple[int, ...]:
+        """Draw the mark of each target of a graph."""
+        meanings = self.meanings
+        return tuple(int(rng.choice(np.flatnonzero(meanings == own) if rng.random() < self.truth else self.symbols))
+                     for own in self.classify(count, edges, goal))
+
+    def compute_likelihood(self, marks: tuple[int, ...], classes: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Probability of the marks of a room under each of several graphs.
+
+        Args:
+            marks: of its targets.
+            classes: class of each target under each graph, (graphs, targets).
+
+        Returns:
+            float64 (graphs,); all alike where marks say nothing.
+        """
+        if self.kind == "none" or self.shuffled:
+            return np.ones(len(classes))
+        meanings = self.meanings
+        read = meanings[list(marks)]
+        own = (read == classes) / np.bincount(meanings, minlength=self.classes)[read]
+        return np.prod(self.truth * own + (1 - self.truth) / self.symbols, axis=1)

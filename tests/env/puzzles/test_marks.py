@@ -1,0 +1,214 @@
+"""Marks: what they tell, that they tell nothing else, and that every view of a room shows them."""
+
+import dataclasses
+import itertools
+import re
+
+import gymnasium
+import numpy as np
+import pytest
+
+from hrl_escape.env.config import Between, RobotConfig, RoomConfig, ShapeConfig
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.maps import make_map_image
+from hrl_escape.env.drawing.moving_map import describe_room
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.observations.objects import OBJECT_WORDS
+from hrl_escape.env.puzzles.base import Panels
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.marks import MARK_WORDS, MOST_SYMBOLS, MarksConfig, make_mark_rows, split_mark
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.env.vector_env import EscapeRoomVectorEnv
+from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.ladder.keys import compute_task_key
+from hrl_escape.viewer.scene.room_meshes import make_target
+
+
+def make_with(marks, kind="chain", count=4):
+    return RoomConfig(
+        room=ShapeConfig(width=10, depth=10), robot=RobotConfig(body_radius=0.4),
+        puzzle=ButtonsConfig(count=count, graph=GraphConfig(kind=kind, max_parents=2), buttons=Panels(width=1.0),
+                             marks=marks),
+    )
+
+
+def draw_puzzles(config, rooms):
+    return [sample_puzzle(config, seed)[1] for seed in range(rooms)]
+
+
+def test_marks_change_nothing_but_what_is_seen():
+    plain, marked = (generate(make_with(MarksConfig(kind, levels=4, symbols=40)), 3) for kind in ("none", "rank"))
+    assert "marks" not in plain.to_dict()["puzzle"]  # so ids of rooms without marks are what they were
+    assert len(marked.puzzle.marks) == 4 and marked.id != plain.id
+    assert dataclasses.replace(marked, puzzle=dataclasses.replace(marked.puzzle, marks=())) == plain
+    assert marked.symbolic_model == plain.symbolic_model
+    assert compute_task_key(marked.puzzle) == compute_task_key(plain.puzzle)
+    assert type(marked).from_dict(marked.to_dict()) == marked
+
+
+def test_a_symbol_means_the_same_class_in_every_room_and_every_class_has_symbols():
+    rules = MarksConfig("rank", levels=4, symbols=42)
+    meant = {}
+    for puzzle in draw_puzzles(make_with(rules), 200):
+        order = [puzzle.goal]
+        while len(order) < 4:  # along the chain, from the goal back
+            order.append(next(parent for parent, child in puzzle.edge_list if child == order[-1]))
+        for rank, button in enumerate(order[::-1]):
+            assert meant.setdefault(puzzle.marks[button], rank) == rank
+    assert len(meant) == 42
+    assert [meant[symbol] for symbol in range(42)] == rules.meanings.tolist()
+    assert sorted(np.bincount(rules.meanings)) == [10, 10, 11, 11]
+    other = dataclasses.replace(rules, code=1)
+    assert (other.meanings != rules.meanings).any()
+
+
+def test_ranks_are_longest_ways_and_the_last_level_stands_for_all_above():
+    edges, goal = ((0, 1), (1, 2), (0, 2), (2, 4), (3, 4)), 4
+    assert MarksConfig("rank", levels=8).classify(6, edges, goal).tolist() == [0, 1, 2, 0, 3, 0]
+    assert MarksConfig("rank", levels=3).classify(6, edges, goal).tolist() == [0, 1, 2, 0, 2, 0]
+    assert MarksConfig("needed").classify(6, edges, goal).tolist() == [1, 1, 1, 1, 1, 0]
+
+
+def count_true(puzzles, rules):
+    return np.mean([rules.meanings[list(puzzle.marks)] == rules.classify(puzzle.count, puzzle.edge_list, puzzle.goal)
+                    for puzzle in puzzles])
+
+
+def test_the_share_of_true_marks_is_what_is_asked_for_and_shuffled_ones_are_at_chance():
+    for truth in (1.0, 0.8, 0.0):
+        rules = MarksConfig("rank", levels=4, symbols=8, truth=truth)
+        share = count_true(draw_puzzles(make_with(rules), 400), rules)
+        assert share == pytest.approx(truth + (1 - truth) / 4, abs=0.04)  # 1,600 marks: four standard errors or less
+    rules = MarksConfig("rank", levels=4, symbols=8, shuffled=True)
+    puzzles = draw_puzzles(make_with(rules), 400)
+    assert count_true(puzzles, rules) == pytest.approx(0.25, abs=0.05)
+    for puzzle in puzzles[:50]:  # the marks of one graph all the same: every rank once
+        assert sorted(rules.meanings[list(puzzle.marks)]) == [0, 1, 2, 3]
+
+
+def test_likelihoods_are_those_of_the_draws():
+    rules = MarksConfig("rank", levels=2, symbols=5, truth=0.7)
+    every = list(itertools.product(range(5), repeat=2))
+    classes = np.array([[0, 1], [1, 0]])
+    table = np.array([rules.compute_likelihood(marks, classes) for marks in every])
+    assert table.sum(axis=0) == pytest.approx([1, 1])
+    rng = np.random.default_rng(0)
+    drawn = [rules.draw(2, ((0, 1),), 1, rng) for _ in range(6_000)]
+    shares = np.array([drawn.count(marks) for marks in every]) / len(drawn)
+    assert np.abs(shares - table[:, 0]).max() < 0.02
+    shuffled = dataclasses.replace(rules, shuffled=True).compute_likelihood((0, 3), classes)
+    assert shuffled[0] == shuffled[1]
+
+
+def test_every_symbol_looks_different():
+    rows = make_mark_rows(tuple(range(MOST_SYMBOLS)))
+    assert len(np.unique(rows, axis=0)) == MOST_SYMBOLS == len({split_mark(mark) for mark in range(MOST_SYMBOLS)})
+    assert (rows.sum(axis=1) == 3).all()
+    puzzle = draw_puzzles(make_with(MarksConfig("rank"), count=6), 1)[0]
+    looks = [palette.list_marks(dataclasses.replace(puzzle, marks=tuple(range(first, first + 6))))
+             for first in range(0, MOST_SYMBOLS, 6)]
+    assert len({(colour, tuple(outline)) for part in looks for colour, outline in part}) == MOST_SYMBOLS
+
+
+@pytest.mark.parametrize("kind", ["objects", "egocentric"])
+def test_both_engines_show_marks_on_their_targets_and_nothing_else_moves(kind):
+    config = make_with(MarksConfig("rank", symbols=60), "layered", Between(2, 4))
+    rooms = [generate(config, seed) for seed in range(6)]
+    plain = [dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, marks=())) for room in rooms]
+    assert len({len(room.targets) for room in rooms}) > 1
+    shown = EscapeRoomVectorEnv(6, instance=rooms, observation=kind)
+    bare = EscapeRoomVectorEnv(6, instance=plain, observation=kind)
+    seen, unmarked = (env.reset(seed=0)[0] for env in (shown, bare))
+    words = list(EscapeRoomEnv(instance=rooms[0], observation=kind).unwrapped._observer.names)
+    is_mark = np.array([word.rpartition("-")[2] in MARK_WORDS for word in words])
+    assert is_mark.sum() == len(MARK_WORDS) * (5 if kind == "objects" else 4)  # the exit has a row, too
+    for _ in range(40):
+        assert np.array_equal(seen[:, ~is_mark], unmarked)
+        action = shown.action_space.sample()
+        for number, room in enumerate(rooms):
+            single = EscapeRoomEnv(instance=room, observation=kind)
+            single.reset(seed=0)
+            single.set_state(shown.room.get_room_state(number))
+            own = single.unwrapped._observe()
+            assert np.abs(own[: len(is_mark) - 16] - seen[number, : len(is_mark) - 16]).max() < 2e-5
+            if kind == "objects":
+                rows = own.reshape(5, -1)[:, len(OBJECT_WORDS):]
+                assert np.array_equal(rows[: len(room.targets)], make_mark_rows(room.puzzle.marks))
+                assert not rows[len(room.targets):].any()
+            single.close()
+        seen, unmarked = (env.step(action)[0] for env in (shown, bare))
+
+
+def test_marks_out_of_sight_are_not_seen():
+    config = dataclasses.replace(make_with(MarksConfig("rank", symbols=60)), room=ShapeConfig(
+        width=16, depth=16, rooms=4, doorway_width=2.0))
+    hidden = 0
+    for seed in range(4):
+        env = EscapeRoomEnv(instance=generate(config, seed), observation="egocentric")
+        seen, _ = env.reset(seed=0)
+        rows = seen[: 4 * (4 + len(MARK_WORDS))].reshape(4, -1)
+        for row, full in zip(rows, make_mark_rows(env.instance.puzzle.marks), strict=True):
+            assert np.array_equal(row[4:], full if row[0] else np.zeros_like(full))
+            hidden += not row[0]
+    assert hidden >= 3
+
+
+def test_pictures_show_the_colour_of_a_mark():
+    room = generate(make_with(MarksConfig("rank", symbols=8)), 1)
+    colours = [palette.MARKS[split_mark(mark)[0]] for mark in room.puzzle.marks]
+    image = make_map_image(room).reshape(-1, 3)
+    assert all((image == np.round(255 * np.array(palette.to_rgb(colour)))).all(axis=1).any() for colour in colours)
+    assert [target["mark"][0] for target in describe_room(room)["targets"]] == colours
+    for target, colour in zip(room.targets, colours, strict=True):
+        assert [painted.colour for painted in make_target(room, target)][-1] == colour
+    bare = dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, marks=()))
+    assert len(make_target(bare, bare.targets[0])) == 3 and describe_room(bare)["targets"][0]["mark"] is None
+
+
+def test_pixels_show_marks():
+    room = generate(make_with(MarksConfig("rank", symbols=8)), 1)
+    others = dataclasses.replace(room, puzzle=dataclasses.replace(
+        room.puzzle, marks=tuple((mark + 1) % 8 for mark in room.puzzle.marks)))
+    target = room.targets[0]
+    x, y = palette.find_front(room, target)
+    pictures = []
+    for instance in (room, others):
+        env = EscapeRoomEnv(instance=instance, observation="pixels")
+        env.reset(seed=0)
+        heading = round(np.degrees(np.arctan2(-y, -x)) / 10) % 36
+        env.set_state(env.get_state()._replace(x=target.x + 2 * x, y=target.y + 2 * y, heading_steps=heading))
+        pictures.append(env._observe().astype(int))
+        env.close()
+    assert 30 < (np.abs(pictures[0] - pictures[1]).sum(axis=2) > 60).sum() < 2000  # the mark, and it alone
+
+
+def test_marked_and_bare_rooms_are_no_batch_and_batched_cameras_refuse_marks():
+    marked, bare = generate(make_with(MarksConfig("rank")), 0), generate(make_with(MarksConfig()), 0)
+    with pytest.raises(UnsupportedError, match="marks on targets"):
+        EscapeRoomVectorEnv(2, instance=[marked, bare], observation="objects")
+    with pytest.raises(UnsupportedError, match="draw no marks"):
+        EscapeRoomVectorEnv(1, instance=marked, render_mode="rgb_array")
+
+
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"kind": "rank", "levels": 8, "symbols": 6}, "marks.symbols = 6 is not possible: at least 8"),
+    ({"kind": "rank", "symbols": 97}, "97"),
+    ({"kind": "rank", "truth": 1.5}, "1.5"),
+    ({"kind": "colour"}, "needed"),
+])
+def test_impossible_marks_are_refused(changes, words):
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        MarksConfig(**changes)
+    puzzle = draw_puzzles(make_with(MarksConfig("rank")), 1)[0]
+    with pytest.raises(ConfigError, match="one for each of 4 buttons"):
+        dataclasses.replace(puzzle, marks=(1, 2))
+
+
+def test_a_room_with_marks_by_name_alone():
+    env = gymnasium.make("hrl_escape/EscapeRoom-v1", observation="objects", config={
+        "puzzle": {"kind": "buttons", "count": 3, "marks": {"kind": "rank"}}})
+    assert env.observation_space.words == OBJECT_WORDS + MARK_WORDS
+    seen, _ = env.reset(seed=0)
+    assert env.observation_space.contains(seen)
