@@ -42,7 +42,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the tests of one shard."""
+    """Keep the tests of one shard, and give slow ones two hours, which they do not take where cores are idle."""
+    for item in items:
+        if item.get_closest_marker("slow"):
+            item.add_marker(pytest.mark.timeout(7200))
     number, count = map(int, config.getoption("shard").split("/"))
     assert 1 <= number <= count, "--shard takes a number and a count, as 2/6"
     others = [item for place, item in enumerate(items) if place % count != number - 1]

@@ -45,7 +45,6 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> PackageCopy:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("mutation", EVERY)
 def test_a_planted_bug_is_seen(copy: PackageCopy, mutation: Mutation):
     assert copy.is_seen(mutation), f"no test of {mutation.tests} sees: {mutation.bug} ({mutation.file})"

@@ -192,10 +192,10 @@ def test_vast_rooms_are_prepared_in_seconds_and_bounded_memory():
     instance = generate(config, 0)
     rules = Kinematics(instance)
     FieldMaker(generate(get_preset("clutter"), 0), rules, door_shut=True)  # compiles
-    began = time.perf_counter()
+    began = time.process_time()
     maker = FieldMaker(instance, rules, door_shut=True)
     field = maker.make_field(maker.find_seeds(*compute_goal_area(PressGoal(0), instance)))
-    assert time.perf_counter() - began < 30.0
+    assert time.process_time() - began < 30.0
     assert maker.states < 1.6e6 and field.nbytes < 4e6
     assert maker.macro == 2 and maker.size < 0.5
     assert maker.get_cost(field, rules.make_state(instance.starts[0])) > 50

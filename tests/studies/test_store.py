@@ -67,7 +67,7 @@ def test_processes_that_add_at_once_lose_no_line_of_each_other(tmp_path: Path):
     store = Store(tmp_path / "raw.jsonl", (BaselineRun,))
     store.add([LINE])
     both = [subprocess.Popen([sys.executable, "-c", ADD, str(store.path), agent]) for agent in ("dqn", "ppo")]
-    assert [each.wait(timeout=240) for each in both] == [0, 0]
+    assert [each.wait(timeout=600) for each in both] == [0, 0]
     assert {(line.agent, line.seed) for line in store.load()} == {
         ("dqn", 0), *((agent, seed) for agent in ("dqn", "ppo") for seed in range(1, 41))}
 

@@ -89,7 +89,7 @@ def test_two_processes_of_one_study_that_share_a_folder_keep_all_lines(planted: 
     both = [subprocess.Popen([*command, "--out", str(planted.parent / f"runs-{seed}"), "--first-seed", str(seed)],
                              cwd=ROOT.parent)
             for seed in (0, 100)]
-    assert [each.wait(timeout=280) for each in both] == [0, 0]
+    assert [each.wait(timeout=600) for each in both] == [0, 0]
     assert "| random | 4 | " in (docs / "one-button.md").read_text()
 
 

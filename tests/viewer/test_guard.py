@@ -31,7 +31,7 @@ OWN = "own"
 def fetch(server: Server, path: str = "/", host: str = OWN, **headers: str) -> tuple[int, Any, bytes]:
     """Status, headers and body of a request."""
     port = server.get_port()
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=600)
     try:
         connection.putrequest("GET", path, skip_host=True)
         connection.putheader("Host", f"127.0.0.1:{port}" if host == OWN else host.format(port=port))
@@ -208,8 +208,9 @@ def test_clicks_and_keys_wait_in_a_queue_of_bounded_length(server: Server, game:
             send(page, type="GuiUpdateMessage", uuid=meta._impl.uuid, updates={"value": "meta-01"})
             send(page, type="GuiUpdateMessage", uuid=undo._impl.uuid, updates={"value": "Undo"})
             send(page, type="GuiUpdateMessage", uuid=save._impl.uuid, updates={"value": True})
-        page.ping().wait(10)
-        time.sleep(1.0)
+        assert page.ping().wait(600)
+        assert wait_until(lambda: game._waiting.qsize() == MOST_WAITING)
+        time.sleep(0.5)
         assert game._waiting.qsize() == MOST_WAITING
         asked = [game._waiting.get() for _ in range(3)]
         assert isinstance(asked[0], Command) and asked[1:] == ["z", "f"], "in the order of the clicks"
@@ -245,6 +246,6 @@ def test_a_request_with_two_hosts_is_refused_though_the_first_is_right(server: S
                           (["127.0.0.1", "evil.example"], b"403")):
         lines = [f"GET /?token={server.guard.token} HTTP/1.1", *(f"Host: {host}:{port}" for host in hosts),
                  "Connection: close", "", ""]
-        with socket.create_connection(("127.0.0.1", port), timeout=10) as dialled:
+        with socket.create_connection(("127.0.0.1", port), timeout=600) as dialled:
             dialled.sendall("\r\n".join(lines).encode())
             assert dialled.recv(64).split()[1] == status, hosts

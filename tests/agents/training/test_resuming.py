@@ -216,7 +216,7 @@ def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path):
         process.send_signal(signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL
     assert not (pieces / "result.json").exists()
-    assert start(pieces, pause=0).wait(120) == start(whole, pause=0).wait(120) == 0
+    assert start(pieces, pause=0).wait(600) == start(whole, pause=0).wait(600) == 0
     assert load_result(pieces) == load_result(whole)
     assert read_log(pieces) == read_log(whole)
     for name in ("checkpoint.npz", "best.npz"):

@@ -49,7 +49,6 @@ def run_on_ray(folder: Path, *agents: str) -> tuple[list[str], dict[str, list[st
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @needs_ray
 def test_a_task_that_raises_and_one_that_crashes_are_told_and_stop_no_others(tmp_path: Path):
     finished, failures = run_on_ray(tmp_path, "raiser", "crasher", "random")
@@ -61,7 +60,6 @@ def test_a_task_that_raises_and_one_that_crashes_are_told_and_stop_no_others(tmp
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @needs_ray
 def test_a_machine_that_cannot_import_what_a_task_needs_is_told(tmp_path: Path):
     (tmp_path / "of_workers").mkdir()

@@ -54,7 +54,7 @@ def test_a_run_whose_worker_is_killed_is_made_again(tmp_path: Path):
     killed = []
 
     def kill() -> None:
-        until = time.monotonic() + 60
+        until = time.monotonic() + 600
         while time.monotonic() < until and not killed:
             if (worker := find_worker()) is not None:
                 os.kill(worker, signal.SIGKILL)

@@ -135,7 +135,6 @@ def test_escapes_by_hand_are_within_a_percent_of_the_joint_optimum():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)
 def test_escapes_by_hand_with_two_buttons_are_within_a_percent_of_the_joint_optimum():
     jointly, thorough, by_legs, fewest = compare((1, 2), range(4))
     print(f"{jointly} primitives jointly, {thorough} with more effort, {by_legs} leg after leg, {fewest} by the "

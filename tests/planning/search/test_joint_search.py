@@ -90,7 +90,6 @@ def test_escapes_are_within_a_percent_of_the_joint_optimum():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)
 def test_escapes_with_up_to_six_buttons_are_within_a_percent_of_the_joint_optimum():
     jointly, by_legs, fewest = compare((1, 2, 3, 4, 5, 6), range(4))
     print(f"{jointly} primitives jointly, {by_legs} leg after leg, {fewest} by the near-exact search")

@@ -84,7 +84,7 @@ def game(server: Server, two_buttons):
     thread.start()
     yield game
     game.put("q")
-    thread.join(10)
+    thread.join(600)
     assert not thread.is_alive()
 
 

@@ -124,7 +124,7 @@ def test_manual_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: 
     finally:
         page.close()
         game.put("q")
-        thread.join(10)
+        thread.join(600)
 
 
 def test_watch_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: Server, browser: Browser):
@@ -147,7 +147,7 @@ def test_watch_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: S
     finally:
         page.close()
         gate.stop()
-        thread.join(10)
+        thread.join(600)
 
 
 @pytest.mark.parametrize("name", HOSTILE[:-1])

@@ -52,7 +52,7 @@ def playing(instance: RoomInstance, browser: Browser, folder: Path) -> Iterator[
     finally:
         page.close()
         game.put("q")
-        thread.join(10)
+        thread.join(600)
         server.stop()
         assert not thread.is_alive()
 
@@ -159,7 +159,7 @@ def watched(two_buttons, server: Server, tmp_path: Path) -> Iterator[tuple[Watch
     thread = run_in_thread(page)
     yield page, tmp_path
     gate.stop()
-    thread.join(10)
+    thread.join(600)
     assert not thread.is_alive()
 
 
@@ -177,18 +177,19 @@ def test_watch_pauses_steps_and_shows_the_agents_own_option_values(watched, two_
     page.wait("!!document.querySelector('#values .action')")
     wait_for(page, state="paused", primitives=0)
     for steps in (1, 2):
-        assert read_values(page) == dict(zip(env.action_names, map(float, agent.compute_values(
-            observe.observe(view.watch.choice.state))), strict=True))
+        wait_until(lambda: read_values(page) == dict(zip(env.action_names, map(float, agent.compute_values(
+            observe.observe(view.watch.choice.state))), strict=True)))
         page.press("p")
         wait_for(page, state="paused", primitives=steps)
+    before = len(view.watch.decisions)
     page.click("1 decision")
-    page.wait(f"{FACTS}?.primitives > 2 && {FACTS}?.state === 'paused' && "
+    page.wait(f"{FACTS}?.decisions > {before} && {FACTS}?.state === 'paused' && "
               "document.querySelectorAll('#values .action[data-chosen=\"1\"]').length === 1")
     done = view.watch.decisions[-1]
     page.click("SMDP")
-    page.wait("document.querySelectorAll('#smdp tbody tr:first-child td').length > 1")
-    cells = page.run("[...document.querySelector('#smdp tbody tr').children].map(c => c.innerText)")
-    assert cells[:4] == [done.name, str(done.duration), f"{done.reward:.2f}", f"{done.discount:.4f}"]
+    row = json.dumps([done.name, str(done.duration), f"{done.reward:.2f}", f"{done.discount:.4f}"])
+    page.wait("JSON.stringify([...(document.querySelector('#smdp tbody tr')?.children ?? [])].slice(0, 4)"
+              f".map(c => c.innerText)) === JSON.stringify({row})")
     page.click("What if")
     page.click("What if it took this option?")
     page.wait("document.querySelector('#preview')?.innerText.includes('primitives')")

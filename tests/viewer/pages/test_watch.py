@@ -48,5 +48,5 @@ def test_the_buttons_pause_run_and_let_one_step_through(server: Server, two_butt
     view._turn("Run")
     assert not gate.is_paused
     gate.stop()
-    thread.join(10)
+    thread.join(600)
     assert not thread.is_alive()

@@ -57,7 +57,7 @@ def test_in_a_real_terminal_keys_work_at_once_and_q_leaves_it_as_it_was():
                 shown += os.read(ours, 65536)
             assert expected in shown, shown[-500:].decode(errors="replace")
             shown = b""
-        assert game.wait(20) == 0
+        assert game.wait(600) == 0
     finally:
         game.kill()
         game.wait()

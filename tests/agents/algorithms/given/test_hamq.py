@@ -178,7 +178,6 @@ def make_driver(env, seed, rates):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.parametrize(("dynamics", "episodes"), [("still", 5_000), ("noisy", 5_000), ("fickle", 8_000),
                                                     ("both", 8_000)])
 def test_taxi_is_solved_over_ten_seeds(dynamics, episodes):

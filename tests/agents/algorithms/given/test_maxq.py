@@ -234,7 +234,6 @@ def test_taxi_is_solved_in_three_thousand_episodes():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.parametrize("dynamics", DYNAMICS)
 def test_taxi_is_solved_over_ten_seeds_in_all_dynamics(dynamics):
     """One or two minutes of one core each. 0.1 is left for what 3,000 episodes do not settle."""
