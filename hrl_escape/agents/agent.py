@@ -59,6 +59,7 @@ class SMDPTransition(NamedTuple):
         terminated: the task ended; later rewards are zero.
         truncated: the episode was cut off; the state reached still has a value.
         trace: the primitives inside, where the environment gives them (see `make_transition`), else empty.
+        cut: truncated inside an option, so that the state reached is not where the option leads.
     """
 
     observation: Any
@@ -73,6 +74,7 @@ class SMDPTransition(NamedTuple):
     terminated: bool
     truncated: bool
     trace: Sequence[Any] = ()
+    cut: bool = False
 
 
 class RunningCall(NamedTuple):
@@ -374,6 +376,8 @@ def make_transition(
     - `discounted_reward` and `discount`: R and gamma^k already computed, for environments that do not give
       `rewards`; the gamma must then be the agent's. One of the two ways is needed where k > 1.
     - `action_mask`: see `read_action_mask`; at the state reached.
+    - `option`: a mapping whose `ended` is `episode-over` where the episode's end stopped the option, so that a
+      truncation cut it; without it, every truncated action of several primitives is taken for cut.
     - `trace`: one item per primitive, each a tuple that begins with (observation, action, reward,
       next_observation) and may have the attributes `next_action_mask` and `consistent`: pairs (action, beta)
       of the actions whose policy, a function of the state alone, does this same primitive here, with
@@ -423,7 +427,14 @@ def make_transition(
         bool(terminated),
         bool(truncated),
         info.get("trace") or (),
+        _is_cut(info, duration, bool(terminated), bool(truncated)),
     )
+
+
+def _is_cut(info: Mapping[str, Any], duration: int, terminated: bool, truncated: bool) -> bool:
+    option = info.get("option")
+    ended = option.get("ended") if isinstance(option, Mapping) else None
+    return truncated and not terminated and (duration > 1 if ended is None else ended == "episode-over")
 
 
 def _read_rewards(reward: Any, info: Mapping[str, Any], gamma: float) -> tuple[int, float, float]:

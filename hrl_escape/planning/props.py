@@ -6,13 +6,13 @@ goes round all other blocks too, if it can.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact, make_footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.poses import get_planar_pose
 
 __all__ = ["get_prop_poses", "list_blocks", "list_obstacles", "meets"]
 
@@ -26,7 +26,7 @@ def get_prop_poses(state: RoomState, instance: RoomInstance) -> list[tuple[float
     """Poses (x, y, yaw) of the props, m and rad."""
     if state.physics is None:
         return [(placed.x, placed.y, placed.yaw) for placed in instance.props]
-    return [(p[0], p[1], 2.0 * math.atan2(p[5], p[6])) for p in state.physics.props]
+    return [get_planar_pose(numbers) for numbers in state.physics.props]
 
 
 def list_blocks(state: RoomState, instance: RoomInstance, *, grown: float = 0.0, only_done: bool = False,

@@ -266,12 +266,11 @@ class CutEnv(SmdpEnv):
         smdp: before it is spread.
         seed: of the actions by which options go on.
         longest: largest time limit, primitives.
-        shows_cuts: an option is never cut after its first primitive, where it would look like a primitive.
     """
 
-    def __init__(self, smdp: Smdp, seed: int, longest: int = 12, shows_cuts: bool = False) -> None:
+    def __init__(self, smdp: Smdp, seed: int, longest: int = 12) -> None:
         super().__init__(spread_options(smdp, seed), start=None)
-        self.longest, self.shows_cuts = longest, shows_cuts
+        self.longest = longest
         self._inside: dict[tuple[int, int], int] = {}
         """(state, action) -> the state after its first primitive; those after it are numbered on."""
         for state, row in enumerate(smdp):
@@ -290,10 +289,10 @@ class CutEnv(SmdpEnv):
 
     def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         state, before = self.state, self.elapsed
-        if self.shows_cuts and len(self.smdp[state][action][0].rewards) > self.horizon - before == 1:
-            self.horizon += 1
         observation, reward, terminated, truncated, info = super().step(action)
-        if info["duration"] < len(self.smdp[state][action][0].rewards):
+        is_cut = info["duration"] < len(self.smdp[state][action][0].rewards)
+        info["option"] = {"ended": "episode-over" if is_cut else "reached"}
+        if is_cut:
             done = self.elapsed - before
             self.state = self._inside[state, action] + done - 1 if (state, action) in self._inside else state + done
             observation, info["action_mask"] = self.observe(self.state), self.compute_mask(self.state)

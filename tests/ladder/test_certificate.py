@@ -194,8 +194,9 @@ def test_the_easiest_rungs_verify():
 
 
 @pytest.mark.slow
-def test_the_whole_ladder_verifies():
-    load_benchmark("ladder-1").verify()
+def test_rungs_of_every_kind_verify():
+    """All rungs, seven minutes of a core: `hrl-escape ladder verify`."""
+    load_benchmark("ladder-1").verify(["reach", "doors", "freight", "lattice"])
 
 
 SCRIPT = """

@@ -11,6 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, TimeLimit, TransformReward
 
+from hrl_escape.agents.agent import make_transition
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
@@ -114,6 +115,14 @@ def test_trap_3_the_cap_inside_an_option_truncates_and_the_state_reached_is_retu
     assert info["option"]["ended"] == "episode-over"
     assert env.unwrapped.get_state().heading_steps == 7
     assert observation[3] == pytest.approx(np.radians(70), abs=1e-6)
+
+
+@pytest.mark.parametrize(("horizon", "length", "cut"), [(1, 10, True), (7, 10, True), (7, 7, False), (1, 1, False)])
+def test_trap_3_what_the_cap_stops_is_cut_and_what_ends_there_is_not(horizon, length, cut):
+    env = OptionsEnv(make_env(horizon=horizon), [make_walk(length)], discount=GAMMA)
+    observation, info = begin(env)
+    transition = make_transition(observation, 6, info["action_mask"] > 0, env.step(6), GAMMA)
+    assert transition.truncated and transition.duration == horizon and transition.cut == cut
 
 
 def test_trap_4_an_exit_inside_an_option_keeps_the_bonus_and_ends_it():

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid
@@ -22,6 +23,7 @@ from hrl_escape.planning.arm.model import ArmKinematics
 from hrl_escape.planning.arm.reacher import Reacher
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.planning.props import get_prop_poses
 from hrl_escape.planning.scene import Scene
 
 
@@ -120,6 +122,18 @@ def test_props_and_targets_move_and_the_room_follows():
     state = scene.planner.rules.make_state(scene.instance.starts[0])
     near = scene.move("button-1", y=0.8, yaw=0.0)
     assert near.planner.plan(state, "button-1").cost < scene.planner.plan(state, "button-1").cost
+
+
+def test_a_block_on_its_side_keeps_its_yaw():
+    env = EscapeRoomEnv("push-block", instance_seed=0)
+    env.reset(seed=0)
+    state = env.get_state()
+    tipped = Rotation.from_euler("zx", [0.7, np.pi / 2]) * Rotation.from_euler("x", 0.2)
+    props = tuple((*numbers[:3], *tipped.as_quat(), *numbers[7:]) for numbers in state.physics.props)
+    state = state._replace(physics=state.physics._replace(props=props))
+    along = tipped.apply([1.0, 0.0, 0.0])
+    assert get_prop_poses(state, env.instance)[0][2] == pytest.approx(np.arctan2(along[1], along[0]))
+    env.close()
 
 
 def make_block(x: float, y: float, kind: Literal["block", "plate"] = "block") -> PlacedProp:

@@ -45,14 +45,17 @@ class RMaxSettings(ResolutionSettings):
     """Value iteration stops when no value moves by more than this."""
 
 
+_KEPT = SMDPTransition._fields[:-2]  # nothing that was cut, and no trace
+
+
 def _save_history(history: list[SMDPTransition]) -> StateTree:
-    """Columns by name; no traces."""
-    return {name: np.array([getattr(each, name) for each in history]) for name in SMDPTransition._fields[:-1]}
+    """Columns by name."""
+    return {name: np.array([getattr(each, name) for each in history]) for name in _KEPT}
 
 
 def _load_history(columns: StateTree) -> list[SMDPTransition]:
     rows = (column.tolist() if column.ndim == 1 else list(column)
-            for column in (np.asarray(columns[name]) for name in SMDPTransition._fields[:-1]))
+            for column in (np.asarray(columns[name]) for name in _KEPT))
     return [SMDPTransition(*row) for row in zip(*rows, strict=True)]
 
 
@@ -194,7 +197,7 @@ class RMax(Agent):
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Count, also what is known: it plans anew when a pair's samples have doubled or show something new."""
-        if transition.truncated and transition.duration > 1:
+        if transition.cut:
             return {}  # a cut inside an action does not show where it leads
         kept = transition._replace(trace=())
         self._history.append(kept)

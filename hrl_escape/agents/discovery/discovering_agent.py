@@ -202,7 +202,7 @@ class DiscoveringAgent(TabularAgent):
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn values, take the decision into the graph, and take what the discovery proposes."""
         before, after = (self._discretise(o) for o in (transition.observation, transition.next_observation))
-        if not (transition.truncated and transition.duration > 1):
+        if not transition.cut:
             self.graph.add(before, transition.action, after)
         error = self._learn(transition)
         self._lasted += 1

@@ -150,6 +150,8 @@ class FactoredModel:
         self.rate = rate
         self._levels: dict[float, int] = {0.0: 0}
         self._durations: DurationModel | None = None
+        self._history: DurationHistory | None = None  # of the decisions before `_told`
+        self._told = 0
         self.repeatable = np.ones(self._actions, dtype=np.bool_)
         self._tried: set[int] = set()
         self._done: set[int] = set()  # and masked ever since
@@ -226,7 +228,7 @@ class FactoredModel:
         """Take in a decision; an option cut inside by truncation shows no outcome and is left out."""
         previous = self._previous
         self._previous = -1 if transition.terminated or transition.truncated else transition.action
-        if transition.truncated and transition.duration > 1:
+        if transition.cut:
             return
         before = self._reader.flatten(transition.observation)
         after = self._reader.flatten(transition.next_observation)
@@ -273,17 +275,23 @@ class FactoredModel:
         Also the row that holds after each action, (actions,).
         """
         if self._durations is None:
-            self._durations = fit_durations(self._make_history(), self._actions)
+            self._durations = fit_durations(self._extend_history(), self._actions)
         pose = self._reader.read_pose(self._reader.flatten(observation))
         return self._durations.compute_durations(pose), self._durations.places
 
-    def _make_history(self) -> DurationHistory:
-        """The last decisions, as far as durations are concerned."""
-        rows = self._rows[-REMEMBERED_DECISIONS:]
+    def _extend_history(self) -> DurationHistory:
+        """The last decisions, as far as durations are concerned; those told of before are not read again."""
+        first = max(self._told, len(self._rows) - REMEMBERED_DECISIONS)
+        rows, self._told = self._rows[first:], len(self._rows)
         actions, durations, previous = (np.array([row[column] for row in rows]) for column in (0, 1, 4))
-        starts, ends = (np.ascontiguousarray(self._reader.read_pose(np.array(flat[-REMEMBERED_DECISIONS:])))
+        starts, ends = (np.ascontiguousarray(self._reader.read_pose(np.array(flat[first:])))
                         for flat in (self._before, self._after))
-        return DurationHistory(starts, actions, ends, durations.astype(np.float64), previous)
+        new = DurationHistory(starts, actions, ends, durations.astype(np.float64), previous)
+        if self._history is not None and len(self._history.actions):
+            new = DurationHistory(*(np.concatenate(both)[-REMEMBERED_DECISIONS:]
+                                    for both in zip(self._history, new, strict=True)))
+        self._history = new
+        return new
 
     def find_graph(self, choose: ChooseHypotheses) -> frozenset[tuple[int, int]]:
         """Edges (parent, child): some action puts the child up, and the parent is one of those that decide it.

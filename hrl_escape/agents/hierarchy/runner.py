@@ -174,7 +174,7 @@ class CallRunner(Agent):
         stack, seen, action = self._chosen
         after = self.hierarchy.see(transition.next_observation, transition.next_action_mask)
         step = Step(seen, action, transition.reward, transition.summed_reward, transition.duration, after,
-                    transition.terminated, transition.truncated)  # fmt: skip
+                    transition.terminated, transition.truncated, cut=transition.cut)  # fmt: skip
         self._stack, returns = arrive(stack, step, self.get_gamma, lambda p: self._rng.random() < p,
                                       polled=self.settings.polled == "always")  # fmt: skip
         self._chosen = None

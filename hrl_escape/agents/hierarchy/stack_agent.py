@@ -113,6 +113,7 @@ def make_task_transition(returned: Return) -> SMDPTransition:
     task, seen = frame.task, returned.seen
     final = task.final(frame, seen) if returned.ended else 0.0
     terminated = returned.ended or returned.stuck or returned.terminated
+    truncated = (returned.is_over or returned.truncated) and not terminated
     legal = task.legal(seen, frame.context)
     return SMDPTransition(
         decision.view,
@@ -125,5 +126,6 @@ def make_task_transition(returned: Return) -> SMDPTransition:
         task.view(seen, returned.stack),
         legal if legal.any() else np.ones_like(legal),  # nothing is bootstrapped there
         terminated,
-        (returned.is_over or returned.truncated) and not terminated,
+        truncated,
+        cut=truncated and (returned.cut or decision.duration > 1),
     )

@@ -123,6 +123,7 @@ class Step(NamedTuple):
         terminated: the episode ended in the task's sense.
         truncated: the episode was cut off.
         arrival: discount of what is paid at `next_seen`, gamma^(duration - 1); 1 where a sum without discount is asked.
+        cut: truncated inside an option of the environment.
     """
 
     seen: Seen
@@ -134,6 +135,7 @@ class Step(NamedTuple):
     terminated: bool
     truncated: bool
     arrival: float = 1.0
+    cut: bool = False
 
 
 class BaseTask:

@@ -21,6 +21,7 @@ from hrl_escape.env.drawing.meshes import compute_extent, outline_capsule
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
+from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
 from hrl_escape.templates import embed_json, render_template
 
@@ -121,7 +122,8 @@ def make_frames(rules: Rules, states: Sequence[RoomState]) -> dict[str, Any]:
         "shut": _list_changes(states, lambda state: [
             n for n in range(len(rules.instance.inner_doors)) if bars.get_shut(state) >> n & 1]),
         "open": _list_changes(states, puzzle.is_solved),
-        "props": [[_find_planar_pose(prop) for prop in state.physics.props] for state in states if state.physics],
+        "props": [[[round(x, 3), round(y, 3), round(yaw, 4)] for x, y, yaw in map(get_planar_pose, state.physics.props)]
+                  for state in states if state.physics],
     }
 
 
@@ -151,11 +153,6 @@ def _make_arm_finder(rules: Rules) -> Callable[[RoomState], list[list[float]]]:
                 for x, y, _ in points]
 
     return find
-
-
-def _find_planar_pose(prop: Sequence[float]) -> list[float]:
-    x, y, _, qx, qy, qz, qw = prop[:7]
-    return [round(x, 3), round(y, 3), round(math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)), 4)]
 
 
 def _describe_rectangle(area: Rectangle) -> list[float]:

@@ -38,15 +38,15 @@ EXACT = {"gamma": GAMMA, "learning_rate": 1.0, "epsilon_start": 1.0, "epsilon_en
 SEEDS = range(3)
 
 
-def make_env(seed, longest=12, shows_cuts=False):
-    return CutEnv(make_random_smdp(seed, states=4, actions=3, branches=1, longest=5), seed, longest, shows_cuts)
+def make_env(seed, longest=12):
+    return CutEnv(make_random_smdp(seed, states=4, actions=3, branches=1, longest=5), seed, longest)
 
 
 def make(agent_class, env, settings=EXACT, **given):
     return agent_class(env.observation_space, env.action_space, 0, agent_class.Settings(**settings), **given)
 
 
-def teach(agent, env, decisions=8_000):
+def teach(agent, env, decisions=10_000):
     """Episodes of few decisions from anywhere, each cut somewhere."""
     learn(agent, env, decisions)
     return agent
@@ -81,7 +81,7 @@ READ = {
 
 @pytest.mark.parametrize(("agent_class", "seed"), cover(list(READ), SEEDS))
 def test_values_of_choices_are_exact(agent_class, seed):
-    env = make_env(seed, shows_cuts=agent_class is MaxqQ)
+    env = make_env(seed)
     agent = teach(make(agent_class, env, MODELS.get(agent_class, EXACT)), GiveTrace(env))
     exact = solve(env.smdp, GAMMA)
     for state, row in enumerate(exact):
@@ -199,7 +199,7 @@ def solve_graph(smdp):
 @pytest.mark.parametrize(("name", "seed"), cover(list(GRAPH_MAKERS), RETURNING))
 def test_tasks_are_worth_what_they_earn_also_where_they_get_stuck(name, seed):
     """Learners of a stack bootstrap where a call is cut, in their own view, which is exact for the task below alone."""
-    env = make_env(seed, longest=40, shows_cuts=True)
+    env = make_env(seed, longest=40)
     agent, rng = GRAPH_MAKERS[name](env), np.random.default_rng(0)
     teach(agent, env, 9_000 if name == "stack" else 3_000)
     if name == "maxq-q":  # completions are of children as they run: from now on as they run best

@@ -249,11 +249,28 @@ def test_durations_follow_distance_until_a_leg_was_run():
 def test_what_a_cut_ended_inside_is_no_evidence():
     model = FactoredModel(spaces.MultiBinary(2), 1, 0.9, 2, "all-on", "test")
     bits, mask = np.zeros(2), np.ones(1, np.bool_)
-    cut = SMDPTransition(bits, 0, mask, -5.0, -5.0, 5, 0.5, bits, mask, False, True)
+    cut = SMDPTransition(bits, 0, mask, -1.0, -1.0, 1, 0.9, bits, mask, False, True, cut=True)
     model.record(cut)
     assert model.is_empty
-    model.record(cut._replace(duration=1))
+    model.record(cut._replace(cut=False))
     assert not model.is_empty
+
+
+def test_durations_heard_one_by_one_are_those_of_the_last_decisions_read_at_once(monkeypatch):
+    monkeypatch.setattr("hrl_escape.agents.factored.model.REMEMBERED_DECISIONS", 40)
+    rng, mask = np.random.default_rng(0), np.ones(3, np.bool_)
+    model, again = (FactoredModel(spaces.Box(-9, 9, (2,), np.float64), 3, 0.9, 1, "all-on", "test") for _ in range(2))
+    homes, here = rng.uniform(-9, 9, (3, 2)), np.zeros(2)
+    for number in range(100):
+        action = int(rng.integers(3))
+        there, duration = homes[action] + rng.normal(0, 0.01, 2), int(rng.integers(1, 9))
+        model.record(SMDPTransition(here, action, mask, -duration, -duration, duration, 0.9**duration, there, mask,
+                                    False, False))
+        here = there
+        if number % 7 == 0 or number == 99:
+            again.load_state_dict(model.state_dict())
+            for ours, theirs in zip(model.estimate_durations(here), again.estimate_durations(here), strict=True):
+                assert np.array_equal(ours, theirs)
 
 
 def test_an_action_masked_since_it_was_done_is_no_sample():

@@ -148,13 +148,13 @@ class MaxqQ(TabularRunner):
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Learn the primitive's value, then the completions of the choices that came back, the innermost first."""
         self._way.append((step.seen, step.duration, step.reward))
-        was_cut, error = step.truncated and step.duration > 1, 0.0
-        if not was_cut:
+        error = 0.0
+        if not step.cut:
             key = self._make_primitive_key(step.action, step.seen)
             error = abs(self.tables["primitive"].update(key, step.reward))
         for returned in returns:
             task = get_task(returned.stack)
-            cut_before_its_end = (returned.cut or was_cut) and not (returned.ended or returned.terminated)
+            cut_before_its_end = (returned.cut or step.cut) and not (returned.ended or returned.terminated)
             if task.policy is not None:
                 error = max(error, self._learn_walk(returned, task) if returned.is_over else 0.0)
             elif not cut_before_its_end:

@@ -197,7 +197,7 @@ class RMaxq(CallRunner):
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Count one primitive; an option that was cut inside does not show where it leads."""
-        if step.truncated and step.duration > 1:
+        if step.cut:
             return {"states": len(self._moments)}
         before, after, action = self.number(step.seen), self.number(step.next_seen), step.action
         weights = self._weights[before]

@@ -109,9 +109,8 @@ class SkillChain(Discovery):
 
     def _judge_runs(self, transition: SMDPTransition, before: int, after: int) -> None:
         """Follow runs of options; one that arrived, or ended elsewhere, tells of all states that it went through."""
-        is_cut = transition.truncated and transition.duration > 1
         for level, (option, run) in enumerate(zip(self._made, self._runs, strict=True)):
-            if is_cut or before >= len(option.actions) or option.actions[before] != transition.action:
+            if transition.cut or before >= len(option.actions) or option.actions[before] != transition.action:
                 run.clear()  # somebody else acted
                 continue
             run.append(before)

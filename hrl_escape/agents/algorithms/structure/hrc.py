@@ -295,7 +295,7 @@ class Hrc(Agent):
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Take a sample; a bit turned on for the first time can be reached from now on."""
-        if not (transition.truncated and transition.duration > 1):  # a cut inside shows no effect
+        if not transition.cut:  # a cut inside shows no effect
             before, after = self._read(transition.observation), self._read(transition.next_observation)
             self._learn((before, transition.action, after, transition.terminated))
         return {"interventions": len(self.interventions), "intervention_cost": self.cost,
