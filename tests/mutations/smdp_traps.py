@@ -4,6 +4,13 @@ from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
     Mutation(
+        "an option cut after its first primitive is taken for whole",
+        "agents/agent.py",
+        '(duration > 1 if ended is None else ended == "episode-over")',
+        "duration > 1",
+        "options/test_options_env.py::test_trap_3_what_the_cap_stops_is_cut_and_what_ends_there_is_not",
+    ),
+    Mutation(
         "1 summed reward with gamma^k",
         "agents/agent.py",
         "discounted = float(primitive_reward) + gamma * discounted",

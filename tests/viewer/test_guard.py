@@ -209,7 +209,7 @@ def test_clicks_and_keys_wait_in_a_queue_of_bounded_length(server: Server, game:
             send(page, type="GuiUpdateMessage", uuid=undo._impl.uuid, updates={"value": "Undo"})
             send(page, type="GuiUpdateMessage", uuid=save._impl.uuid, updates={"value": True})
         assert page.ping().wait(600)
-        assert wait_until(lambda: game._waiting.qsize() == MOST_WAITING)
+        assert wait_until(lambda: game._waiting.qsize() >= MOST_WAITING)
         time.sleep(0.5)
         assert game._waiting.qsize() == MOST_WAITING
         asked = [game._waiting.get() for _ in range(3)]
