@@ -288,8 +288,8 @@ class FactoredModel:
                         for flat in (self._before, self._after))
         new = DurationHistory(starts, actions, ends, durations.astype(np.float64), previous)
         if self._history is not None and len(self._history.actions):
-            new = DurationHistory(*(np.concatenate(both)[-REMEMBERED_DECISIONS:]
-                                    for both in zip(self._history, new, strict=True)))
+            new = DurationHistory._make(np.concatenate(both)[-REMEMBERED_DECISIONS:]
+                                        for both in zip(self._history, new, strict=True))
         self._history = new
         return new
 
