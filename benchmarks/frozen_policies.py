@@ -2,7 +2,7 @@
 
     python -m benchmarks.frozen_policies --room clutter --primitives 50000 --seeds 2
 
-Trains `smdp-dqn` among primitives and options, at its defaults and at those before them (`agents/tuning.toml`). On the
+Trains `smdp-dqn` among primitives and options, at its defaults and at those before them (`studies/tuning.toml`). On the
 way it plays greedy episodes and looks at the choices of each that fails: a policy that comes back to a state goes round
 for ever, for it has no memory and the room no chance. Beside it stand the training episodes since the last look, whose
 exploration leads out of any cycle.

@@ -31,13 +31,13 @@ from hrl_escape.agents.registry import (
     list_recipes,
 )
 from hrl_escape.agents.training.results import METRICS
-from hrl_escape.agents.tuning import load_tuning
 from hrl_escape.cli import main
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.observations.base import list_observations, make_observer
 from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.settings import describe_fields, read_field_documents
+from studies.tuning import load_tuning
 
 
 def find(path: str) -> Any:

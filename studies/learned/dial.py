@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec, Grid
 from hrl_escape.comparison.inference import LEVEL
-from hrl_escape.comparison.option_dial import DialPlace, measure_option, place_on_dial
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
@@ -28,6 +27,7 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.learned import make_learned_options
 from hrl_escape.options.options_env import OptionsEnv
+from studies.learned.option_dial import DialPlace, measure_option, place_on_dial
 from studies.store import Store
 
 __all__ = ["DialLine", "DialSettings", "conclude_dial", "describe_dial", "measure_dial", "place_lines"]

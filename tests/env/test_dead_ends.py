@@ -7,7 +7,6 @@ import pytest
 
 import hrl_escape
 from benchmarks.conformance import compare
-from hrl_escape.checks import check_isomorphism
 from hrl_escape.env.config import RoomConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
@@ -18,6 +17,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import PlanningFailed
 from hrl_escape.planning import RoomPlanner
+from tests.env.isomorphism import check_isomorphism
 
 assert hrl_escape  # registers the environments
 CONFIG = get_preset("dead-ends")

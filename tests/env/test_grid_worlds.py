@@ -8,8 +8,6 @@ import pytest
 
 import hrl_escape
 from benchmarks.conformance import compare
-from hrl_escape.checks import check_isomorphism
-from hrl_escape.checks.isomorphism import GridOutcome
 from hrl_escape.env.config import DynamicsConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import compute_noise, draw_chance
@@ -20,6 +18,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, ContractError
 from hrl_escape.planning.planner import RoomPlanner
 from tests.classic.four_rooms import EAST_HALLWAY, GRID, FourRooms
+from tests.env.isomorphism import GridOutcome, check_isomorphism
 
 assert hrl_escape  # registers the environments
 

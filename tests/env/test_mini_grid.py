@@ -12,8 +12,7 @@ import torch
 
 import hrl_escape
 from benchmarks.conformance import compare
-from hrl_escape.checks import check_isomorphism, check_puzzle
-from hrl_escape.checks.isomorphism import GridOutcome
+from hrl_escape.checks import check_puzzle
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.kinematics import Kinematics
@@ -26,6 +25,8 @@ from hrl_escape.planning import RoomPlanner
 
 pytest.importorskip("minigrid")
 from minigrid.core.world_object import Ball, Door, Goal, Key  # noqa: E402  # only where MiniGrid is installed
+
+from tests.env.isomorphism import GridOutcome, check_isomorphism
 
 assert hrl_escape  # registers the environments
 

@@ -12,8 +12,7 @@ import torch
 
 import hrl_escape
 from benchmarks.conformance import compare
-from hrl_escape.checks import check_isomorphism, check_puzzle
-from hrl_escape.checks.isomorphism import GridOutcome
+from hrl_escape.checks import check_puzzle
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.kinematics import Kinematics
@@ -25,6 +24,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, ContractError, GenerationError, PlanningFailed
 from hrl_escape.options import OptionsEnv
 from hrl_escape.planning import RoomPlanner
+from tests.env.isomorphism import GridOutcome, check_isomorphism
 from tests.env.test_grid_worlds import find_keys, iterate_values
 
 assert hrl_escape  # registers the environments

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import hrl_escape
-from hrl_escape.checks import check_isomorphism
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
@@ -16,6 +15,7 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.errors import ContractError
+from tests.env.isomorphism import check_isomorphism
 
 assert hrl_escape  # registers the environments
 

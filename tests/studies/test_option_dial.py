@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hrl_escape.comparison import measure_option, place_on_dial
 from hrl_escape.env import EscapeRoomEnv
 from hrl_escape.errors import EscapeError
 from hrl_escape.options import OptionDegradation, OptionsEnv
+from studies.learned.option_dial import measure_option, place_on_dial
 
 LENGTH = 9
 """Primitives of meta-01 in the paper's rooms."""

@@ -7,8 +7,8 @@ import dataclasses
 import pytest
 
 from hrl_escape.agents.registry import SMDP_PREFIX, get_recipe, list_agents
-from hrl_escape.agents.tuning import Tuning, load_tuning
 from hrl_escape.env.presets import PRESETS
+from studies.tuning import Tuning, load_tuning
 
 RECORD = load_tuning()
 
