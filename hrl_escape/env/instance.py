@@ -328,6 +328,14 @@ class RoomInstance(Pictured, Schematic):
         return self.solids if self.door is None else (*self.solids, self.door)
 
     @property
+    def door_swing(self) -> float:
+        """Sign of the hinge angle at which the exit's door swings outwards; 1 without a door."""
+        if self.door is None:
+            return 1.0
+        (x, y), yaw = self.exit.centre, self.door.yaw
+        return math.copysign(1.0, math.cos(yaw) * (y - self.door.y) - math.sin(yaw) * (x - self.door.x))
+
+    @property
     def reach_x(self) -> float:
         """Largest |x| the floor has, the alcove behind a door included."""
         return max(self.half_width, abs(self.exit.x_min), abs(self.exit.x_max))

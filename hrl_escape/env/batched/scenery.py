@@ -174,7 +174,6 @@ def _shrink(door: Solid, share: float) -> Footprint:
 
 def _swing(instance: RoomInstance, door: Solid, angle: float) -> Footprint:
     """Leaf of the exit's door, turned about its hinge towards the exit."""
-    (x, y), cos, sin = instance.exit.centre, math.cos(door.yaw), math.sin(door.yaw)
-    yaw = door.yaw + math.copysign(angle, cos * (y - door.y) - sin * (x - door.x))
+    cos, sin, yaw = math.cos(door.yaw), math.sin(door.yaw), door.yaw + angle * instance.door_swing
     return make_footprint(door.x + door.half_x * (math.cos(yaw) - cos), door.y + door.half_x * (math.sin(yaw) - sin),
                           door.half_x, 0.6 * door.half_y, yaw)

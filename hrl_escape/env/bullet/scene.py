@@ -112,17 +112,9 @@ def show_inner_door(client: int, body: int, door: Solid, is_shut: bool) -> None:
 
 def show_door(client: int, instance: RoomInstance, door: int, is_open: bool) -> None:
     """Shut the door's leaf, or swing it outwards so that the robot passes (kinematics)."""
-    assert instance.door is not None
-    angle = math.pi / 2 * _find_outward(instance, instance.door) if is_open else 0.0
+    angle = math.pi / 2 * instance.door_swing if is_open else 0.0
     pybullet.resetJointState(door, 0, angle, physicsClientId=client)
     pybullet.setCollisionFilterGroupMask(door, 0, _FIXED, 0 if is_open else _FREE, physicsClientId=client)
-
-
-def _find_outward(instance: RoomInstance, door: Solid) -> float:
-    """Sign of the hinge angle that swings the leaf towards the exit."""
-    x, y = instance.exit.centre
-    beyond = math.cos(door.yaw) * (y - door.y) - math.sin(door.yaw) * (x - door.x)
-    return math.copysign(1.0, beyond)
 
 
 def _paint(client: int, body: int, link: int, colour: str) -> None:

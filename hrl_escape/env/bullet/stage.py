@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import threading
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
@@ -20,26 +20,11 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.meshes import (
-    Mesh,
-    compute_base_outline,
-    compute_outline,
-    format_obj,
-    make_badge,
-    make_base_column,
-    make_cylinder,
-    make_flat,
-    make_prism,
-    make_puddles,
-    make_shadow,
-    make_tiles,
-    merge,
-    rotate_box,
-)
+from hrl_escape.env.drawing import meshes, palette
+from hrl_escape.env.drawing.meshes import LAYER, Mesh, compute_outline, make_cylinder, make_prism, make_shadow
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Target
-from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
+from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
 
@@ -50,15 +35,10 @@ SUN = (-4.0, 2.6, 9.0)
 CURB = 0.3
 """Height left of a wall that is cut open, m."""
 
-_TILE, _OTHER_TILE, _SHADE = "#efebe2", "#e6e1d6", "#c9c3b6"
-_WALL, _WALL_TOP = "#c6ccd6", "#5b6475"
-_OBSTACLE = "#c2a27c"
-_FRAME = "#39404d"
-_TRIM, _TOP = "#1f2733", "#e9eef5"
+_OTHER_TILE, _SHADE = "#e6e1d6", "#c9c3b6"
 _EXIT_LOCKED, _EXIT_OPEN, _EXIT_EDGE = "#b3cfbd", "#7fd49b", "#7d9a87"
-_MAT, _MAT_LIT = "#e0ac9e", "#ffdf7e"
+_MAT_LIT = "#ffdf7e"
 _AWAY = (0.0, 0.0, 1e6)  # straight up: never in view
-_LAYER = 0.006  # between layers of paint on the floor
 _STILL = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -107,8 +87,9 @@ class Stage:
         self._base, self._shadow = self._add_base()
         self._arm, self._joints = self._add_arm(robot) if instance.robot.joints else (None, ())
         self._props = [self._add_prop(placed) for placed in instance.props]
-        self._door = self._add_door(instance.door) if instance.door else None
-        self._inner = [self._add_inner_door(door) for door in instance.inner_doors]
+        self._door = self._add_leaf(instance.door, meshes.make_leaf, palette.DOOR) if instance.door else None
+        self._inner = [self._add_leaf(door, meshes.make_inner_door, palette.get_inner_colour(door))
+                       for door in instance.inner_doors]
         self._exit, self._exit_edge, self._is_open = *self._add_exit(), None
         self._add_floor()
 
@@ -146,7 +127,7 @@ class Stage:
             lamp.is_lit = is_lit
             for face in lamp.faces:
                 self._paint(face, palette.LIT.fill if is_lit else palette.OFF.fill)
-            self._paint(lamp.mat, _MAT_LIT if is_lit else _MAT)
+            self._paint(lamp.mat, _MAT_LIT if is_lit else meshes.MAT)
 
     def _open_exit(self, is_open: bool) -> None:
         if is_open != self._is_open:
@@ -155,10 +136,8 @@ class Stage:
             self._paint(self._exit_edge, palette.EXIT_OPEN if is_open else _EXIT_EDGE)
 
     def _swing(self, door: Standing, angle: float) -> None:
-        solid = door.solid
-        cos, sin = math.cos(solid.yaw), math.sin(solid.yaw)
-        hinge = (solid.x - cos * solid.half_x, solid.y - sin * solid.half_x, 0.0)
-        self._move(door, hinge, pybullet.getQuaternionFromEuler((0.0, 0.0, solid.yaw + angle)))
+        self._move(door, meshes.find_hinge(door.solid),
+                   pybullet.getQuaternionFromEuler((0.0, 0.0, door.solid.yaw + angle)))
 
     def _move(self, standing: Standing, at: tuple[float, float, float],
               turn: tuple[float, float, float, float]) -> None:
@@ -192,60 +171,40 @@ class Stage:
         return pybullet.createMultiBody(0.0, -1, shape, at, physicsClientId=self.client)
 
     def _add_solid(self, solid: Solid) -> Standing:
-        wall, outline = solid.role == "wall", compute_outline(solid)
+        wall = solid.role == "wall"
         bodies: list[list[int]] = []
         for height, shown in ((solid.height, True), (min(CURB, solid.height), False)):
-            if solid.shape == "cylinder":
-                shape = make_cylinder(solid.half_x, 0.0, height).moved(solid.x, solid.y)
-            else:
-                shape = make_prism(outline, 0.0, height)
-            parts = [self._add(shape, _WALL if wall else _OBSTACLE, shown)]
+            made = [self._add(meshes.make_solid(solid, height), meshes.WALL if wall else meshes.OBSTACLE, shown)]
             if wall:  # a darker top makes the floor plan readable from above
-                parts.append(self._add(make_prism(outline, height, height + 2 * _LAYER), _WALL_TOP, shown))
-            bodies.append(parts)
+                top = make_prism(compute_outline(solid), height, height + 2 * LAYER)
+                made.append(self._add(top, meshes.WALL_TOP, shown))
+            bodies.append(made)
         return Standing(solid, bodies[0], bodies[1])
 
     def _add_target(self, target: Target) -> _Lamp:
-        low, high = max(0.02, target.z - target.half_z), target.z + target.half_z
-        # every face is lit as if it faced the sun, so panels are bright on every wall
-        rim = min(0.08, 0.2 * min(target.half_x, target.half_z))
-        face = rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
-        frame = rotate_box(target.x, target.y, target.half_x + rim, 0.7 * target.half_y, target.yaw)
-        bodies = [
-            [self._add(make_prism(face, low, top).facing(SUN), palette.OFF.fill, shown),
-             self._add(make_prism(frame, max(0.0, low - rim), top + rim), _FRAME, shown)]
-            for top, shown in ((high, True), (min(high, low + CURB), False))
-        ]
-        solid = Solid("box", target.x, target.y, target.half_x, target.half_y, target.yaw, high)
+        bodies = []
+        for height, shown in ((math.inf, True), (CURB, False)):
+            face, frame = meshes.make_panel(target, height)
+            # every face is lit as if it faced the sun, so panels are bright on every wall
+            bodies.append([self._add(face.facing(SUN), palette.OFF.fill, shown),
+                           self._add(frame, meshes.FRAME, shown)])
+        solid = Solid("box", target.x, target.y, target.half_x, target.half_y, target.yaw, target.z + target.half_z)
         self.standing.append(Standing(solid, bodies[0], bodies[1]))
-        ahead = palette.find_front(self._instance, target)
-        deep = target.half_y + (min(0.4, 0.5 * self._instance.robot.inner_radius) if target.kind == "panel" else 0.0)
-        middle = (target.x + ahead[0] * deep / 2, target.y + ahead[1] * deep / 2)
-        mat = make_flat(rotate_box(*middle, target.half_x, deep / 2, target.yaw), 4 * _LAYER)
-        for number, (colour, outline) in enumerate(palette.list_badge(self._instance.puzzle, target.name), 1):
-            self._add(make_badge(outline, target, ahead, number * _LAYER).facing(SUN), colour)
-        return _Lamp([bodies[0][0], bodies[1][0]], self._add(mat, _MAT))
+        for colour, mesh in meshes.make_badges(self._instance, target):
+            self._add(mesh.facing(SUN), colour)
+        return _Lamp([bodies[0][0], bodies[1][0]], self._add(meshes.make_mat(self._instance, target), meshes.MAT))
 
     def _add_base(self) -> tuple[list[int], int]:
-        """The wheeled base, with an arrow on top that shows the heading, and its shadow."""
+        """The wheeled base and its shadow."""
         robot = self._instance.robot
-        radius, height = robot.inner_radius, robot.body_height
-        skirt = make_base_column(robot, 0.02 * height, 0.15 * height, 0.9)
-        hull = merge([make_base_column(robot, 0.15 * height, 0.85 * height),
-                      make_base_column(robot, 0.85 * height, height, 1.0, 0.85)])
-        band = make_base_column(robot, 0.55 * height, 0.7 * height, 1.01)
-        lift = height + _LAYER
-        arrow = merge([make_flat([(0.72 * radius, 0.0), (-0.5 * radius, 0.5 * radius), (-0.22 * radius, 0.0)], lift),
-                       make_flat([(0.72 * radius, 0.0), (-0.22 * radius, 0.0), (-0.5 * radius, -0.5 * radius)], lift)])
-        shadow = self._add(make_shadow(compute_base_outline(robot), height, 5 * _LAYER), _SHADE)
-        parts = ((skirt, _TRIM), (hull, palette.BODY), (band, _TRIM), (arrow, _TOP))
-        return [self._add(mesh, colour) for mesh, colour in parts], shadow
+        shadow = self._add(make_shadow(meshes.compute_base_outline(robot), robot.body_height, 5 * LAYER), _SHADE)
+        return [self._add(mesh, colour) for colour, mesh in meshes.make_base(robot).items()], shadow
 
     def _add_arm(self, robot: Robot) -> tuple[int, tuple[int, ...]]:
         """Add the robot's URDF without its base; round parts become meshes that Bullet shades smoothly."""
         with temporary_folder() as folder:
             cylinder = folder / "cylinder.obj"
-            cylinder.write_text(format_obj(make_cylinder(1.0, -0.5, 0.5)))
+            cylinder.write_text(meshes.format_obj(make_cylinder(1.0, -0.5, 0.5)))
             urdf = folder / "arm.urdf"
             urdf.write_text(_adapt_urdf(robot, self._instance.robot, str(cylinder)))
             body = pybullet.loadURDF(str(urdf), physicsClientId=self.client)
@@ -259,50 +218,28 @@ class Stage:
     def _add_prop(self, placed: PlacedProp) -> tuple[int, int | None]:
         """Add a plate, or a block and its shadow (a disc, the same at every yaw of the block)."""
         prop = placed.prop
-        outline = rotate_box(0.0, 0.0, prop.half_size, prop.half_size, 0.0)
         if prop.kind == "plate":
-            return self._add(make_flat(outline, 3 * _LAYER), palette.PLATE), None
+            return self._add(meshes.make_prop(prop), palette.PLATE), None
         disc = compute_outline(Solid("cylinder", 0.0, 0.0, 1.1 * prop.half_size, 1.1 * prop.half_size))
-        shadow = self._add(make_shadow(disc, prop.height, 4 * _LAYER), _SHADE)
-        return self._add(make_prism(outline, -prop.height / 2, prop.height / 2), palette.PROP), shadow
+        shadow = self._add(make_shadow(disc, prop.height, 4 * LAYER), _SHADE)
+        return self._add(meshes.make_prop(prop), palette.PROP), shadow
 
-    def _add_door(self, door: Solid) -> Standing:
-        """The leaf in the frame of its hinge."""
-        leaf = rotate_box(door.half_x, 0.0, door.half_x, 0.6 * door.half_y, 0.0)
-        return self._add_leaf(door, leaf, palette.DOOR)
-
-    def _add_inner_door(self, door: Solid) -> Standing:
-        """Add a door that fills its cell, or a thing that fills half of it."""
-        share = 0.98 if door.role == "door" else 0.5
-        outline = rotate_box(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw)
-        return self._add_leaf(door, outline, palette.get_inner_colour(door))
-
-    def _add_leaf(self, door: Solid, outline: Sequence[tuple[float, float]], colour: str) -> Standing:
-        whole = self._add(make_prism(outline, 0.02, door.height), colour)
-        cut = self._add(make_prism(outline, 0.02, min(CURB, door.height)), colour, shown=False)
-        standing = Standing(door, [whole], [cut])
+    def _add_leaf(self, door: Solid, make: Callable[[Solid, float], Mesh], colour: str) -> Standing:
+        whole, cut = make(door, math.inf), make(door, CURB)
+        standing = Standing(door, [self._add(whole, colour)], [self._add(cut, colour, shown=False)])
         self.standing.append(standing)
         return standing
 
     def _add_exit(self) -> tuple[int, int]:
-        area = self._instance.exit
-        half_x, half_y = (area.x_max - area.x_min) / 2, (area.y_max - area.y_min) / 2
-        rim = min(0.12, 0.1 * half_x, 0.1 * half_y)
-        edge = make_flat(rotate_box(*area.centre, half_x, half_y, 0.0), 2 * _LAYER)
-        inside = make_flat(rotate_box(*area.centre, half_x - rim, half_y - rim, 0.0), 3 * _LAYER)
+        inside, edge = meshes.make_exit(self._instance)
         return self._add(inside, _EXIT_LOCKED), self._add(edge, _EXIT_EDGE)
 
     def _add_floor(self) -> None:
         """Chequered floor, with puddles and the shadows of fixed things."""
-        floors = palette.compute_floors(self._instance)
-        shadows = [make_shadow(compute_outline(solid), solid.height, _LAYER, floor)
-                   for solid in self._instance.solids for floor in floors]
-        self._add(merge(shadows), _SHADE)
-        if puddles := get_trait(self._instance.puzzle, Depicted).puddles:
-            self._add(make_puddles(puddles, 1.5 * _LAYER), palette.PUDDLE)
-        side = palette.choose_tile(self._instance)
-        for odd, colour in ((False, _TILE), (True, _OTHER_TILE)):
-            self._add(make_tiles(floors, side, odd), colour)
+        even, odd, shadows, puddles = meshes.make_floor(self._instance, self._instance.solids)
+        for mesh, colour in ((shadows, _SHADE), (puddles, palette.PUDDLE), (even, meshes.TILE), (odd, _OTHER_TILE)):
+            if len(mesh.triangles):
+                self._add(mesh, colour)
 
 
 def _adapt_urdf(robot: Robot, config: RobotConfig, cylinder: str) -> str:

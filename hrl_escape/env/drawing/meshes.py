@@ -1,45 +1,39 @@
-"""Triangle meshes for Bullet's cameras: boxes, prisms, cylinders, floors and the shadows on them.
+"""Triangle meshes of what there is to see in a room, for Bullet's cameras and the viewer.
 
-Pure functions; every face has its own vertices, so that edges look like edges. Faces are
-counter-clockwise seen from outside, metres. Nothing here collides.
+Shapes first, then the parts of a room made of them. Fixed parts are in the room frame; the leaf of the exit's door,
+props and the robot's base in their own. Pure functions; every face has its own vertices, so that edges look like edges.
+Faces are counter-clockwise seen from outside, metres. Nothing here collides.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.drawing import palette
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
-from hrl_escape.env.puzzles.places import Capsule
+from hrl_escape.env.puzzles.places import Capsule, Prop
+from hrl_escape.env.puzzles.traits import Depicted, get_trait
 
-__all__ = [
-    "Mesh",
-    "compute_base_outline",
-    "compute_extent",
-    "compute_outline",
-    "format_obj",
-    "make_badge",
-    "make_base_column",
-    "make_cylinder",
-    "make_flat",
-    "make_prism",
-    "make_puddles",
-    "make_shadow",
-    "make_tiles",
-    "merge",
-    "outline_capsule",
-    "rotate_box",
-]
+__all__ = ["LAYER", "Mesh", "compute_base_outline", "compute_extent", "compute_outline", "find_hinge", "format_obj",
+           "make_badges", "make_base", "make_base_column", "make_cylinder", "make_exit", "make_flat", "make_floor",
+           "make_inner_door", "make_leaf", "make_mat", "make_panel", "make_prism", "make_prop", "make_shadow",
+           "make_solid", "merge", "outline_capsule", "rotate_box"]
 
 Point = tuple[float, float]
 
 FACETS = 32
+LAYER = 0.006
+"""Height between two layers of paint on the floor, m."""
+TILE, WALL, WALL_TOP, OBSTACLE, FRAME, MAT = "#efebe2", "#c6ccd6", "#5b6475", "#c2a27c", "#39404d", "#e0ac9e"
+_TRIM, _TOP = "#1f2733", "#e9eef5"
+_ABOVE_FLOOR = 0.02  # panels and leaves begin here
 SHADOW = (0.34, -0.22)
 """Offset of a point's shadow, per metre of its height, m."""
 _LONGEST_SHADOW = 1.3
@@ -80,11 +74,6 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
-def make_puddles(puddles: Sequence[Capsule], z: float) -> Mesh:
-    """Stretches of floor, at a height."""
-    return merge([make_flat(outline_capsule(puddle), z) for puddle in puddles])
-
-
 def outline_capsule(capsule: Capsule) -> list[Point]:
     """Corners of a capsule, counter-clockwise: two half circles, joined by its straight sides."""
     along = math.atan2(capsule.y2 - capsule.y1, capsule.x2 - capsule.x1)
@@ -103,7 +92,7 @@ def make_flat(outline: Sequence[Point], z: float, up: bool = True) -> Mesh:
     return Mesh(vertices, np.tile((0.0, 0.0, 1.0 if up else -1.0), (n, 1)), fan if up else fan[:, ::-1])
 
 
-def make_badge(outline: Sequence[Point], target: Target, front: Point, lift: float) -> Mesh:
+def _make_badge(outline: Sequence[Point], target: Target, front: Point, lift: float) -> Mesh:
     """A flat polygon, star-shaped about (0, 0), on the front of a panel.
 
     Args:
@@ -235,7 +224,7 @@ def _turn(a: Point, b: Point, c: Point) -> float:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-def make_tiles(areas: Sequence[Rectangle], side: float, odd: bool) -> Mesh:
+def _make_tiles(areas: Sequence[Rectangle], side: float, odd: bool) -> Mesh:
     """The odd or the even squares of a chequered floor; squares are anchored at the origin."""
     tiles = []
     for area in areas:
@@ -258,3 +247,96 @@ def format_obj(mesh: Mesh) -> str:
     lines += [f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.normals.tolist()]
     lines += [f"f {a + 1}//{a + 1} {b + 1}//{b + 1} {c + 1}//{c + 1}" for a, b, c in mesh.triangles.tolist()]
     return "\n".join(lines) + "\n"
+
+
+# --- parts of a room -------------------------------------------------------------------------
+
+
+def make_floor(instance: RoomInstance, casting: Iterable[Solid]) -> tuple[Mesh, Mesh, Mesh, Mesh]:
+    """The even and the odd tiles, the shadows that solids cast on them, and puddles; each may be empty."""
+    floors, side = palette.compute_floors(instance), palette.choose_tile(instance)
+    shadows = [make_shadow(compute_outline(solid), solid.height, LAYER, floor) for solid in casting for floor in floors]
+    puddles = [make_flat(outline_capsule(puddle), 1.5 * LAYER)
+               for puddle in get_trait(instance.puzzle, Depicted).puddles]
+    return _make_tiles(floors, side, False), _make_tiles(floors, side, True), merge(shadows), merge(puddles)
+
+
+def make_solid(solid: Solid, height: float = math.inf) -> Mesh:
+    """A wall or an obstacle, up to a height."""
+    height = min(height, solid.height)
+    if solid.shape == "cylinder":
+        return make_cylinder(solid.half_x, 0.0, height).moved(solid.x, solid.y)
+    return make_prism(compute_outline(solid), 0.0, height)
+
+
+def make_panel(target: Target, height: float = math.inf) -> tuple[Mesh, Mesh]:
+    """A target's face, which lights up, and its frame, up to a height above its lower edge."""
+    low = max(_ABOVE_FLOOR, target.z - target.half_z)
+    top, rim = min(target.z + target.half_z, low + height), min(0.08, 0.2 * min(target.half_x, target.half_z))
+    face = rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
+    frame = rotate_box(target.x, target.y, target.half_x + rim, 0.7 * target.half_y, target.yaw)
+    return make_prism(face, low, top), make_prism(frame, max(0.0, low - rim), top + rim)
+
+
+def make_mat(instance: RoomInstance, target: Target) -> Mesh:
+    """The mat on the floor in front of a target."""
+    ahead = palette.find_front(instance, target)
+    deep = target.half_y + (min(0.4, 0.5 * instance.robot.inner_radius) if target.kind == "panel" else 0.0)
+    middle = (target.x + ahead[0] * deep / 2, target.y + ahead[1] * deep / 2)
+    return make_flat(rotate_box(*middle, target.half_x, deep / 2, target.yaw), 4 * LAYER)
+
+
+def make_badges(instance: RoomInstance, target: Target) -> list[tuple[str, Mesh]]:
+    """Colours and meshes of a target's mark on the front of its panel, the lower one first; empty without marks."""
+    front = palette.find_front(instance, target)
+    return [(colour, _make_badge(outline, target, front, LAYER * number))
+            for number, (colour, outline) in enumerate(palette.list_badge(instance.puzzle, target.name), 1)]
+
+
+def make_exit(instance: RoomInstance) -> tuple[Mesh, Mesh]:
+    """The exit's area on the floor, and its edge below."""
+    area = instance.exit
+    half_x, half_y = (area.x_max - area.x_min) / 2, (area.y_max - area.y_min) / 2
+    rim = min(0.12, 0.1 * half_x, 0.1 * half_y)
+    return (make_flat(rotate_box(*area.centre, half_x - rim, half_y - rim, 0.0), 3 * LAYER),
+            make_flat(rotate_box(*area.centre, half_x, half_y, 0.0), 2 * LAYER))
+
+
+def find_hinge(door: Solid) -> tuple[float, float, float]:
+    """Where the hinge of the exit's door stands on the floor."""
+    return door.x - math.cos(door.yaw) * door.half_x, door.y - math.sin(door.yaw) * door.half_x, 0.0
+
+
+def make_leaf(door: Solid, height: float = math.inf) -> Mesh:
+    """The leaf of the exit's door in the frame of its hinge, up to a height."""
+    return make_prism(rotate_box(door.half_x, 0.0, door.half_x, 0.6 * door.half_y, 0.0), _ABOVE_FLOOR,
+                      min(height, door.height))
+
+
+def make_inner_door(door: Solid, height: float = math.inf) -> Mesh:
+    """A door that fills its cell, or a thing that fills half of it, up to a height."""
+    share = 0.98 if door.role == "door" else 0.5
+    return make_prism(rotate_box(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw), _ABOVE_FLOOR,
+                      min(height, door.height))
+
+
+def make_prop(prop: Prop) -> Mesh:
+    """A plate painted on the floor, or a block about its own centre."""
+    outline = rotate_box(0.0, 0.0, prop.half_size, prop.half_size, 0.0)
+    return (make_flat(outline, 3 * LAYER) if prop.kind == "plate" else
+            make_prism(outline, -prop.height / 2, prop.height / 2))
+
+
+def make_base(robot: RobotConfig) -> dict[str, Mesh]:
+    """The wheeled base, with an arrow on top that shows the heading: colour -> all that has it."""
+    radius, height = robot.inner_radius, robot.body_height
+    top = height + LAYER
+    parts = {
+        _TRIM: [make_base_column(robot, 0.02 * height, 0.15 * height, 0.9),
+                make_base_column(robot, 0.55 * height, 0.7 * height, 1.01)],
+        palette.BODY: [make_base_column(robot, 0.15 * height, 0.85 * height),
+                       make_base_column(robot, 0.85 * height, height, 1.0, 0.85)],
+        _TOP: [make_flat([(0.72 * radius, 0.0), (-0.5 * radius, 0.5 * radius), (-0.22 * radius, 0.0)], top),
+               make_flat([(0.72 * radius, 0.0), (-0.22 * radius, 0.0), (-0.5 * radius, -0.5 * radius)], top)],
+    }
+    return {colour: merge(found) for colour, found in parts.items()}

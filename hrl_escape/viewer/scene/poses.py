@@ -8,11 +8,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.planning.props import get_prop_poses
 
-__all__ = ["RoomPose", "blend", "find_outward", "make_pose"]
+__all__ = ["RoomPose", "blend", "make_pose"]
 
 PropPose = tuple[float, ...]
 
@@ -51,21 +50,12 @@ def make_pose(rules: Rules, state: RoomState) -> RoomPose:
         props = tuple(tuple(prop[:7]) for prop in state.physics.props)
     else:
         solved = instance.door is not None and instance.puzzle.is_solved(state.puzzle)
-        door = math.pi / 2 * find_outward(instance) if solved else 0.0
+        door = math.pi / 2 * instance.door_swing if solved else 0.0
         poses = get_prop_poses(state, instance)
         props = tuple((x, y, placed.prop.height / 2, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
                       for (x, y, yaw), placed in zip(poses, instance.props, strict=True))
     return RoomPose(state.x, state.y, state.z, rules.get_heading(state), state.pitch, state.roll,
                     tuple(rules.get_angles(state)), door, props)
-
-
-def find_outward(instance: RoomInstance) -> float:
-    """Sign of the hinge angle that swings the door towards the exit."""
-    door = instance.door
-    if door is None:
-        return 1.0
-    x, y = instance.exit.centre
-    return math.copysign(1.0, math.cos(door.yaw) * (y - door.y) - math.sin(door.yaw) * (x - door.x))
 
 
 def blend(a: RoomPose, b: RoomPose, share: float) -> RoomPose:

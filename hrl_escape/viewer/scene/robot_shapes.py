@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.meshes import make_base_column, make_flat, merge
+from hrl_escape.env.drawing.meshes import make_base
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.viewer.extra import trimesh
 
 __all__ = ["ArmPose", "Shape", "make_arm_shapes", "make_base_shapes"]
 
-_TRIM, _TOP, _GREY = "#1f2733", "#e9eef5", "#9aa3b2"
-_LIFT = 0.006
+_GREY = "#9aa3b2"
 _SLIMMER = 0.7
 """Factor by which links of generated arms are drawn slimmer than they are, so that the hand stands out."""
 
@@ -46,18 +45,7 @@ class Shape(NamedTuple):
 
 def make_base_shapes(config: RobotConfig) -> list[Shape]:
     """The wheeled base, with an arrow on top that shows the heading."""
-    radius, height = config.inner_radius, config.body_height
-    top = height + _LIFT
-    parts = {
-        _TRIM: [make_base_column(config, 0.02 * height, 0.15 * height, 0.9),
-                make_base_column(config, 0.55 * height, 0.7 * height, 1.01)],
-        palette.BODY: [make_base_column(config, 0.15 * height, 0.85 * height),
-                       make_base_column(config, 0.85 * height, height, 1.0, 0.85)],
-        _TOP: [make_flat([(0.72 * radius, 0.0), (-0.5 * radius, 0.5 * radius), (-0.22 * radius, 0.0)], top),
-               make_flat([(0.72 * radius, 0.0), (-0.22 * radius, 0.0), (-0.5 * radius, -0.5 * radius)], top)],
-    }
-    meshes = {colour: merge(found) for colour, found in parts.items()}
-    return [Shape(BASE_LINK, mesh.vertices, mesh.triangles, colour) for colour, mesh in meshes.items()]
+    return [Shape(BASE_LINK, mesh.vertices, mesh.triangles, colour) for colour, mesh in make_base(config).items()]
 
 
 def make_arm_shapes(robot: Robot, config: RobotConfig) -> list[Shape]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.meshes import make_flat, make_prism, rotate_box
+from hrl_escape.env.drawing.meshes import LAYER, find_hinge, make_inner_door, make_leaf, make_prop
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
 from hrl_escape.env.puzzles.traits import Barring, get_trait
@@ -23,7 +23,7 @@ from hrl_escape.env.robot import Robot
 from hrl_escape.viewer.extra import SO3, viser
 from hrl_escape.viewer.scene.poses import RoomPose, make_pose
 from hrl_escape.viewer.scene.robot_shapes import ArmPose, Shape, make_arm_shapes, make_base_shapes, to_quaternion
-from hrl_escape.viewer.scene.room_meshes import LAYER, Painted, make_exit, make_fixtures, make_target
+from hrl_escape.viewer.scene.room_meshes import Painted, make_exit, make_fixtures, make_target
 
 __all__ = ["OVERVIEW_FIELD", "RoomScene", "compute_overview"]
 
@@ -196,34 +196,25 @@ class RoomScene:
         door = self.instance.door
         if door is None:
             return None
-        cos, sin = math.cos(door.yaw), math.sin(door.yaw)
         self._door_yaw = door.yaw
-        hinge = self._scene.add_frame(
-            f"{ROOT}/door", show_axes=False, wxyz=to_quaternion(0.0, 0.0, door.yaw),
-            position=(door.x - cos * door.half_x, door.y - sin * door.half_x, 0.0),
-        )
-        leaf = make_prism(rotate_box(door.half_x, 0.0, door.half_x, 0.6 * door.half_y, 0.0), 0.02, door.height)
-        _add_mesh(self._scene, f"{ROOT}/door/leaf", leaf.vertices, leaf.triangles, palette.DOOR, 0.85)
+        hinge = self._scene.add_frame(f"{ROOT}/door", show_axes=False, wxyz=to_quaternion(0.0, 0.0, door.yaw),
+                                      position=find_hinge(door))
+        self._add(Painted("leaf", make_leaf(door), palette.DOOR, 0.85), "door")
         return hinge
 
     def _add_inner_door(self, index: int) -> viser.FrameHandle:
         """A door that fills its cell, or a thing that fills half of it."""
         door, name = self.instance.inner_doors[index], f"{ROOT}/inner-doors/{index}"
-        share, colour = 0.98 if door.role == "door" else 0.5, palette.get_inner_colour(door)
         node = self._scene.add_frame(name, show_axes=False)
-        leaf = make_prism(rotate_box(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw), 0.02,
-                          door.height)
-        _add_mesh(self._scene, f"{name}/leaf", leaf.vertices, leaf.triangles, colour, 0.85)
+        self._add(Painted("leaf", make_inner_door(door), palette.get_inner_colour(door), 0.85), f"inner-doors/{index}")
         return node
 
     def _add_prop(self, index: int) -> viser.FrameHandle:
         placed = self.instance.props[index]
         prop, name = placed.prop, f"{ROOT}/props/{index}"
         node = self._scene.add_frame(name, show_axes=False)
-        outline = rotate_box(0.0, 0.0, prop.half_size, prop.half_size, 0.0)
-        plate = prop.kind == "plate"
-        mesh = make_flat(outline, 3 * LAYER) if plate else make_prism(outline, -prop.height / 2, prop.height / 2)
-        _add_mesh(self._scene, f"{name}/shape", mesh.vertices, mesh.triangles, palette.PLATE if plate else palette.PROP)
+        colour = palette.PLATE if prop.kind == "plate" else palette.PROP
+        self._add(Painted("shape", make_prop(prop), colour), f"props/{index}")
         self._scene.add_label(f"{name}/name", prop.name, position=(0.0, 0.0, prop.height / 2 + 0.2),
                               anchor="bottom-center", font_screen_scale=0.8)
         return node
