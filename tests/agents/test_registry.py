@@ -41,7 +41,7 @@ def test_trap_11_no_agent_ever_takes_an_illegal_action(name):
     agent = make_agent(name, env.observation_space, env.action_space, 0, **SMALL.get(name, {}))
     rng = np.random.default_rng(0)
     for number, transition in enumerate(interact(agent, env, 100)):
-        if number % 4:
+        if number % 20:
             continue
         observation, mask = transition.next_observation, np.ones(7, np.bool_)
         for _ in range(3):

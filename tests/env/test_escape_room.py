@@ -26,7 +26,7 @@ from hrl_escape.errors import (
     ResetNeededError,
     UnknownNameError,
 )
-from tests.covering import cover
+from tests.covering import cover, thin
 from tests.env.rooms import EXTREMES
 from tests.forks import run_fork
 
@@ -47,7 +47,7 @@ CHECKED = sorted({(name, "features") for name in IDS} | {
 """Every room, and every observation in rooms of each kind."""
 
 
-@pytest.mark.parametrize(("name", "kind"), CHECKED)
+@pytest.mark.parametrize(("name", "kind"), thin(CHECKED, 2))
 def test_gymnasiums_checker_finds_nothing(name, kind):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -56,7 +56,7 @@ def test_gymnasiums_checker_finds_nothing(name, kind):
         env.close()
 
 
-@pytest.mark.parametrize(("name", "kind"), CHECKED)
+@pytest.mark.parametrize(("name", "kind"), thin(CHECKED, 4, 1))
 def test_stable_baselines3s_checker_finds_nothing(name, kind):
     from stable_baselines3.common import env_checker as checker  # brings torch, which only this test needs
     with warnings.catch_warnings():

@@ -15,6 +15,7 @@ from hrl_escape.env.presets import PRESETS
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.state_checks import check_state
 from hrl_escape.errors import StateError
+from tests.covering import thin
 from tests.env.rooms import all_schematics
 
 IMPOSSIBLE = [
@@ -52,7 +53,7 @@ def test_what_is_no_state_is_refused(env, value):
         env.set_state(value)
 
 
-@pytest.mark.parametrize("name", sorted(set(all_schematics()) - {"largest"}))
+@pytest.mark.parametrize("name", thin(sorted(set(all_schematics()) - {"largest"}), 3))
 def test_every_state_that_an_episode_reaches_passes(name):
     config = all_schematics()[name]
     if config.dynamics.kind == "physics":
@@ -106,8 +107,8 @@ def test_the_batched_engine_refuses_the_same_states():
     assert room.get_room_state(0) == state
 
 
-def test_reset_refuses_impossible_states_and_every_preset_takes_its_own():
-    for name in PRESETS:
+def test_reset_refuses_impossible_states_and_presets_take_their_own():
+    for name in [*PRESETS][::4]:
         env = EscapeRoomEnv(name)
         env.reset(seed=1)
         env.reset(options={"state": env.get_state()})

@@ -16,6 +16,7 @@ from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ActionError, BatchError, ClosedError, ConfigError, UnsupportedError
+from tests.covering import thin
 
 LEFT = 2
 
@@ -28,7 +29,7 @@ def to_list(value):
     return value.tolist() if hasattr(value, "tolist") else list(value)
 
 
-@pytest.mark.parametrize("name", sorted(set(PRESETS) - {"push-block"}))
+@pytest.mark.parametrize("name", thin(sorted(set(PRESETS) - {"push-block"}), 3))
 def test_make_vec_gives_the_batched_engine_for_every_preset(name):
     env = gymnasium.make_vec(f"hrl_escape/{make_env_name(name)}-v1", num_envs=5)
     assert isinstance(env.unwrapped, EscapeRoomVectorEnv)

@@ -10,11 +10,12 @@ from gymnasium.utils.env_checker import check_env
 from hrl_escape.env.presets import PRESETS, make_env_name
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.options.options_env import make_options_env
+from tests.covering import thin
 
 IDS = ["hrl_escape/EscapeRoomOptions-v1", *(f"hrl_escape/{make_env_name(name)}Options-v1" for name in PRESETS)]
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", thin(IDS, 3))
 def test_every_preset_has_an_id_whose_environment_passes_the_checker(name):
     env = gymnasium.make(name, disable_env_checker=True, observation="features")
     try:

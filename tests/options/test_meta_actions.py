@@ -52,7 +52,7 @@ def run_meta_actions(config: RoomConfig, runs: int, seed: int = 0) -> Counter:
     return ends
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", thin([*PRESETS], 3, 2))
 def test_every_preset_has_a_meta_action_for_everything_there_is_to_do(name):
     instance = generate(get_preset(name), 0)
     grips = {(op.target, op.action) for op in instance.puzzle.symbolic.make_symbolic_model().operators
@@ -84,7 +84,7 @@ def test_meta_actions_keep_the_option_contract(name, flavour):
     env.close()
 
 
-@pytest.mark.parametrize("name", KINEMATIC)
+@pytest.mark.parametrize("name", thin(KINEMATIC, 3, 1))
 def test_a_meta_action_presses_its_button_and_no_other(name):
     """Each from the start, or where it is masked there after what it needs; what it could not avoid, it names."""
     room = EscapeRoomEnv(name)
@@ -195,20 +195,19 @@ def test_the_exit_behind_a_shut_door_is_masked_until_it_opens():
     assert env.step(4)[2]
 
 
+@pytest.mark.parametrize("runs", [30, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["paper-two-button", "clutter", "arm-two-button"])
-def test_noise_and_slip_are_met_by_planning_anew(name):
-    ends = run_meta_actions(make_noisy(name, noise=0.1, slip=0.1), runs=100)
-    assert ends["reached"] >= 99, ends
+def test_noise_and_slip_are_met_by_planning_anew(name, runs):
+    ends = run_meta_actions(make_noisy(name, noise=0.1, slip=0.1), runs)
+    assert ends["reached"] >= 0.99 * runs, ends
 
 
-def test_physics_is_met_by_planning_anew():
-    ends = run_meta_actions(make_noisy("paper-two-button", kind="physics", noise=0.1, slip=0.1), runs=40)
-    assert ends["reached"] >= 38, ends
-
-
-def test_arms_press_by_force_under_physics():
-    ends = run_meta_actions(make_noisy("arm-two-button", kind="physics"), runs=40, seed=9)
-    assert ends["reached"] >= 38, ends
+@pytest.mark.parametrize("runs", [12, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("name", "seed", "dynamics"), [
+    ("paper-two-button", 0, {"noise": 0.1, "slip": 0.1}), ("arm-two-button", 9, {})])
+def test_physics_is_met_by_planning_anew(name, seed, dynamics, runs):
+    ends = run_meta_actions(make_noisy(name, kind="physics", **dynamics), runs, seed)
+    assert ends["reached"] >= 0.95 * runs, ends
 
 
 def test_an_option_gives_up_after_its_cap_on_plans():

@@ -303,7 +303,7 @@ def walk(planner: RoomPlanner, calls: int, seed: int, ask) -> int:
 
 @pytest.mark.parametrize("by", ["plan", "remember"])
 def test_memory_of_routes_is_bounded_however_they_are_learnt(monkeypatch, by):
-    monkeypatch.setattr(routes, "MOST_POSES", 1_000)
+    monkeypatch.setattr(routes, "MOST_POSES", 400)
     config = RoomConfig(room=ShapeConfig(width=6, depth=6), robot=RobotConfig(body_radius=0.3))
     planner = RoomPlanner(generate(config, 0))
 
@@ -317,11 +317,11 @@ def test_memory_of_routes_is_bounded_however_they_are_learnt(monkeypatch, by):
 
     tracemalloc.start()
     try:
-        once = walk(planner, 400, 0, ask)
-        again = walk(planner, 1_200, 1, ask)
+        once = walk(planner, 160, 0, ask)
+        again = walk(planner, 480, 1, ask)
     finally:
         tracemalloc.stop()
-    assert again - once < 150_000, "three times as many calls"
+    assert again - once < 60_000, "three times as many calls"
 
 
 @pytest.mark.slow
@@ -488,11 +488,10 @@ print(hashlib.sha256(repr(plans).encode()).hexdigest())
 """
 
 
-def test_three_processes_make_the_same_plans():
-    runs = [subprocess.Popen([sys.executable, "-c", SCRIPT], stdout=subprocess.PIPE, text=True,
-                             env=os.environ | {"PYTHONHASHSEED": str(seed)}) for seed in range(2)]
-    answers = [run_here(SCRIPT).strip(), *(run.communicate()[0].split()[-1] for run in runs)]
-    assert len(set(answers)) == 1 and len(answers[0]) == 64
+def test_another_process_makes_the_same_plans():
+    done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True,
+                          env=os.environ | {"PYTHONHASHSEED": "7"})
+    assert done.stdout.split()[-1] == run_here(SCRIPT).strip() and len(done.stdout.split()[-1]) == 64
 
 
 def test_the_shared_planner_of_a_room_is_one():

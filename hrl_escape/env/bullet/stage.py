@@ -172,9 +172,10 @@ class Stage:
 
     def _add_solid(self, solid: Solid) -> Standing:
         wall = solid.role == "wall"
+        colour = meshes.WALL_FACE if wall else meshes.OBSTACLE_FACE
         bodies: list[list[int]] = []
         for height, shown in ((solid.height, True), (min(CURB, solid.height), False)):
-            made = [self._add(meshes.make_solid(solid, height), meshes.WALL if wall else meshes.OBSTACLE, shown)]
+            made = [self._add(meshes.make_solid(solid, height), colour, shown)]
             if wall:  # a darker top makes the floor plan readable from above
                 top = make_prism(compute_outline(solid), height, height + 2 * LAYER)
                 made.append(self._add(top, meshes.WALL_TOP, shown))
@@ -187,7 +188,7 @@ class Stage:
             face, frame = meshes.make_panel(target, height)
             # every face is lit as if it faced the sun, so panels are bright on every wall
             bodies.append([self._add(face.facing(SUN), palette.OFF.fill, shown),
-                           self._add(frame, meshes.FRAME, shown)])
+                           self._add(frame, meshes.PANEL_FRAME, shown)])
         solid = Solid("box", target.x, target.y, target.half_x, target.half_y, target.yaw, target.z + target.half_z)
         self.standing.append(Standing(solid, bodies[0], bodies[1]))
         for colour, mesh in meshes.make_badges(self._instance, target):
@@ -231,7 +232,7 @@ class Stage:
         return standing
 
     def _add_exit(self) -> tuple[int, int]:
-        inside, edge = meshes.make_exit(self._instance)
+        inside, edge = meshes.make_exit_area(self._instance)
         return self._add(inside, _EXIT_LOCKED), self._add(edge, _EXIT_EDGE)
 
     def _add_floor(self) -> None:

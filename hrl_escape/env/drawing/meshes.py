@@ -22,7 +22,7 @@ from hrl_escape.env.puzzles.places import Capsule, Prop
 from hrl_escape.env.puzzles.traits import Depicted, get_trait
 
 __all__ = ["LAYER", "Mesh", "compute_base_outline", "compute_extent", "compute_outline", "find_hinge", "format_obj",
-           "make_badges", "make_base", "make_base_column", "make_cylinder", "make_exit", "make_flat", "make_floor",
+           "make_badges", "make_base", "make_base_column", "make_cylinder", "make_exit_area", "make_flat", "make_floor",
            "make_inner_door", "make_leaf", "make_mat", "make_panel", "make_prism", "make_prop", "make_shadow",
            "make_solid", "merge", "outline_capsule", "rotate_box"]
 
@@ -31,7 +31,8 @@ Point = tuple[float, float]
 FACETS = 32
 LAYER = 0.006
 """Height between two layers of paint on the floor, m."""
-TILE, WALL, WALL_TOP, OBSTACLE, FRAME, MAT = "#efebe2", "#c6ccd6", "#5b6475", "#c2a27c", "#39404d", "#e0ac9e"
+WALL_FACE, WALL_TOP, OBSTACLE_FACE = "#c6ccd6", "#5b6475", "#c2a27c"
+TILE, PANEL_FRAME, MAT = "#efebe2", "#39404d", "#e0ac9e"
 _TRIM, _TOP = "#1f2733", "#e9eef5"
 _ABOVE_FLOOR = 0.02  # panels and leaves begin here
 SHADOW = (0.34, -0.22)
@@ -293,7 +294,7 @@ def make_badges(instance: RoomInstance, target: Target) -> list[tuple[str, Mesh]
             for number, (colour, outline) in enumerate(palette.list_badge(instance.puzzle, target.name), 1)]
 
 
-def make_exit(instance: RoomInstance) -> tuple[Mesh, Mesh]:
+def make_exit_area(instance: RoomInstance) -> tuple[Mesh, Mesh]:
     """The exit's area on the floor, and its edge below."""
     area = instance.exit
     half_x, half_y = (area.x_max - area.x_min) / 2, (area.y_max - area.y_min) / 2

@@ -45,11 +45,11 @@ def make_fixtures(instance: RoomInstance) -> list[Painted]:
         Painted("floor/odd", odd, OTHER_TILE),
         Painted("floor/shadows", shadows, SHADE),
         Painted("floor/puddles", puddles, palette.PUDDLE),
-        Painted("walls/inside", merge(faces["inside"]), meshes.WALL),
-        Painted("walls/between", merge(faces["between"]), meshes.WALL, HAZY),
+        Painted("walls/inside", merge(faces["inside"]), meshes.WALL_FACE),
+        Painted("walls/between", merge(faces["between"]), meshes.WALL_FACE, HAZY),
         Painted("walls/outside", merge(faces["outside"]), GLASS, CLEAR),
         Painted("walls/top", merge(tops), meshes.WALL_TOP, 0.55),
-        Painted("obstacles", merge([meshes.make_solid(solid) for solid in others]), meshes.OBSTACLE),
+        Painted("obstacles", merge([meshes.make_solid(solid) for solid in others]), meshes.OBSTACLE_FACE),
     ]
     return [painted for painted in found if len(painted.mesh.triangles)]
 
@@ -79,7 +79,7 @@ def _make_faces(wall: Solid, floors: tuple[Rectangle, ...]) -> list[tuple[Mesh, 
 def make_target(instance: RoomInstance, target: Target) -> tuple[Painted, ...]:
     """A panel: its face, which lights up, its frame, the mat on the floor in front of it, and its mark, if any."""
     face, frame = meshes.make_panel(target)
-    return (Painted("face", face, palette.OFF.fill), Painted("frame", frame, meshes.FRAME),
+    return (Painted("face", face, palette.OFF.fill), Painted("frame", frame, meshes.PANEL_FRAME),
             Painted("mat", meshes.make_mat(instance, target), meshes.MAT),
             *(Painted(f"mark-{number}", mesh, colour)
               for number, (colour, mesh) in enumerate(meshes.make_badges(instance, target))))
@@ -87,5 +87,5 @@ def make_target(instance: RoomInstance, target: Target) -> tuple[Painted, ...]:
 
 def make_exit(instance: RoomInstance) -> tuple[Painted, Painted]:
     """The exit's area on the floor and its edge."""
-    area, edge = meshes.make_exit(instance)
+    area, edge = meshes.make_exit_area(instance)
     return Painted("area", area, palette.EXIT_LOCKED), Painted("edge", edge, palette.EXIT_LOCKED)

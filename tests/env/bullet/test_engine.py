@@ -20,6 +20,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ClosedError, StateError, UnsupportedError
+from tests.covering import thin
 from tests.env.rooms import all_schematics
 from tests.forks import run_fork
 
@@ -177,7 +178,7 @@ def test_targets_can_be_queried_but_block_nothing(make_room):
 # --- states ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", KINEMATIC)
+@pytest.mark.parametrize("name", thin(KINEMATIC, 3, 2))
 def test_set_state_continues_exactly(make_room, name):
     room = make_room(all_schematics()[name])
     rng = np.random.default_rng(1)

@@ -19,6 +19,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, EscapeError, GenerationError, InstanceFileError, UnknownNameError
+from tests.covering import thin
 from tests.env.rooms import EXTREMES, all_schematics
 from tests.forks import run_fork
 
@@ -91,7 +92,7 @@ def test_seeds_give_different_rooms():
     assert len({generate(get_preset("clutter"), seed).id for seed in range(8)}) == 8
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", thin(QUICK, 3))
 def test_json_round_trip_keeps_everything(name, tmp_path):
     instance = generate(all_schematics()[name], 3)
     instance.save(tmp_path / "room.json")
@@ -113,10 +114,10 @@ def test_id_is_a_hash_of_the_content_alone():
 def test_another_process_generates_the_same_instances():
     code = (
         "from hrl_escape.env.sampling.generation import generate; from hrl_escape.env.presets import *\n"
-        "print(*[generate(get_preset(n), 5).id for n in sorted(PRESETS)])"
+        "print(*[generate(get_preset(n), 5).id for n in sorted(PRESETS)[::4]])"
     )
     printed = run_fork(code, check=True).stdout.split()
-    assert printed == [generate(get_preset(name), 5).id for name in sorted(PRESETS)]
+    assert printed == [generate(get_preset(name), 5).id for name in sorted(PRESETS)[::4]]
 
 
 def test_impossible_schematics_say_which_constraint_failed():
