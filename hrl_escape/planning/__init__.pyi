@@ -13,7 +13,7 @@ from .planner import RoomPlanner, get_planner
 from .requests import PlanningRequest, PlanningResult
 from .route import PlanningReport
 from .scene import Scene
-from .symbolic.pddl import export_pddl, save_pddl, solve_pddl
+from .symbolic.pddl import export_pddl, save_pddl
 from .task_motion import TaskMotionPlanner
 
 __all__ = [
@@ -53,6 +53,5 @@ __all__ = [
     "record_return",
     "register_planner",
     "save_pddl",
-    "solve_pddl",
     "start_planning",
 ]

@@ -1,4 +1,4 @@
-"""PDDL export of any puzzle's symbolic model, and solving it with unified-planning.
+"""PDDL export of any puzzle's symbolic model, and the way to the planners of unified-planning.
 
 The export is plain text in the STRIPS subset with negative preconditions, ground: one action
 an operator, which every classical planner reads. Conditional effects and action costs are declared
@@ -16,11 +16,11 @@ from typing import Any
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
-from hrl_escape.errors import MissingExtraError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
+from hrl_escape.errors import MissingExtraError, UnknownNameError, UnsupportedError
 from hrl_escape.files import write_text
 
 __all__ = ["clean_name", "export_pddl", "make_domain", "make_problem", "read_problem", "run_engine", "save_pddl",
-           "solve_pddl", "write_all", "write_atom"]
+           "write_all", "write_atom"]
 
 _PREDICATE = re.compile(r"^([^()]+)\(([^()]*)\)$")
 
@@ -115,41 +115,6 @@ def save_pddl(instance: RoomInstance, folder: str | Path, state: RoomState | Non
     for path, text in zip(paths, export_pddl(instance, state), strict=True):
         write_text(path, text)
     return paths
-
-
-def solve_pddl(instance: RoomInstance, state: RoomState | None = None, engine: str = "fast-downward",
-               time_limit: float = 30.0) -> tuple[Operator, ...]:
-    """Solve the exported problem with a planner of unified-planning.
-
-    Args:
-        instance: the room.
-        state: where the problem begins; None for the start of an episode.
-        engine: name of a planner known to unified-planning; `fast-downward-opt` finds the fewest operators.
-        time_limit: s.
-
-    Returns:
-        The operators that open the exit, in order.
-
-    Raises:
-        MissingExtraError: unified-planning is not installed.
-        UnknownNameError: no such planner is installed.
-        UnsupportedError: it does not take problems of this kind.
-        PlanningFailed: the planner found none.
-    """
-    model = instance.symbolic_model
-    if state is not None and model.goal <= instance.puzzle.symbolic.get_facts(state.puzzle):
-        read_problem(*export_pddl(instance, state))  # raises if the extra is missing
-        return ()
-    plan, status = run_engine(read_problem(*export_pddl(instance, state)), engine, time_limit)
-    if plan is None:
-        start = instance.starts[0]
-        pose = (start.x, start.y, 0.0) if state is None else (state.x, state.y, 0.0)
-        raise PlanningFailed(
-            PlanningReason.TIMEOUT if status == "TIMEOUT" else PlanningReason.PRECONDITION_UNMET,
-            "the puzzle's solution", pose, planners=(engine,), nearest=f"status {status}",
-        )
-    operators = {clean_name(op.name): op for op in model.operators}
-    return tuple(operators[action.action.name] for action in plan.actions)
 
 
 def read_problem(domain: str, problem: str) -> Any:

@@ -2,10 +2,9 @@
 
 Khorasani et al. (2025), Hierarchical reinforcement learning with targeted causal interventions. Subgoals are the bits
 of the observation; one can be reached once its parents have been intervened on. The agent drives those on that it has
-chosen, tries every action that has had no effect yet, and learns which bits an action needs. What each rule of choice
-costs in expectation is computed exactly. The paper prefers interventions of large estimated effect on the goal. Where
-the goal needs all of its parents on, nothing is ever seen of it before they are, so that no estimate tells its
-ancestors from other subgoals: the agent goes for any, or is told.
+chosen, tries every action that has had no effect yet, and learns which bits an action needs. The paper prefers
+interventions of large estimated effect on the goal. Where the goal needs all of its parents on, nothing is ever seen of
+it before they are, so that no estimate tells its ancestors from other subgoals: the agent goes for any, or is told.
 """
 
 from __future__ import annotations
@@ -13,8 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -29,11 +27,9 @@ from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from hrl_escape.settings import Range
 
 __all__ = [
-    "ExpectedCost",
     "Hrc",
     "HrcSettings",
     "InterventionRule",
-    "compute_expected_cost",
     "compute_intervention_probabilities",
     "find_causes",
 ]
@@ -42,18 +38,6 @@ __all__ = [
 InterventionRule = Literal["uniform", "targeted", "ancestors"]
 """`uniform`: any reachable subgoal; `targeted`: with n interventions made, an ancestor of the goal with probability
 n / (n + 1), else another one; `ancestors`: an ancestor, as long as there is one."""
-
-
-class ExpectedCost(NamedTuple):
-    """Expectation over a rule's choices.
-
-    Attributes:
-        cost: sum over subgoals made reachable of 1 and the interventions made by then.
-        interventions: how many.
-    """
-
-    cost: float
-    interventions: float
 
 
 def find_causes(parents: Mapping[int, Collection[int]], goal: int) -> frozenset[int]:
@@ -85,43 +69,6 @@ def compute_intervention_probabilities(
         return [1 / len(candidates)] * len(candidates)
     share = 1.0 if rule == "ancestors" else made / (made + 1)
     return [share / count if is_wanted else (1 - share) / others for is_wanted in wanted]
-
-
-def compute_expected_cost(
-    parents: Mapping[int, Collection[int]], goal: int, rule: InterventionRule, gate: Literal["and", "or"] = "and"
-) -> ExpectedCost:
-    """Exact cost of finding the goal when ancestors are known to the rule: an expectation over sets of interventions.
-
-    Args:
-        parents: of each subgoal, roots with none; every subgoal is a key.
-        goal: the search ends when it can be reached.
-        rule: see `InterventionRule`.
-        gate: parents that must be on, all or any.
-    """
-    ancestors = find_causes(parents, goal)
-    test = all if gate == "and" else any
-
-    def list_reachable(made: frozenset[int]) -> list[int]:
-        return [node for node, needs in parents.items() if not needs or test(need in made for need in needs)]
-
-    @cache
-    def expect(made: frozenset[int]) -> tuple[float, float]:
-        before = list_reachable(made)
-        if goal in before:
-            return 0.0, 0.0
-        candidates = [node for node in before if node not in made]
-        cost = count = 0.0
-        shares = compute_intervention_probabilities(candidates, ancestors, len(made), rule)
-        for node, probability in zip(candidates, shares, strict=True):
-            if probability:
-                after = made | {node}
-                joined = len(list_reachable(after)) - len(before)
-                later, more = expect(after)
-                cost += probability * (joined * (len(after) + 1) + later)
-                count += probability * (1 + more)
-        return cost, count
-
-    return ExpectedCost(*expect(frozenset()))
 
 
 TASK_END = -1

@@ -1,13 +1,20 @@
 """HRC: costs of interventions against a simulation told as a story, and what the agent spends in puzzles."""
 
 import itertools
+from functools import cache
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
 
-from hrl_escape.agents.algorithms.structure.hrc import TASK_END, Hrc, HrcSettings, compute_expected_cost, find_causes
+from hrl_escape.agents.algorithms.structure.hrc import (
+    TASK_END,
+    Hrc,
+    HrcSettings,
+    compute_intervention_probabilities,
+    find_causes,
+)
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from tests.agents.puzzle_envs import make_button_env
@@ -16,6 +23,34 @@ from tests.agents.running import interact
 CHAIN = {n: [n - 1] if n else [] for n in range(8)}
 TREE = {n: [(n - 1) // 2] if n else [] for n in range(10)}
 LAYERED = {0: [], 1: [], 2: [], 3: [0, 1], 4: [1, 2], 5: [0, 2], 6: [3, 4], 7: [4, 5], 8: [6]}
+
+
+def compute_expected_cost(parents, goal, rule, gate="and"):
+    """Exact expectation over sets of interventions: cost as `Hrc.cost` counts it, and interventions."""
+    ancestors = find_causes(parents, goal)
+    test = all if gate == "and" else any
+
+    def list_reachable(made):
+        return [node for node, needs in parents.items() if not needs or test(need in made for need in needs)]
+
+    @cache
+    def expect(made):
+        before = list_reachable(made)
+        if goal in before:
+            return 0.0, 0.0
+        candidates = [node for node in before if node not in made]
+        cost = count = 0.0
+        shares = compute_intervention_probabilities(candidates, ancestors, len(made), rule)
+        for node, probability in zip(candidates, shares, strict=True):
+            if probability:
+                after = made | {node}
+                joined = len(list_reachable(after)) - len(before)
+                later, more = expect(after)
+                cost += probability * (joined * (len(after) + 1) + later)
+                count += probability * (1 + more)
+        return cost, count
+
+    return expect(frozenset())
 
 
 def simulate(parents, goal, rule, gate, rng):
@@ -102,7 +137,7 @@ def test_its_cost_lies_below_that_of_subgoals_tried_one_by_one():
         play(agent, env, 150, seed)
         assert TASK_END in agent._effects
         spent.append(agent.cost)
-        expected.append(compute_expected_cost(parents, len(parents) - 1, "uniform").cost)
+        expected.append(compute_expected_cost(parents, len(parents) - 1, "uniform")[0])
     assert 0.4 * np.mean(expected) < np.mean(spent) < 0.9 * np.mean(expected)
 
 
