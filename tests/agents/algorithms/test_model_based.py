@@ -295,7 +295,7 @@ def test_old_durations_are_forgotten(monkeypatch):
         before, after = np.array([place, 0.0]), np.array([place, 1.0])
         for _ in range(3):
             model.record(SMDPTransition(before, 0, mask, -5.0, -5.0, duration, 0.5, after, mask, False, False))
-    history = model._make_history()
+    history = model._extend_history()
     assert history.durations.tolist() == [5, 5, 5] and history.actions.tolist() == [0, 0, 0]
     assert history.previous.tolist() == [0, 0, 0]
     assert history.starts.tolist() == history.ends.tolist() == [[2.0]] * 3, "numbers that are no factors"
