@@ -1,4 +1,4 @@
-"""Ladder score: one number an agent, the mean over rungs of the interquartile mean of efficiency.
+"""Ladder score: one number an agent, the mean over rungs of the interquartile mean of efficiency; and learned share.
 
 Rungs are strata of equal weight, as tasks are in Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
 Statistical Precipice". Within a rung whole rooms are drawn, since runs in one room are much alike: ten seeds in one
@@ -15,7 +15,24 @@ import numpy as np
 from hrl_escape.comparison.inference import LEVEL, RESAMPLES, Estimate, draw_weights
 from hrl_escape.comparison.statistics import Floats, Scores, compute_iqm
 
-__all__ = ["compute_ladder_score"]
+__all__ = ["LEAST_HEADROOM", "compute_ladder_score", "compute_learned_share"]
+
+LEAST_HEADROOM = 0.05
+"""Efficiency between searcher and ceiling below which nothing is said of the share of it that was learned."""
+
+
+def compute_learned_share(efficiency: float, searcher: float, ceiling: float) -> float | None:
+    """Place on the scale from who learns nothing (0) to the most that could be learned from other rooms (1).
+
+    Args:
+        efficiency: of an agent.
+        searcher: of the best searcher that learns nothing and does not know the schematic.
+        ceiling: of who knows how rooms are drawn and what marks mean, and discovers the graph: `smdp-bayes`.
+
+    Returns:
+        Below 0 for who is worse than the searcher; None where less than `LEAST_HEADROOM` lies between the two.
+    """
+    return (efficiency - searcher) / (ceiling - searcher) if ceiling - searcher >= LEAST_HEADROOM else None
 
 
 def compute_ladder_score(rungs: Sequence[Scores], rng: np.random.Generator, resamples: int = RESAMPLES) -> Estimate:

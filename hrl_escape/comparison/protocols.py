@@ -13,9 +13,9 @@ import numpy as np
 
 from hrl_escape.comparison.grid import AgentSpec, Grid
 from hrl_escape.comparison.inference import Estimate, compute_wilson_interval
-from hrl_escape.comparison.ladder_score import compute_ladder_score
+from hrl_escape.comparison.ladder_score import compute_ladder_score, compute_learned_share
 from hrl_escape.comparison.places import RoomSpec
-from hrl_escape.comparison.references.registry import BY_NUMBER
+from hrl_escape.comparison.references.registry import BAYES, BY_NUMBER, FLOORS
 from hrl_escape.comparison.statistics import Scores
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.errors import ConfigError
@@ -206,6 +206,8 @@ class RungStanding(NamedTuple):
         is_passed: the rung is passed, see `judge`.
         units: efficiencies (runs,) of each room that was learned in, or of each run alone that was tested in others.
         floors: number of floors of a tower, of which the escapes are the share climbed; 1 on a rung.
+        learned: share of what could be learned across rooms, see `compute_learned_share`; None where searchers and
+            `smdp-bayes` were not run on the rung, or are alike.
     """
 
     rung: str
@@ -214,6 +216,7 @@ class RungStanding(NamedTuple):
     is_passed: bool
     units: Scores
     floors: int = 1
+    learned: float | None = None
 
 
 def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float], bool]:
@@ -235,7 +238,12 @@ def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
         efficiencies = [room for room in agent.efficiencies if len(room)]
         units = [run for room in efficiencies for run in np.split(room, len(room))] if has_sets else efficiencies
         found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms), units, floors))
-    return found
+    searched = [own.agent.efficiency.value for own in found if own.agent.spec.name in FLOORS]
+    known = [own.agent.efficiency.value for own in found if own.agent.spec.name == BAYES]
+    if not searched or not known:
+        return found
+    return [own._replace(learned=compute_learned_share(own.agent.efficiency.value, max(searched), max(known)))
+            for own in found]
 
 
 def score_standings(standings: Iterable[RungStanding]) -> tuple[list[str], dict[str, Estimate]]:

@@ -17,6 +17,7 @@ from hrl_escape.comparison.references import registry as references
 from hrl_escape.comparison.score_range import CEILING, PLANNER
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.comparison.summary import AgentSummary, Summary
+from hrl_escape.env.puzzles.traits import Marked, get_trait
 from hrl_escape.names import join_words
 
 __all__ = ["Sentence", "count_things", "find_leader", "tell_privileges", "write_verdict"]
@@ -154,8 +155,15 @@ def _compare_with_chance(summary: Summary) -> list[str]:
     return sentences
 
 
+def _list_searchers(summary: Summary) -> list[AgentSummary]:
+    """Searchers that were not told what learners must learn: where targets bear marks, who reads them was."""
+    has_marks = any(get_trait(room.place.instance.puzzle, Marked).marks for room in summary.rooms)
+    names = references.BY_NUMBER + references.FLOORS if has_marks else references.SEARCHERS
+    return [agent for agent in summary.agents if agent.spec.name in names]
+
+
 def _beats_searchers(summary: Summary, agent: AgentSummary) -> bool:
-    searchers = [other for other in summary.agents if other.spec.name in references.SEARCHERS]
+    searchers = _list_searchers(summary)
     return bool(searchers) and _beats(summary, agent, find_leader(searchers))
 
 
@@ -163,7 +171,7 @@ def _compare_with_searchers(summary: Summary) -> list[str]:
     """Learners over options or hierarchies against the best searcher that learns nothing."""
     learners = [agent for agent in summary.agents
                 if (agent.spec.chooses_options or agent.spec.leaves) and agent.spec.learns]
-    searchers = [agent for agent in summary.agents if agent.spec.name in references.SEARCHERS]
+    searchers = _list_searchers(summary)
     if not learners or not searchers:
         return []
     best, searcher = find_leader(learners), find_leader(searchers)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hrl_escape.comparison.inference import compute_interval
-from hrl_escape.comparison.ladder_score import compute_ladder_score
+from hrl_escape.comparison.ladder_score import compute_ladder_score, compute_learned_share
 from hrl_escape.comparison.protocols import list_standings, score_standings
 from hrl_escape.comparison.statistics import compute_iqm
 from hrl_escape.comparison.summary import summarise
-from tests.comparison.made_up import compare
+from tests.comparison.made_up import compare, make_result
 
 
 def score(*rungs: list[list[float]], resamples: int = 2000):
@@ -56,3 +56,19 @@ def test_agents_are_scored_over_the_rungs_that_all_were_run_on():
     rungs, scores = score_standings(alone)
     assert rungs == ["high"] and set(scores) == {"dqn"}
     assert score_standings([both[1], *alone]) == ([], {}), "nothing to compare"
+
+
+def test_learned_share_is_0_for_the_best_searcher_1_for_who_knows_the_schematic_and_less_for_less():
+    assert compute_learned_share(0.9, 0.7, 0.95) == pytest.approx(0.8)
+    assert compute_learned_share(0.6, 0.7, 0.95) == pytest.approx(-0.4)
+    assert compute_learned_share(0.9, 0.70, 0.74) is None, "nothing to learn there"
+    lengths = {"smdp-untried": 80, "smdp-untried-nearest": 60, "smdp-bayes": 45, "smdp-dqn": 50, "smdp-ppo": 70}
+    made = {name: [make_result([101.0 - length], best=61.0)] * 2 for name, length in lengths.items()}
+    found = {own.agent.spec.name: own for own in list_standings("low", summarise(compare(made)))}
+    efficiency = {name: 40 / length for name, length in lengths.items()}
+    for name, own in found.items():
+        assert own.agent.efficiency.value == pytest.approx(efficiency[name])
+        assert own.learned == pytest.approx((efficiency[name] - 40 / 60) / (40 / 45 - 40 / 60))
+    assert found["smdp-untried-nearest"].learned == 0 and found["smdp-bayes"].learned == 1
+    del made["smdp-bayes"]
+    assert {own.learned for own in list_standings("low", summarise(compare(made)))} == {None}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from hrl_escape.comparison.references.bayes import measure_ways
 from hrl_escape.comparison.references.belief_graph import BeliefGraph, Ways
 from hrl_escape.comparison.references.graph_family import (
     GraphFamily,
+    condition_on_marks,
     find_schematic,
     iterate_outcomes,
     list_graphs,
@@ -30,10 +32,13 @@ from hrl_escape.comparison.references.registry import (
     make_reference,
 )
 from hrl_escape.comparison.runs import make_env
+from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle, ViolationRule
 from hrl_escape.env.puzzles.graphs import GraphConfig, GraphKind, sample_graph, sample_relabelled
+from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import UnsupportedError
@@ -235,6 +240,70 @@ def test_where_graphs_are_too_many_a_sample_has_their_odds():
             kept, lit = kept[agrees], lit | has_lit << button
             weights, could_light = family.weights[kept], (family.parents[kept] & np.uint64(~lit & 31)) == 0
             assert particles.compute_odds(lit) == pytest.approx(weights @ could_light / weights.sum(), abs=0.12)
+
+
+# --- marks -----------------------------------------------------------------------------------
+
+
+def make_marked(count: int, kind: GraphKind = "chain", **marks: Any) -> ButtonsConfig:
+    return ButtonsConfig(count=count, graph=GraphConfig(kind=kind, max_parents=2), marks=MarksConfig("rank", **marks))
+
+
+def count_presses(family: GraphFamily) -> float:
+    """Fewest expected presses, one primitive each."""
+    graph, count = BeliefGraph(family), family.count
+    return float(graph.solve(Ways(np.ones((1, count)), np.zeros((1, count), int), np.zeros(1)))[graph.root, 0])
+
+
+@pytest.mark.parametrize("truth", [1.0, 0.8, 0.4, 0.0])
+def test_marks_are_worth_what_follows_by_hand(truth: float):
+    """Two buttons in a chain, a symbol a rank: 2 + (1 - truth)/2 presses in the mean over all marks, 2.5 without."""
+    config = make_marked(2, levels=2, symbols=2, truth=truth)
+    family = make_family(config, 2)
+    expected = 0.0
+    for marks in itertools.product(range(2), repeat=2):
+        ranks = np.array([[0, 1] if goal == 1 else [1, 0] for goal in family.goals])
+        likelihood = config.marks.compute_likelihood(marks, ranks).mean()
+        if likelihood:
+            expected += likelihood * count_presses(condition_on_marks(family, config.marks, marks))
+    assert expected == pytest.approx(2 + (1 - truth) / 2)
+
+
+@pytest.mark.parametrize(("levels", "presses"), [(5, 5.0), (2, 1 + 4 * 7 / 4)])
+def test_true_marks_leave_a_chain_its_buttons_or_the_rest_of_its_search(levels: int, presses: float):
+    """Five ranks tell all; two tell the first button, and the four others take 4 x 7/4 presses as ever."""
+    config = make_marked(5, levels=levels, symbols=5)
+    puzzle = config.make_puzzle(np.random.default_rng(1))
+    family = make_family(config, 5)
+    told = condition_on_marks(family, config.marks, puzzle.marks)
+    assert count_presses(told) == pytest.approx(presses)
+    shuffled = dataclasses.replace(config.marks, shuffled=True)
+    assert condition_on_marks(family, shuffled, puzzle.marks) is family
+
+
+def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():
+    rng = np.random.default_rng(3)
+    for truth in (1.0, 0.7):
+        config = make_marked(5, "layered", levels=4, symbols=12, truth=truth)
+        for _ in range(3):
+            puzzle = config.make_puzzle(rng)
+            family = condition_on_marks(make_family(config, 5), config.marks, puzzle.marks)
+            particles = GraphParticles(config, 5, np.random.default_rng(0), puzzle.marks)
+            could_light = (family.parents & np.uint64(31)) == 0
+            assert particles.compute_odds(0) == pytest.approx(family.weights @ could_light, abs=0.12)
+
+
+def test_who_reads_marks_needs_less_in_the_same_rooms_than_who_cannot(monkeypatch: pytest.MonkeyPatch):
+    lengths = {}
+    for shuffled in (False, True):
+        marks = MarksConfig("rank", levels=4, symbols=20, shuffled=shuffled)
+        config = RoomConfig(room=ShapeConfig(width=10, depth=10), robot=RobotConfig(body_radius=0.4),
+                            puzzle=ButtonsConfig(count=4, marks=marks, buttons=Panels(width=1.0)))
+        monkeypatch.setattr("hrl_escape.comparison.references.bayes.find_schematic", lambda room, config=config: config)
+        rooms = [generate(config, seed) for seed in range(5)]
+        lengths[shuffled] = np.mean([play(BAYES, room)[0].mean() for room in rooms])
+        nearest = np.mean([play(UNTRIED_NEAREST, room)[0].mean() for room in rooms])
+    assert lengths[False] < 0.9 * nearest and lengths[False] < 0.95 * lengths[True]
 
 
 def test_bayes_says_where_it_has_no_beliefs():

@@ -2,6 +2,8 @@
 
 A rung is passed where the lower end of the escapes' 95 % interval is 0.9 or more and efficiency 0.5 or more. The ladder
 score is the mean over rungs of the interquartile mean of efficiency, over the rungs that every agent was run on.
+The learned share is 0 for the best searcher that learns nothing, such as smdp-untried-nearest, and 1 for smdp-bayes,
+which knows how rooms are drawn: run both beside the learners.
 
 Examples:
     hrl-escape ladder report
@@ -71,13 +73,14 @@ def run(args: ReportArgs) -> None:
                           "scores": {label: score._asdict() for label, score in scores.items()}}, indent=2))
         return
     console = Console(width=120, highlight=False)
-    table = Table("rung", "agent", "runs", "efficiency", "trained in", "escapes", "passed",
+    table = Table("rung", "agent", "runs", "efficiency", "learned", "trained in", "escapes", "passed",
                   *(("floors climbed",) if args.protocol == TOWER else ()), box=None, pad_edge=False)
     for standing in standings:
         agent, (share, low, high) = standing.agent, standing.escapes
         table.add_row(
             standing.rung, agent.label, str(agent.runs),
             f"{agent.efficiency.value:.3f} ({agent.efficiency.low:.3f} to {agent.efficiency.high:.3f})",
+            "" if standing.learned is None else f"{standing.learned:.2f}",
             "" if agent.seen is None else f"{agent.seen.value:.3f}", f"{share:.0%} ({low:.0%} to {high:.0%})",
             "yes" if standing.is_passed else "no", *([_describe_climb(standing)] if args.protocol == TOWER else []))
     console.print(table)
@@ -108,7 +111,7 @@ def _to_json(standing: RungStanding) -> dict[str, object]:
     agent = standing.agent
     return {"rung": standing.rung, "agent": agent.label, "runs": agent.runs,
             "efficiency": agent.efficiency._asdict(), "seen": None if agent.seen is None else agent.seen._asdict(),
-            "escapes": standing.escapes, "passed": standing.is_passed,
+            "escapes": standing.escapes, "passed": standing.is_passed, "learned": standing.learned,
             "trials": [trial._asdict() for trial in agent.trials],
             **({"floors": standing.floors, "climbed": standing.escapes[0] * standing.floors}
                if standing.floors > 1 else {})}

@@ -1,10 +1,10 @@
 """The searcher that knows how graphs are drawn: fewest expected primitives until the exit, without learning.
 
-It knows the schematic, the room and what every press showed, and nothing of the room's graph. Up to six buttons (five
-where wrong presses reset) its choices are optimal in expectation over the schematic's graphs, with the lengths of ways
-from button to button as the planner finds them; with more it takes the button with the best odds per primitive, odds
-estimated by a sample of graphs. Nobody who must discover the graph can need fewer primitives in the mean, but for what
-these lengths leave out.
+It knows the schematic, what marks mean included, the room and what every press showed, and nothing else of the graph.
+Up to six buttons (one fewer where wrong presses reset, and where some marks deceive) its choices are optimal in
+expectation over the schematic's graphs, with the lengths of ways from button to button as the planner finds them. With
+more it takes the button with the best odds per primitive, odds estimated by a sample of graphs. Nobody who must
+discover the graph can need fewer primitives in the mean, but for what these lengths leave out.
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.references.belief_graph import BeliefGraph, Ways, make_belief_graph
 from hrl_escape.comparison.references.by_lights import Searcher
-from hrl_escape.comparison.references.graph_family import MOST_BUTTONS, can_light, find_schematic, make_family
+from hrl_escape.comparison.references.graph_family import (
+    MOST_BUTTONS,
+    can_light,
+    condition_on_marks,
+    find_schematic,
+    make_family,
+)
 from hrl_escape.comparison.references.graph_particles import GraphParticles
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
@@ -80,9 +86,12 @@ class _Mind:
         assert isinstance(config, ButtonsConfig)
         self._config = config
         self._graph: BeliefGraph | None = None
-        if puzzle.count <= MOST_BUTTONS - (puzzle.on_violation == "reset"):
-            self._family = make_family(self._config, puzzle.count)
-            self._graph = make_belief_graph(self._family, puzzle.on_violation)
+        has_doubtful_marks = bool(puzzle.marks) and 0 < config.marks.truth < 1
+        if puzzle.count <= MOST_BUTTONS - (puzzle.on_violation == "reset") - has_doubtful_marks:
+            family = make_family(self._config, puzzle.count)
+            self._family = condition_on_marks(family, config.marks, puzzle.marks)
+            make = make_belief_graph if self._family is family else BeliefGraph  # one for all rooms, or the room's own
+            self._graph = make(self._family, puzzle.on_violation)
             self._ways = measure_ways(self._planner)
             self._costs = self._graph.solve(self._ways)
 
@@ -92,7 +101,8 @@ class _Mind:
         if self._graph is not None:
             self._graphs = np.arange(len(self._family.weights), dtype=np.int32)
         else:
-            self._particles = GraphParticles(self._config, self._puzzle.count, np.random.default_rng(self.room.seed))
+            rng = np.random.default_rng(self.room.seed)
+            self._particles = GraphParticles(self._config, self._puzzle.count, rng, self._puzzle.marks)
 
     def learn(self, target: int, lit: int, has_lit: bool, has_opened: bool) -> None:
         """Take note of a press of an unlit button, `lit` being the bits before it."""

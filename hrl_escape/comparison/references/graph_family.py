@@ -22,11 +22,12 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import PRESETS
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import Edges, GraphConfig, compute_order, mask_parents, sample_graph
+from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from hrl_escape.ranges import Between
 
-__all__ = ["GraphFamily", "can_light", "find_schematic", "list_graphs", "make_family"]
+__all__ = ["GraphFamily", "can_light", "condition_on_marks", "find_schematic", "list_graphs", "make_family"]
 
 MOST_BUTTONS = 6
 """Buttons up to which every graph of a family is listed."""
@@ -149,6 +150,29 @@ def make_family(config: ButtonsConfig, count: int) -> GraphFamily:
     return GraphFamily(np.array([masks for masks, _ in graphs], dtype=np.uint64).reshape(len(graphs), count),
                        np.array([goal for _, goal in graphs], dtype=np.int64),
                        np.array([found[graph] for graph in graphs]))
+
+
+@lru_cache(maxsize=16)
+def _classify(family: GraphFamily, rules: MarksConfig) -> NDArray[np.int64]:
+    """Class of each button under each graph, (graphs, buttons)."""
+    pairs = list(itertools.product(range(family.count), repeat=2))
+    return np.array([rules.classify(family.count, tuple((a, b) for a, b in pairs if masks[b] >> a & 1), goal)
+                     for masks, goal in zip(family.parents.tolist(), family.goals.tolist(), strict=True)])
+
+
+def condition_on_marks(family: GraphFamily, rules: MarksConfig, marks: tuple[int, ...]) -> GraphFamily:
+    """The graphs that the marks of a room allow, as likely as these make them; the same family where they say nothing.
+
+    Args:
+        family: every graph of the schematic.
+        rules: the schematic's marks, whose code is known.
+        marks: of the room's buttons; none without marks.
+    """
+    if not marks or rules.shuffled:
+        return family
+    weights = family.weights * rules.compute_likelihood(marks, _classify(family, rules))
+    kept = np.flatnonzero(weights)
+    return GraphFamily(family.parents[kept], family.goals[kept], weights[kept] / weights.sum())
 
 
 def find_schematic(instance: RoomInstance) -> RoomConfig:

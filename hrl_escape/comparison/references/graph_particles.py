@@ -33,20 +33,33 @@ class GraphParticles:
         config: the schematic's puzzle.
         count: number of buttons in the room.
         rng: draws and moves.
+        marks: of the room's buttons; none without marks.
 
     Attributes:
         parents: uint64 (particles, buttons), the bits of each button's parents.
         goals: int64 (particles,), the button that opens the exit.
     """
 
-    def __init__(self, config: ButtonsConfig, count: int, rng: np.random.Generator) -> None:
+    def __init__(self, config: ButtonsConfig, count: int, rng: np.random.Generator, marks: tuple[int, ...] = ()
+                 ) -> None:
         self._rng, self._presses = rng, list[tuple[int, int, bool, bool]]()
         self.parents = np.zeros((PARTICLES, count), np.uint64)
         self.goals = np.zeros(PARTICLES, np.int64)
+        self._classes = np.zeros((PARTICLES, count), np.int64)
         for number in range(PARTICLES):
             edges, self.goals[number] = _draw_graph(config, count, rng)
             self.parents[number] = mask_parents(edges, count)
-        self._doubts = np.zeros(PARTICLES)
+            if marks:
+                self._classes[number] = config.marks.classify(count, edges, int(self.goals[number]))
+        single = [[config.marks.compute_likelihood((mark,), np.array([[own]]))[0] for own in
+                   range(config.marks.classes)] for mark in marks] or [[1.0] * config.marks.classes] * count
+        with np.errstate(divide="ignore"):
+            self._surprise = -np.log(np.array(single))  # (buttons, classes), infinite where a mark cannot be
+        self._doubts, self._surprises = self._measure(self.parents, self.goals, self._classes)
+        if marks:
+            self._resample()
+            for _ in range(SHAKES):
+                self._shake()
 
     def learn(self, press: tuple[int, int, bool, bool]) -> None:
         """Take note of a press of an unlit button.
@@ -57,12 +70,19 @@ class GraphParticles:
         if press in self._presses:
             return
         self._presses.append(press)
-        self._doubts = self._measure(self.parents, self.goals)
-        likelihood = np.exp(-(self._doubts - self._doubts.min()))
-        chosen = self._rng.choice(PARTICLES, PARTICLES, p=likelihood / likelihood.sum())
-        self.parents, self.goals, self._doubts = self.parents[chosen], self.goals[chosen], self._doubts[chosen]
+        before = self._surprises
+        self._doubts, self._surprises = self._measure(self.parents, self.goals, self._classes)
+        self._resample(before)
         for _ in range(SHAKES):
             self._shake()
+
+    def _resample(self, counted: NDArray[np.float64] | float = 0.0) -> None:
+        """Draw graphs anew by how well they explain what is known; `counted` is what their number tells already."""
+        energy = self._doubts + self._surprises - counted
+        likelihood = np.exp(-(energy - energy.min()))
+        chosen = self._rng.choice(PARTICLES, PARTICLES, p=likelihood / likelihood.sum())
+        for name in ("parents", "goals", "_classes", "_doubts", "_surprises"):
+            setattr(self, name, getattr(self, name)[chosen])
 
     def compute_odds(self, lit: int) -> NDArray[np.float64]:
         """Probability that each button would light if it were pressed, (buttons,).
@@ -80,19 +100,26 @@ class GraphParticles:
         first = self._rng.integers(count, size=PARTICLES)
         second = (first + self._rng.integers(1, count, size=PARTICLES)) % count if count > 1 else first
         parents, goals = _exchange(self.parents, self.goals, first, second)
-        doubts = self._measure(parents, goals)
-        taken = self._rng.random(PARTICLES) < np.exp(np.minimum(self._doubts - doubts, 0.0))
-        self.parents[taken], self.goals[taken], self._doubts[taken] = parents[taken], goals[taken], doubts[taken]
+        classes, rows = self._classes.copy(), np.arange(PARTICLES)
+        classes[rows, first], classes[rows, second] = self._classes[rows, second], self._classes[rows, first]
+        doubts, surprises = self._measure(parents, goals, classes)
+        gain = self._doubts + self._surprises - doubts - surprises
+        taken = self._rng.random(PARTICLES) < np.exp(np.minimum(gain, 0.0))
+        for name, moved in (("parents", parents), ("goals", goals), ("_classes", classes), ("_doubts", doubts),
+                            ("_surprises", surprises)):
+            getattr(self, name)[taken] = moved[taken]
 
-    def _measure(self, parents: NDArray[np.uint64], goals: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Doubts about every graph: `DOUBT` for each press that it does not explain."""
-        doubts = np.zeros(len(parents))
+    def _measure(self, parents: NDArray[np.uint64], goals: NDArray[np.int64], classes: NDArray[np.int64]
+                 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Doubts about every graph, `DOUBT` for each press or mark that cannot be, and the surprise at its marks."""
+        surprise = self._surprise[np.arange(classes.shape[1]), classes]
+        doubts = DOUBT * np.isinf(surprise).sum(axis=1)
         for button, lit, has_lit, has_opened in self._presses:
             allowed = can_light(parents[:, button], lit)
             doubts += DOUBT * (allowed != has_lit)
             if has_lit:
                 doubts += DOUBT * ((goals == button) != has_opened)
-        return doubts
+        return doubts, np.where(np.isinf(surprise), 0.0, surprise).sum(axis=1)
 
 
 def _draw_graph(config: ButtonsConfig, count: int, rng: np.random.Generator) -> tuple[Edges, int]:

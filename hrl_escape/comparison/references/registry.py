@@ -34,7 +34,7 @@ from hrl_escape.comparison.references.rules import (
 )
 from hrl_escape.ladder.sequence import SequenceEnv
 
-__all__ = ["BAYES", "BY_LIGHTS", "INDEX_ORDER", "PLANNER", "REFERENCES", "RETRACE", "BY_NUMBER", "SEARCHERS",
+__all__ = ["BAYES", "BY_LIGHTS", "FLOORS", "INDEX_ORDER", "PLANNER", "REFERENCES", "RETRACE", "BY_NUMBER", "SEARCHERS",
            "SHUFFLED_ROUND", "UNTRIED", "UNTRIED_NEAREST", "describe_rule", "make_reference"]
 
 INDEX_ORDER, SHUFFLED_ROUND = "smdp-index-order", "smdp-shuffled-round"
@@ -51,6 +51,8 @@ SEARCHERS = tuple(name for name in REFERENCES if name != PLANNER)
 """References that do not know the dependency graph."""
 BY_LIGHTS = tuple(name for name in SEARCHERS if name not in BY_NUMBER)
 """Searchers that see what is lit."""
+FLOORS = tuple(name for name in BY_LIGHTS if name != BAYES)
+"""Those that do not know the schematic: the best of them has learned nothing, and `BAYES` is the ceiling."""
 
 
 def describe_rule(name: str) -> str:

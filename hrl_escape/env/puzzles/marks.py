@@ -83,7 +83,7 @@ class MarksConfig(Schematic):
     @property
     def classes(self) -> int:
         """Number of classes of targets that marks tell apart."""
-        return self.levels if self.kind == "rank" else 2
+        return 2 if self.kind == "needed" else self.levels
 
     @cached_property
     def meanings(self) -> NDArray[np.int64]:
