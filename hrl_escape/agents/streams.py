@@ -238,9 +238,11 @@ class OpenChoices(Stateful):
 
     def choose(self, stream: Tensor, mask: Tensor, log_probability: Tensor, memory: Tensor) -> None:
         """Keep with what some streams, int64 (n,), have just chosen, and what they remember since."""
-        self._mask[stream], self._log_probability[stream] = mask, log_probability
-        self._before[stream] = self.memory[stream]
-        self.memory[stream] = memory
+        rows = self._find_rows(stream)
+        self._mask[rows], self._log_probability[rows] = mask, log_probability
+        if self.memory.shape[1]:
+            self._before[rows] = self.memory[rows]
+            self.memory[rows] = memory
 
     def end(self, stream: Tensor, over: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Choices of decisions that ended; where the episode is `over` too, bool (n,), the stream forgets.
@@ -248,10 +250,16 @@ class OpenChoices(Stateful):
         Returns:
             Mask (n, actions), log probability (n,), place in the rollout (n,), and memory before the choice.
         """
-        place = self._place[stream]
-        self._place[stream] += 1
-        self.memory[stream] = self.memory[stream].masked_fill(over[:, None], 0.0)
-        return self._mask[stream], self._log_probability[stream], place, self._before[stream]
+        rows = self._find_rows(stream)
+        place = self._place[rows].clone()
+        self._place[rows] += 1
+        if self.memory.shape[1]:
+            self.memory[rows] = self.memory[rows].masked_fill(over[:, None], 0.0)
+        return self._mask[rows].clone(), self._log_probability[rows].clone(), place, self._before[rows].clone()
+
+    def _find_rows(self, stream: Tensor) -> Tensor | slice:
+        """Index of some streams, each named once and in order; that of all of them copies nothing."""
+        return slice(None) if len(stream) == self.count else stream
 
     def has(self, count: int, device: torch.device) -> bool:
         """True if these are the choices of that many streams on that device."""
@@ -282,14 +290,13 @@ def gather_decisions(ended: EndedDecisions, gamma: float, agent_gamma: float) ->
         DiscountMismatchError: a decision of several primitives, discounted by another gamma than the agent's.
     """
     stream = ended.where.nonzero().squeeze(1)
-    duration = ended.duration[stream].long()
-    if gamma != agent_gamma and len(stream) and (longest := int(duration.max())) > 1:
+    duration = ended.duration.long()
+    if gamma != agent_gamma and len(stream) and (longest := int(duration[stream].max())) > 1:
         raise DiscountMismatchError(agent_gamma, gamma**longest, longest)
-    return StreamTransitions(
-        stream, ended.observation[stream], ended.action[stream], ended.discounted_reward[stream],
-        ended.reward[stream], duration, ended.next_observation[stream], ended.next_action_mask[stream],
-        ended.terminated[stream], ended.truncated[stream],
-    )
+    fields = (ended.observation, ended.action, ended.discounted_reward, ended.reward, duration, ended.next_observation,
+              ended.next_action_mask, ended.terminated, ended.truncated)
+    return StreamTransitions(stream, *(fields if len(stream) == len(ended.where) else
+                                       (field[stream] for field in fields)))
 
 
 def compute_backups(decisions: StreamTransitions, settings: LearningSettings) -> tuple[Tensor, Tensor]:

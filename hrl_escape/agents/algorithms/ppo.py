@@ -35,6 +35,7 @@ from hrl_escape.agents.components.policy_gradient import (
     compute_advantages,
     compute_clipped_parts,
     compute_log_policy,
+    compute_next_values,
     draw_minibatches,
     sample_policy,
     stack_decisions,
@@ -248,12 +249,16 @@ class PPO(StreamAgent):
         rollout = self._gather()
         self._forget()
         mask, action = rollout.mask, rollout.action
-        seen, reached = rollout.observation, rollout.next_observation
+        seen = rollout.observation
         with torch.no_grad():
-            if self._memory is not None:
+            if self._memory is None:
+                values = self._value(seen)
+                next_values = (self._value(rollout.next_observation) if self._open is None else
+                               compute_next_values(rollout, values, self._value))
+            else:
                 seen = self._memory.read(seen, rollout.memory)
-                reached = self._memory.read(reached, self._memory.get_state(seen))
-            values, next_values = self.critic(seen).squeeze(1), self.critic(reached).squeeze(1)
+                reached = self._memory.read(rollout.next_observation, self._memory.get_state(seen))
+                values, next_values = self._value(seen), self._value(reached)
             old_log_probability = rollout.log_probability
             if self._open is None:  # the policy is still the one that chose
                 log_policy = compute_log_policy(self.policy(seen), mask)
@@ -274,6 +279,10 @@ class PPO(StreamAgent):
         mean_value = values.mean().item() / self.settings.reward_scale
         return dict(zip(names, (totals / count).tolist(), strict=True)) | {
             "gradient_norm": self._learner.gradient_norm, "value": mean_value}
+
+    def _value(self, seen: Tensor) -> Tensor:
+        """V, (n,), of inputs of the networks."""
+        return self.critic(seen).squeeze(1)
 
     def _draw_batches(self, rollout: Rollout) -> Iterator[tuple[Tensor, Tensor]]:
         """Rows of each minibatch, and the networks' input there; with a memory, lived through again in stretches."""

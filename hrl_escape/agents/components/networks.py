@@ -54,6 +54,8 @@ __all__ = [
     "make_state_network",
 ]
 
+BLOCK = 4096
+"""Rows that pass through a perceptron together: two layers of 64 units take 2 MiB, as much as a core's own cache."""
 MOST_KNOWN = 1_000
 """Most outputs of a network that are remembered."""
 WILD_LOSS = 1e6
@@ -184,6 +186,10 @@ class Network(nn.Sequential):
         self.weights = torch.cat([parameter.detach().reshape(-1) for parameter in parameters])
         self.gradient = torch.zeros_like(self.weights)
         self.sizes = [parameter.numel() for parameter in parameters]
+        self._is_tanh = len(layers) > 1 and isinstance(layers[1], nn.Tanh)
+        self._is_perceptron = len(layers) % 2 == 1 and all(
+            isinstance(layer, (nn.Tanh, nn.ReLU)) and type(layer) is type(layers[1]) if place % 2 else
+            isinstance(layer, nn.Linear) and layer.bias is not None for place, layer in enumerate(layers))
         self._tie(parameters)
 
     def _tie(self, parameters: list[nn.Parameter]) -> None:
@@ -200,9 +206,67 @@ class Network(nn.Sequential):
         self.weights, self.gradient = self.weights.to(device), self.gradient.to(device)
         self._tie(parameters)
 
+    def forward(self, input: torch.Tensor) -> torch.Tensor:
+        """Outputs, (n, outputs) from (n, inputs); those of many rows through a perceptron block by block."""
+        if len(input) <= BLOCK or input.device.type != "cpu" or not self._is_perceptron:
+            return super().forward(input)
+        return _Blocks.apply(input, self._is_tanh, torch.is_grad_enabled(), *self.parameters())
+
     def blend(self, source: Network, rate: float) -> None:
         """Move a target network: weights <- (1 - rate) weights + rate source (Lillicrap et al. 2016)."""
         self.weights.lerp_(source.weights, rate)
+
+
+class _Blocks(torch.autograd.Function):
+    """A perceptron over many rows, `BLOCK` of them at a time through all its layers, which stay in cache meanwhile.
+
+    Layer by layer, each would stream all rows through main memory: on a CPU that takes twice to three times as long.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, rows: torch.Tensor, is_tanh: bool, is_kept: bool, *parameters: torch.Tensor) -> torch.Tensor:
+        weights, biases = parameters[::2], parameters[1::2]
+        hidden = [rows.new_empty(len(rows) if is_kept else BLOCK, len(bias)) for bias in biases[:-1]]
+        output = rows.new_empty(len(rows), len(biases[-1]))
+        for start in range(0, len(rows), BLOCK):
+            before = rows[start : start + BLOCK]
+            place = slice(start, start + BLOCK) if is_kept else slice(len(before))
+            for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+                if layer < len(hidden):
+                    before = torch.addmm(bias, before, weight.t(), out=hidden[layer][place])
+                    before.tanh_() if is_tanh else before.relu_()
+                else:
+                    torch.addmm(bias, before, weight.t(), out=output[start : start + BLOCK])
+        if is_kept:
+            ctx.save_for_backward(rows, *hidden, *weights)
+            ctx.is_tanh = is_tanh
+        return output
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        saved = ctx.saved_tensors
+        inputs, weights = saved[: len(saved) // 2], saved[len(saved) // 2 :]
+        of_weights = [torch.zeros_like(weight) for weight in weights]
+        of_biases = [weight.new_zeros(len(weight)) for weight in weights]
+        of_rows = torch.empty_like(inputs[0]) if ctx.needs_input_grad[0] else None
+        for start in range(0, len(inputs[0]), BLOCK):
+            part = slice(start, start + BLOCK)
+            error = gradients[0][part]
+            for layer in reversed(range(len(weights))):
+                before = inputs[layer][part]
+                of_weights[layer].addmm_(error.t(), before)
+                of_biases[layer].add_(error.sum(0))
+                if layer == 0:
+                    break
+                error = error @ weights[layer]
+                if ctx.is_tanh:
+                    torch.ops.aten.tanh_backward.grad_input(error, before, grad_input=error)
+                else:
+                    error.mul_(before > 0)
+            if of_rows is not None:
+                torch.mm(error, weights[0], out=of_rows[part])
+        pairs = (part for pair in zip(of_weights, of_biases, strict=True) for part in pair)
+        return of_rows, None, None, *pairs
 
 
 def make_generator(rng: np.random.Generator) -> torch.Generator:

@@ -6,7 +6,7 @@ that say their stream and their place in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -15,12 +15,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
+from hrl_escape.agents.components.networks import BLOCK, NetworkSettings, ObservationEncoder
 from hrl_escape.agents.streams import OpenChoices, StreamTransitions, compute_backups
 from hrl_escape.settings import Range
 
 __all__ = ["ClippedSettings", "Rollout", "collect_decisions", "compute_advantages", "compute_clipped_loss",
-           "compute_clipped_parts", "compute_entropy", "compute_log_policy", "draw_minibatches", "sample_policy",
+           "compute_clipped_parts", "compute_entropy", "compute_log_policy", "compute_next_values", "draw_minibatches", "sample_policy",
            "stack_decisions", "take_column", "unstack_decisions"]
 
 
@@ -161,9 +161,28 @@ def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, se
     return deltas[at].to(torch.float32)
 
 
+def compute_next_values(rollout: Rollout, values: Tensor, critic: Callable[[Tensor], Tensor]) -> Tensor:
+    """V of the states reached, float32 (n,): that of the stream's next decision, where it is part of the rollout.
+
+    Args:
+        rollout: n decisions, whose streams do not begin anew without saying that an episode is over.
+        values: V(s_t), (n,).
+        critic: V of encoded observations, (k,) from (k, ...), asked where no decision follows.
+    """
+    rows = torch.arange(len(values), device=values.device)
+    following = rows.new_full((int(rollout.place.max()) + 2, int(rollout.stream.max()) + 1), -1)
+    following[rollout.place, rollout.stream] = rows
+    following = following[rollout.place + 1, rollout.stream].masked_fill(rollout.over, -1)
+    last = (following < 0).nonzero().squeeze(1)
+    return values[following.clamp(min=0)].index_copy(0, last, critic(rollout.next_observation[last]))
+
+
 def compute_log_policy(logits: Tensor, mask: Tensor) -> Tensor:
     """Log probabilities of the softmax over legal actions, -inf elsewhere. Shapes (batch, actions)."""
-    return functional.log_softmax(logits.masked_fill(~mask, -torch.inf), dim=1)
+    legal = logits.masked_fill(~mask, -torch.inf)
+    if len(legal) < BLOCK:
+        return functional.log_softmax(legal, dim=1)
+    return functional.log_softmax(legal.t().contiguous(), dim=0).t()  # row by row it takes six times as long
 
 
 def take_column(rows: Tensor, column: Tensor) -> Tensor:
