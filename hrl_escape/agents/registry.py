@@ -37,6 +37,7 @@ __all__ = [
     "list_agents",
     "list_given_agents",
     "list_recipes",
+    "list_stream_agents",
     "make_agent",
     "read_structure",
 ]
@@ -55,6 +56,13 @@ _CATALOGUE = "hrl_escape.agents.algorithms"
 def list_agents() -> list[str]:
     """Names of all agents made from spaces and settings, shipped ones first; each also exists with `smdp-`."""
     return [*_find_made(), *sorted(_find_others())]
+
+
+def list_stream_agents() -> list[str]:
+    """Names of the shipped agents that learn from many environments at once, in alphabetical order."""
+    from hrl_escape.agents.streams import StreamAgent
+
+    return [name for name in sorted(_find_made()) if issubclass(get_agent_class(name), StreamAgent)]
 
 
 def get_agent_class(name: str) -> type[Agent]:

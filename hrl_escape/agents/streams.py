@@ -13,18 +13,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.agent import Agent, SMDPTransition
 from hrl_escape.agents.settings import LearningSettings
-from hrl_escape.agents.state import Stateful, StateTree
+from hrl_escape.agents.state import Kept, Stateful, StateTree
 from hrl_escape.errors import DiscountMismatchError
 
 if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
-__all__ = ["EndedDecisions", "OpenChoices", "SavedEpisodes", "SingleEnvSource", "StreamAgent", "StreamSource",
-           "StreamTransitions", "Streams", "compute_backups", "gather_decisions"]
+__all__ = ["EndedDecisions", "OpenChoices", "RowStreamAgent", "SavedEpisodes", "SingleEnvSource", "StreamAgent",
+           "StreamSource", "StreamTransitions", "Streams", "compute_backups", "gather_decisions"]
 
 
 class EndedDecisions(NamedTuple):
@@ -206,6 +207,43 @@ class StreamAgent(Agent):
     @abstractmethod
     def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
         """Learn from decisions that ended together; returns numbers to log, or nothing."""
+
+
+class RowStreamAgent(StreamAgent):
+    """An agent that remembers nothing between decisions: it chooses and learns for one stream after another.
+
+    What is learned in one room counts in all, so many rooms share a table. Choices and updates are those of `act` and
+    `observe`, which get arrays on the CPU.
+    """
+
+    STATE = (Kept("_open_masks", is_left_out=True),)
+    _open_masks: NDArray[np.bool_] | None = None  # legal at each stream's present decision, (streams, actions)
+
+    def begin_streams(self, count: int, device: torch.device) -> None:
+        """Forget all decisions in progress."""
+        del device
+        self._open_masks = np.zeros((count, 0), np.bool_)
+
+    def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
+        """Choose for each row."""
+        assert self._open_masks is not None, "begin_streams comes first"
+        masks = mask.cpu().numpy()
+        if self._open_masks.shape[1] != masks.shape[1]:
+            self._open_masks = np.ones((len(self._open_masks), masks.shape[1]), np.bool_)
+        self._open_masks[stream.cpu().numpy()] = masks
+        return stream.new_tensor([self.act(*row) for row in zip(observation.cpu().numpy(), masks, strict=True)])
+
+    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
+        """Learn from each row; returns the means of what is logged."""
+        assert self._open_masks is not None, "begin_streams comes first"
+        sums: dict[str, float] = {}
+        for stream, seen, action, reward, summed, k, reached, mask, terminated, truncated in zip(
+                *(field.cpu().numpy() for field in decisions), strict=True):
+            metrics = self.observe(SMDPTransition(
+                seen, int(action), self._open_masks[stream].copy(), float(reward), float(summed), int(k),
+                self.gamma ** int(k), reached, mask, bool(terminated), bool(truncated)))
+            sums = {name: sums.get(name, 0.0) + value for name, value in metrics.items()}
+        return {name: total / len(decisions.stream) for name, total in sums.items()}
 
 
 class OpenChoices(Stateful):

@@ -77,7 +77,8 @@ class TrainArgs(RoomChoice):
     eval_episodes: int = 5
     """Episodes in an evaluation."""
     batch: int | None = None
-    """Train in this many copies of the room at once, on the batched engine; for ppo, dqn, dac and ppoc."""
+    """Train in this many copies of the room at once, on the batched engine; for a2oc, dac, ddpg, diayn, dqn, ppo,
+    ppoc, q-learning, r-max and sarsa."""
     device: str = "cpu"
     """Device of the copies, the networks and everything between them, such as cuda; with --batch."""
     out: Path | None = None

@@ -215,6 +215,43 @@ MUTATIONS = [
         "::test_ppo_that_learned_from_many_goes_on_in_one_environment_with_the_chances_of_its_own_choices",
     ),
     Mutation(
+        "the state reached is valued as the decision itself",
+        "agents/components/policy_gradient.py",
+        "following[rollout.place + 1, rollout.stream].masked",
+        "following[rollout.place, rollout.stream].masked",
+        "agents/training/test_streams.py::test_the_next_value_of_a_rollout_is_the_critics_of_the_state_reached",
+    ),
+    Mutation(
+        "what follows in a rollout is the next episode's",
+        "agents/components/policy_gradient.py",
+        "rollout.stream].masked_fill(rollout.over, -1)",
+        "rollout.stream].masked_fill(rollout.over & False, -1)",
+        "agents/training/test_streams.py::test_the_next_value_of_a_rollout_is_the_critics_of_the_state_reached",
+    ),
+    Mutation(
+        "gradients of later blocks take the place of earlier ones",
+        "agents/components/networks.py",
+        "of_biases[layer].add_(error.sum(0))",
+        "of_biases[layer].copy_(error.sum(0))",
+        "agents/components/test_many_rows.py",
+    ),
+    Mutation(
+        "rows of streams learn with the discount of one primitive",
+        "agents/streams.py",
+        "float(summed), int(k),\n                self.gamma ** int(k),",
+        "float(summed), int(k),\n                self.gamma,",
+        "agents/components/test_stream_replay.py"
+        "::test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once",
+    ),
+    Mutation(
+        "sarsa in many environments values the best action",
+        "agents/algorithms/sarsa.py",
+        "(weights * self.values.target(batch.next_observation)).sum(dim=1)",
+        "self.values.target(batch.next_observation).max(dim=1).values",
+        "agents/components/test_stream_replay.py"
+        "::test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once",
+    ),
+    Mutation(
         "the best checkpoint is the last of equals",
         "agents/training/run.py",
         "evaluation.mean_return > earlier.mean_return for",

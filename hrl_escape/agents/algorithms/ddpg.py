@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions, count_steps
+from hrl_escape.agents.agent import SMDPTransition, count_actions, count_steps
 from hrl_escape.agents.components.exploration import (
     OrnsteinUhlenbeck,
     choose_best,
@@ -41,8 +41,10 @@ from hrl_escape.agents.components.replay import (
     UpdateSchedule,
     make_experience,
 )
+from hrl_escape.agents.components.replay_streams import ReplayStreamAgent
 from hrl_escape.agents.larg2019.linear_relaxation import LinearRelaxation
 from hrl_escape.agents.state import Kept
+from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
 __all__ = ["DDPG", "DDPGSettings", "OneHotRelaxation"]
@@ -111,12 +113,13 @@ class OneHotRelaxation:
         entropy = -(policy * log_policy).sum(dim=1).mean()
         batch, actions = outputs.shape
         with torch.no_grad():
-            pairs = torch.cat((observation.repeat_interleave(actions, 0), torch.eye(actions).repeat(batch, 1)), dim=1)
+            vectors = torch.eye(actions, device=outputs.device).repeat(batch, 1)
+            pairs = torch.cat((observation.repeat_interleave(actions, 0), vectors), dim=1)
             values = critic(pairs).view(batch, actions)
         return -(policy * values).sum(dim=1).mean() - self._entropy_weight * entropy
 
 
-class DDPG(Agent):
+class DDPG(ReplayStreamAgent):
     """Critic: minimise the mean of loss(R + b Q'(s', mu'(s')) - Q(s, a)). Actor: maximise the mean of Q(s, mu(s)).
 
     R = sum gamma^i r_i, b = gamma^k (1 - terminated), primes are target networks. The action that runs is the argmax of
@@ -140,10 +143,11 @@ class DDPG(Agent):
     ) -> None:
         self.settings = settings = settings or DDPGSettings()
         self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
-        actions = count_actions(action_space, self.name)
+        self._actions = actions = count_actions(action_space, self.name)
         self.replay = ReplayBuffer(settings.replay_capacity, encoder.shape, encoder.dtype, actions, (actions,))
         self._schedule = UpdateSchedule(min(settings.warmup, settings.actor_warmup), settings.updates_per_step)
-        self._action_rng, self._replay_rng = make_rng(seed, "actions"), make_rng(seed, "replay")
+        self._action_rng, self._replay_rng, self._stream_rng = (
+            make_rng(seed, purpose) for purpose in ("actions", "replay", "streams"))
         generator = make_generator(make_rng(seed, "weights"))
         self.actor = make_network(encoder, actions, settings, generator)
         self.critic = make_network(encoder, 1, settings, generator, extra_inputs=actions)
@@ -151,8 +155,7 @@ class DDPG(Agent):
         self.target_critic = make_network(encoder, 1, settings, generator, actions).requires_grad_(False)
         self.target_actor.blend(self.actor, 1.0)
         self.target_critic.blend(self.critic, 1.0)
-        self._explore = make_forward(self.actor)
-        self._exploit = make_forward(self.target_actor) if settings.average_actor else self._explore
+        self._make_forwards()
         actors = {"actor": self.actor, "target_actor": self.target_actor}
         critics = {"critic": self.critic, "target_critic": self.target_critic}
         self._actor_learner = Learner(self.name, actors, ["actor"], settings)
@@ -162,6 +165,10 @@ class DDPG(Agent):
         self._noise = OrnsteinUhlenbeck(actions) if settings.exploration == "ornstein-uhlenbeck" else None
         self._vector = np.zeros(actions, np.float32)  # of the last action, as replay keeps it
         self._conduct: dict[str, float] = {}
+
+    def _make_forwards(self) -> None:
+        self._explore = make_forward(self.actor)
+        self._exploit = make_forward(self.target_actor) if self.settings.average_actor else self._explore
 
     def compute_preferences(self, observation: Any) -> NDArray:
         """Outputs of the actor behind the greedy policy at an observation, before the mask, float32 (actions,)."""
@@ -197,8 +204,31 @@ class DDPG(Agent):
             metrics |= self.update(self.replay.sample(settings.batch_size, self._replay_rng))
         return metrics | self._conduct
 
+    def begin_streams(self, count: int, device: torch.device) -> None:
+        """Move networks and replay to a device; every stream begins an episode, and what replay holds stays.
+
+        Raises:
+            AgentSettingsError: noise with memory, or the paper's relaxation, in many environments.
+        """
+        for name, allowed in (("exploration", "epsilon-greedy"), ("relaxation", "one-hot")):
+            if (value := getattr(self.settings, name)) != allowed:
+                raise AgentSettingsError(name, value, f"{allowed!r} in many environments at once")
+        super().begin_streams(count, device)
+
+    def move(self, device: torch.device) -> None:
+        """Move networks and optimisers to a device."""
+        for learner in (self._actor_learner, self._critic_learner):
+            learner.move(device)
+        self._make_forwards()
+
+    def compute_scores(self, encoded: torch.Tensor) -> torch.Tensor:
+        """Outputs of the actor, (n, actions)."""
+        return self.actor(encoded)
+
     def update(self, batch: Experience) -> dict[str, float]:
         """One gradient step of the critic and one of the actor, each once it is warm."""
+        if batch.action.ndim == 1:  # of streams
+            batch = batch._replace(action=functional.one_hot(batch.action, self._actions).float())
         metrics: dict[str, float] = {}
         if self._schedule.steps > self.settings.warmup:
             metrics["loss"] = self._critic_learner.minimise(self.compute_critic_loss(batch))
@@ -210,8 +240,8 @@ class DDPG(Agent):
         return metrics
 
     def compute_critic_loss(self, batch: Experience) -> torch.Tensor:
-        """The mean of loss(R + b Q'(s', mu'(s')) - Q(s, a)) over a batch of numpy arrays."""
-        observation, _, action, reward, bootstrap, next_observation, next_mask = map(torch.from_numpy, batch)
+        """The mean of loss(R + b Q'(s', mu'(s')) - Q(s, a)) over a batch of arrays or tensors."""
+        observation, _, action, reward, bootstrap, next_observation, next_mask = map(torch.as_tensor, batch)
         with torch.no_grad():
             next_action = self.relaxation.relax(self.target_actor(next_observation), next_mask)
             next_value = self.target_critic(torch.cat((next_observation, next_action), dim=1)).squeeze(1)
@@ -220,6 +250,6 @@ class DDPG(Agent):
         return compute_td_loss(value, targets, self.settings.loss)
 
     def compute_actor_loss(self, batch: Experience) -> torch.Tensor:
-        """Minus the mean value, to the critic, of the actor's choices over a batch of numpy arrays."""
-        observation, mask = torch.from_numpy(batch.observation), torch.from_numpy(batch.mask)
+        """Minus the mean value, to the critic, of the actor's choices over a batch of arrays or tensors."""
+        observation, mask = torch.as_tensor(batch.observation), torch.as_tensor(batch.mask)
         return self.relaxation.compute_actor_loss(self.critic, observation, self.actor(observation), mask)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -47,17 +47,16 @@ from hrl_escape.agents.components.replay import (
     NStep,
     ReplayBuffer,
     ReplaySettings,
-    StreamNStep,
-    StreamReplay,
     UpdateSchedule,
     make_experience,
 )
+from hrl_escape.agents.components.replay_streams import ReplayStreamAgent
 from hrl_escape.agents.state import Kept, Stateful
-from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions, compute_backups
+from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
-__all__ = ["DQN", "ActionValues", "DQNSettings", "ValueSettings", "sample_actions"]
+__all__ = ["DQN", "ActionValues", "DQNSettings", "ValueSettings"]
 
 
 @dataclass(frozen=True)
@@ -106,11 +105,6 @@ class DQNSettings(ValueSettings):
     hindsight_goals: Annotated[int, Range(0)] = 0
     """Goals achieved later in its episode that are drawn for a decision; replay holds it once more under each
     (Andrychowicz et al. 2017, who take 4). 0 for none. For environments with goals, such as `GoalsEnv`."""
-    stream_updates: Annotated[int, Range(1)] = 1
-    """Most updates after a step of many streams. Where more are due, minibatches grow, so that every decision is
-    learned from as often."""
-    stream_replay: Annotated[int, Range(1)] = 128
-    """Decisions of each stream, on average, for which replay has room at least."""
 
 
 class ActionValues(Stateful):
@@ -192,7 +186,7 @@ class ActionValues(Stateful):
                 "value": values.mean().item() / settings.reward_scale}
 
 
-class DQN(StreamAgent):
+class DQN(ReplayStreamAgent):
     """Minimise over theta the mean of loss(R + b Q_target(s', o*) - Q_theta(s, o)), o* = argmax of Q_theta(s', .).
 
     R = sum gamma^i r_i, b = gamma^k (1 - terminated), the argmax over actions legal at s'. With `n_step` n, R and b are
@@ -220,7 +214,7 @@ class DQN(StreamAgent):
     settings: DQNSettings
     is_markov: bool = True
     STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"), "_action_rng",
-             "_replay_rng", Kept("values.learner", "learner"), "_n_step", "_bonus", "_streams", "_stream_rng",
+             "_replay_rng", Kept("values.learner", "learner"), "_n_step", "_bonus",
              Kept("_hindsight", is_left_out=True))
 
     def __init__(
@@ -246,7 +240,6 @@ class DQN(StreamAgent):
         self._hindsight = HindsightReplay(
             observation_space, goal_rule, settings.hindsight_goals, settings.n_step, encoder, settings,
             make_rng(seed, "goals")) if settings.hindsight_goals else None
-        self._streams: _DQNStreams | None = None
 
     # --- acting --------------------------------------------------------------------------
 
@@ -305,75 +298,19 @@ class DQN(StreamAgent):
         """
         if self._hindsight is not None:
             raise AgentSettingsError("hindsight_goals", self.settings.hindsight_goals, "0 in many environments at once")
-        if self._streams is not None and self._streams.open.has(count, device):
-            self._streams.n_step.forget()
-            return
+        super().begin_streams(count, device)
+
+    def move(self, device: torch.device) -> None:
+        """Move networks and optimiser to a device."""
         self.values.move(device)
-        example = torch.from_numpy(np.zeros((1, *self._encoder.shape), self._encoder.dtype)).to(device)
-        capacity = max(self.settings.replay_capacity, self.settings.stream_replay * count)
-        self._streams = _DQNStreams(
-            OpenChoices(count, self._actions, device, self._stream_rng),
-            StreamReplay(capacity, example, self._actions),
-            StreamNStep(self.settings.n_step, count, example, self._actions))
 
-    def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
-        """Explore as the settings say, by the online network, for each row."""
-        assert self._streams is not None, "begin_streams comes first"
-        with torch.no_grad():
-            values = self.values.online(self._encoder.encode_many(observation)) / self.settings.reward_scale
-        choices = self._streams.open
-        choices.choose(stream, mask, torch.zeros_like(values[:, 0]), choices.memory[stream])
-        return sample_actions(values, mask, self.settings, self._schedule.steps, choices.generator)
+    def compute_scores(self, encoded: Tensor) -> Tensor:
+        """Values of the online network, in units of return, (n, actions)."""
+        return self.values.online(encoded) / self.settings.reward_scale
 
-    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
-        """Store the decisions, then make the updates that are due."""
-        assert self._streams is not None, "begin_streams comes first"
-        choices, replay, n_step = self._streams
-        settings = self.settings
-        reward, bootstrap = compute_backups(decisions, settings)
-        if settings.bonus_weight:
-            bonus = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
-            reward = reward + torch.from_numpy(bonus).to(reward.device)
-        over = decisions.terminated | decisions.truncated
-        mask, *_ = choices.end(decisions.stream, over)
-        experience = Experience(
-            self._encoder.encode_many(decisions.observation), mask, decisions.action, reward * settings.reward_scale,
-            bootstrap, self._encoder.encode_many(decisions.next_observation), decisions.next_action_mask)
-        replay.add(n_step.push(decisions.stream, experience, over))
-        steps = int(decisions.duration.sum()) if settings.clock == "primitive" else len(over)
-        due = self._schedule.advance(steps, len(replay))
-        metrics = {"epsilon": compute_epsilon(settings, self._schedule.steps)}
-        count = min(due, settings.stream_updates)
-        for _ in range(count):
-            metrics |= self.update(replay.sample(settings.batch_size * due // count, choices.generator))
-        return metrics
-
-
-class _DQNStreams(NamedTuple):
-    """Choices in progress, replay and unfinished backups of many streams."""
-
-    open: OpenChoices
-    replay: StreamReplay
-    n_step: StreamNStep
-
-
-def sample_actions(values: Tensor, mask: Tensor, settings: Any, steps: int,
-                   generator: torch.Generator) -> Tensor:
-    """Draw an action for each row of values (n, actions) as `sample_action` does, int64 (n,).
-
-    Args:
-        values: in units of return.
-        mask: bool (n, actions), legal.
-        settings: of exploration, as `DQNSettings` has them.
-        steps: on the clock.
-        generator: on the device of the values.
-    """
-    waits = torch.empty_like(values).exponential_(generator=generator).clamp_(min=1e-30).log()
-    if settings.exploration == "boltzmann":
-        ratio = values / settings.temperature
-        if settings.boltzmann_clip:
-            ratio = ratio.clamp(-settings.boltzmann_clip, settings.boltzmann_clip)
-        return (ratio - waits).masked_fill(~mask, -torch.inf).argmax(dim=1)
-    best, any_legal = (scores.masked_fill(~mask, -torch.inf).argmax(dim=1) for scores in (values, -waits))
-    draws = torch.rand(len(values), generator=generator, device=values.device)
-    return torch.where(draws < compute_epsilon(settings, steps), any_legal, best)
+    def compute_bonus(self, decisions: StreamTransitions) -> Tensor | None:
+        """Pay for novelty, in units of return, (n,)."""
+        if not self.settings.bonus_weight:
+            return None
+        visited = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
+        return torch.from_numpy(visited).to(decisions.reward.device)

@@ -15,6 +15,7 @@ import gymnasium
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.components.tables import TabularAgent, TabularAgentSettings
+from hrl_escape.agents.streams import RowStreamAgent
 
 __all__ = ["QLearning", "QLearningSettings"]
 
@@ -24,7 +25,7 @@ class QLearningSettings(BonusSettings, TabularAgentSettings):
     """Those of every agent with a table, and a bonus by counts, for `q-learning`."""
 
 
-class QLearning(TabularAgent):
+class QLearning(RowStreamAgent, TabularAgent):
     """Q(s, o) <- Q(s, o) + alpha [R + gamma^k (1 - terminated) max over legal o' of Q(s', o') - Q(s, o)]."""
 
     name: ClassVar[str] = "q-learning"

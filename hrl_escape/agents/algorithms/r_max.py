@@ -15,11 +15,12 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.agent import SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.state import Kept, StateTree
+from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range
 
 __all__ = ["RMax", "RMaxSettings"]
@@ -59,7 +60,7 @@ def _load_history(columns: StateTree) -> list[SMDPTransition]:
     return [SMDPTransition(*row) for row in zip(*rows, strict=True)]
 
 
-class RMax(Agent):
+class RMax(RowStreamAgent):
     """Optimism over a table: every pair is tried `visits` times before it is weighed."""
 
     Settings: ClassVar[type] = RMaxSettings

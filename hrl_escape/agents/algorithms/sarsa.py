@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions, count_steps
+from hrl_escape.agents.agent import SMDPTransition, count_actions, count_steps
 from hrl_escape.agents.algorithms.dqn import ActionValues, ValueSettings
 from hrl_escape.agents.components.exploration import (
     choose_best,
@@ -25,6 +25,7 @@ from hrl_escape.agents.components.exploration import (
 )
 from hrl_escape.agents.components.networks import ObservationEncoder
 from hrl_escape.agents.components.replay import Experience, ReplayBuffer, UpdateSchedule, make_experience
+from hrl_escape.agents.components.replay_streams import ReplayStreamAgent
 from hrl_escape.agents.larg2019.late_terminal import LateTerminal
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
@@ -60,7 +61,7 @@ class SarsaSettings(ValueSettings):
             raise AgentSettingsError("SarsaSettings.late_terminal", True, "False, or replay_capacity = 0")
 
 
-class Sarsa(Agent):
+class Sarsa(ReplayStreamAgent):
     """Minimise the mean of loss(R + b V(s') - Q_theta(s, o)), V(s') = sum over o' of pi(o' | s') Q_target(s', o').
 
     pi is the exploring policy of the online network at s', over legal actions. With `expected` off, V(s') is
@@ -84,10 +85,11 @@ class Sarsa(Agent):
         self.settings = settings = settings or SarsaSettings()
         self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
         self.values = ActionValues(self.name, encoder, action_space, seed, settings)
-        self.replay = ReplayBuffer(settings.replay_capacity, encoder.shape, encoder.dtype,
-                                   count_actions(action_space, self.name))
+        self._actions = count_actions(action_space, self.name)
+        self.replay = ReplayBuffer(settings.replay_capacity, encoder.shape, encoder.dtype, self._actions)
         self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
-        self._action_rng, self._replay_rng = make_rng(seed, "actions"), make_rng(seed, "replay")
+        self._action_rng, self._replay_rng, self._stream_rng = (
+            make_rng(seed, purpose) for purpose in ("actions", "replay", "streams"))
         self._next_action: int | None = None  # bootstrapped from, to be taken next
         self._late_terminal = LateTerminal()
 
@@ -134,6 +136,24 @@ class Sarsa(Agent):
             return None
         return self._explore(experience.next_observation, experience.next_mask)
 
+    def begin_streams(self, count: int, device: torch.device) -> None:
+        """Move networks and replay to a device; every stream begins an episode, and what replay holds stays.
+
+        Raises:
+            AgentSettingsError: no replay in many environments.
+        """
+        if not self.settings.replay_capacity:
+            raise AgentSettingsError("replay_capacity", 0, "at least 1 in many environments at once")
+        super().begin_streams(count, device)
+
+    def move(self, device: torch.device) -> None:
+        """Move networks and optimiser to a device."""
+        self.values.move(device)
+
+    def compute_scores(self, encoded: torch.Tensor) -> torch.Tensor:
+        """Values of the online network, in units of return, (n, actions)."""
+        return self.values.online(encoded) / self.settings.reward_scale
+
     def update(self, batch: Experience, next_action: int | None = None) -> dict[str, float]:
         """One gradient step on a batch of arrays; returns numbers to log.
 
@@ -148,8 +168,8 @@ class Sarsa(Agent):
 
     def compute_targets(self, batch: Experience, next_action: int | None = None) -> torch.Tensor:
         """R + b V(s'), (batch,); called without gradient. See `update`."""
-        next_online = self.values.online(batch.next_observation).numpy()
-        weights = torch.from_numpy(self._compute_weights(next_online, batch.next_mask.numpy(), next_action))
+        next_online, next_mask = self.values.online(batch.next_observation).cpu().numpy(), batch.next_mask.cpu().numpy()
+        weights = torch.from_numpy(self._compute_weights(next_online, next_mask, next_action)).to(batch.reward.device)
         return batch.reward + batch.bootstrap * (weights * self.values.target(batch.next_observation)).sum(dim=1)
 
     def _compute_weights(

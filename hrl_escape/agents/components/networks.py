@@ -186,10 +186,10 @@ class Network(nn.Sequential):
         self.weights = torch.cat([parameter.detach().reshape(-1) for parameter in parameters])
         self.gradient = torch.zeros_like(self.weights)
         self.sizes = [parameter.numel() for parameter in parameters]
-        self._is_tanh = len(layers) > 1 and isinstance(layers[1], nn.Tanh)
-        self._is_perceptron = len(layers) % 2 == 1 and all(
-            isinstance(layer, (nn.Tanh, nn.ReLU)) and type(layer) is type(layers[1]) if place % 2 else
-            isinstance(layer, nn.Linear) and layer.bias is not None for place, layer in enumerate(layers))
+        kinds = {type(layer) for layer in layers[1::2]}
+        self._is_tanh = kinds == {nn.Tanh}
+        self._is_perceptron = (self._is_tanh or kinds == {nn.ReLU}) and len(layers) % 2 == 1 and all(
+            isinstance(layer, nn.Linear) and layer.bias is not None for layer in layers[::2])
         self._tie(parameters)
 
     def _tie(self, parameters: list[nn.Parameter]) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.registry import get_agent_class, make_agent, read_structure
+from hrl_escape.agents.registry import get_agent_class, list_stream_agents, make_agent, read_structure
 from hrl_escape.agents.streams import SingleEnvSource, StreamAgent, Streams
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
@@ -66,7 +66,7 @@ def train(
             before `reset(seed=...)`, which is called for every episode. Let an environment of your own keep its
             arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
             arguments are told apart. A vector environment, or a `BatchedOptionsEnv`, trains agents that learn from
-            many streams (`ppo`, `dqn`, `dac`, `ppoc`) on its device; returns are then logged by segments of steps
+            many streams (see `list_stream_agents`) on its device; returns are then logged by segments of steps
             instead of episodes.
         primitives: budget, of all streams together. The decision that reaches it is the last.
         decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
@@ -141,8 +141,8 @@ def train(
             run = Run(learner, env, eval_env or env, arguments, probe)
         else:
             if not isinstance(learner, StreamAgent):
-                raise AgentSettingsError("agent", name, "one that learns from many environments at once, such as ppo, "
-                                         "dqn or dac; or give train an ordinary environment")
+                raise AgentSettingsError("agent", name, "one that learns from many environments at once: "
+                                         f"{', '.join(list_stream_agents())}; or give train an ordinary environment")
             if probe is not None:
                 raise AgentSettingsError("probe", probe, "None in a run of many environments at once")
             from hrl_escape.agents.training.stream_run import StreamRun  # brings torch in

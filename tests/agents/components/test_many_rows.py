@@ -1,4 +1,4 @@
-"""Many rows through a perceptron, block by block: outputs and gradients are those of its layers, one after the other."""
+"""Many rows through a perceptron, block by block: outputs and gradients are those of its layers in turn."""
 
 from __future__ import annotations
 

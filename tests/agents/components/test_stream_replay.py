@@ -6,9 +6,9 @@ import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from hrl_escape.agents import train
-from hrl_escape.agents.algorithms.dqn import sample_actions
 from hrl_escape.agents.components.exploration import ExplorationSettings, compute_policy
 from hrl_escape.agents.components.replay import Experience, NStep, StreamNStep, StreamReplay
+from hrl_escape.agents.components.replay_streams import sample_actions
 from tests.agents.small_envs import Outcome, SmdpEnv, solve
 
 ACTIONS = 3
@@ -74,16 +74,57 @@ CHAIN = [  # a step, and a leap of three primitives that may fall short; state 4
     for at in range(4)] + [[[Outcome(1.0, 4, (0.0,))], []]]
 
 
-def test_dqn_finds_the_exact_values_of_decisions_of_any_duration_in_many_environments_at_once():
+def evaluate_uniform(table, gamma):
+    """Q of the policy that draws evenly among legal actions, by iteration over outcomes; NaN where none is legal."""
+    values = np.zeros((len(table), 2))
+    legal = np.array([[bool(outcomes) for outcomes in row] for row in table])
+    for _ in range(500):
+        means = (values * legal).sum(axis=1) / legal.sum(axis=1)
+        for state, row in enumerate(table):
+            for action, outcomes in enumerate(row):
+                values[state, action] = sum(one.probability * (
+                    sum(gamma**i * reward for i, reward in enumerate(one.rewards))
+                    + gamma ** len(one.rewards) * means[one.next_state] * (not one.terminated)) for one in outcomes)
+    return np.where(legal, values, np.nan)
+
+
+DEEP = {"hidden": (32,), "learning_rate": 3e-3, "reward_scale": 1.0, "warmup": 100, "target_every": 20,
+        "epsilon_end": 0.5, "batch_size": 32, "loss": "squared"}
+EXACT = {
+    "dqn": (DEEP | {"n_step": 1}, 0.15, solve),
+    "sarsa": (DEEP | {"epsilon_start": 1.0, "epsilon_end": 1.0, "target_rate": 1.0,
+                      "average_rate": 0.005}, 0.15, evaluate_uniform),
+    "q-learning": ({"learning_rate": 1.0, "learning_rate_power": 0.8, "epsilon_end": 0.5}, 0.15, solve),
+    "r-max": ({"visits": 250}, 0.15, solve),
+}
+
+
+@pytest.mark.parametrize("name", [pytest.param("dqn", marks=pytest.mark.slow), "sarsa", "q-learning", "r-max"])
+def test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once(name):
+    def make():
+        return SmdpEnv(CHAIN, start=None, one_hot=True, infos="discounted", gamma=0.9, horizon=30)
+
+    settings, error, compute = EXACT[name]
+    many = SyncVectorEnv([make] * 16, autoreset_mode=AutoresetMode.SAME_STEP)
+    agent = train(name, many, primitives=16_000, eval_env=make(), eval_episodes=0, settings=settings | {"gamma": 0.9}
+                  ).agent
+    exact = compute(CHAIN, 0.9)
+    for state in range(4):
+        legal = np.isfinite(exact[state])
+        assert agent.compute_values(np.eye(5, dtype=np.float32)[state])[legal] == pytest.approx(
+            exact[state][legal], abs=error)
+
+
+def test_ddpg_prefers_the_best_action_of_every_state_in_many_environments_at_once():
     def make():
         return SmdpEnv(CHAIN, start=None, one_hot=True, infos="discounted", gamma=0.9, horizon=30)
 
     many = SyncVectorEnv([make] * 16, autoreset_mode=AutoresetMode.SAME_STEP)
-    settings = {"gamma": 0.9, "hidden": (32,), "learning_rate": 3e-3, "reward_scale": 1.0, "warmup": 100,
-                "target_every": 20, "n_step": 1, "epsilon_end": 0.5, "batch_size": 32}
-    agent = train("dqn", many, primitives=12_000, eval_env=make(), eval_episodes=0, settings=settings).agent
+    agent = train("ddpg", many, primitives=12_000, eval_env=make(), eval_episodes=0, settings={
+        "gamma": 0.9, "hidden": (32,), "learning_rate": 3e-3, "reward_scale": 1.0, "warmup": 100, "batch_size": 32,
+        "epsilon_end": 0.5, "actor_warmup": 500, "target_rate": 0.02, "entropy_weight": 0.02}).agent
     exact = solve(CHAIN, 0.9)
+    rng = np.random.default_rng(0)
     for state in range(4):
-        legal = np.isfinite(exact[state])
-        assert agent.compute_values(np.eye(5, dtype=np.float32)[state])[legal] == pytest.approx(
-            exact[state][legal], abs=0.15)
+        assert agent.act_greedy(np.eye(5, dtype=np.float32)[state], np.isfinite(exact[state]), rng) == int(
+            np.nanargmax(np.where(np.isfinite(exact[state]), exact[state], np.nan)))

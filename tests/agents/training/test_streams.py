@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from hrl_escape.agents import evaluate, load_agent, load_env, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
 from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
-from hrl_escape.agents.components.policy_gradient import compute_advantages, compute_log_policy
+from hrl_escape.agents.components.policy_gradient import compute_advantages, compute_log_policy, compute_next_values
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.agents.training.vector_streams import VectorStreams
 from hrl_escape.env.presets import get_preset
@@ -26,6 +26,9 @@ GAMMA, ACTIONS = 0.9, 3
 CPU = torch.device("cpu")
 SMALL = {"hidden": (8,), "rollout": 64, "stream_rollout": 4, "epochs": 2, "batch_size": 16}
 SMALL_DQN = {"hidden": (8,), "batch_size": 8, "warmup": 20, "replay_capacity": 100, "stream_replay": 8}
+SMALL_A2OC = {"hidden": (8,), "rollout": 64, "stream_rollout": 4}
+SETTINGS = {**dict.fromkeys(("ppo", "dac", "ppoc", "diayn"), SMALL), **dict.fromkeys(("dqn", "sarsa"), SMALL_DQN),
+            "ddpg": SMALL_DQN | {"actor_warmup": 20}, "a2oc": SMALL_A2OC, "q-learning": {}, "r-max": {"visits": 2}}
 
 
 # --- returns over decisions that end each at its own time -----------------------------------------
@@ -216,6 +219,24 @@ def test_rooms_of_the_batched_engine_show_the_state_that_their_episode_ended_in(
     assert ends == 8 * 4
 
 
+def test_the_next_value_of_a_rollout_is_the_critics_of_the_state_reached(monkeypatch):
+    seen = []
+
+    def note(rollout, values, critic):
+        found = compute_next_values(rollout, values, critic)
+        seen.append((found, critic(rollout.next_observation), rollout.over))
+        return found
+
+    monkeypatch.setattr("hrl_escape.agents.algorithms.ppo.compute_next_values", note)
+    env = BatchedOptionsEnv(8, "paper-one-button", discount=0.99)
+    train("smdp-ppo", env, primitives=1_500, eval_episodes=0, settings=SMALL)
+    poles = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")] * 4)
+    train("ppo", poles, primitives=600, eval_env=gymnasium.make("CartPole-v1"), eval_episodes=0, settings=SMALL)
+    assert len(seen) >= 6 and any(bool(over.any()) for *_, over in seen)
+    for found, expected, _ in seen:
+        assert torch.allclose(found, expected, atol=1e-6)
+
+
 # --- training ---------------------------------------------------------------------------------------------
 
 
@@ -253,11 +274,12 @@ def make_interrupted(kind):
 
 @pytest.mark.parametrize(("name", "kind", "stop"), [
     ("ppo", "rooms", 37), ("ppo", "poles", 200), ("dqn", "rooms", 37), ("dac", "rooms", 37), ("dac", "poles", 200),
-    ("ppoc", "rooms", 37)])
+    ("ppoc", "rooms", 37), ("sarsa", "rooms", 37), ("ddpg", "poles", 200), ("a2oc", "rooms", 37),
+    ("diayn", "poles", 200), ("q-learning", "rooms", 37), ("r-max", "poles", 200)])
 def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, kind, stop, monkeypatch):
     monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 256)
     arguments = {"primitives": 800 if kind == "rooms" else 1_000, "seed": 1, "eval_every": 250, "eval_episodes": 1,
-                 "settings": SMALL_DQN if name == "dqn" else SMALL, "checkpoint_seconds": 0.0}
+                 "settings": SETTINGS[name], "checkpoint_seconds": 0.0}
     whole = train(name, make_interrupted(kind), out=tmp_path / "whole", **arguments)
     env = make_interrupted(kind)
     env.left = stop
@@ -324,8 +346,12 @@ def test_options_discounted_by_another_gamma_than_the_agents_are_refused():
 
 
 def test_what_cannot_train_in_many_environments_says_so():
-    with pytest.raises(AgentSettingsError, match="from many environments at once, such as ppo"):
-        train("sarsa", make_rooms(), primitives=10)
+    with pytest.raises(AgentSettingsError, match="from many environments at once: a2oc, dac, ddpg, diayn, dqn, ppo, "):
+        train("intra-option-q", make_rooms(), primitives=10)
+    for name, setting in (("sarsa", {"replay_capacity": 0}), ("ddpg", {"relaxation": "linear"}),
+                          ("ddpg", {"exploration": "ornstein-uhlenbeck"}), ("dqn", {"hindsight_goals": 1})):
+        with pytest.raises(AgentSettingsError, match="in many environments at once|goal"):
+            train(name, make_rooms(), primitives=10, settings=setting)
     poles = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")] * 2)
     poles.spec = None
     with pytest.raises(AgentSettingsError, match="eval_env"):

@@ -20,7 +20,7 @@ from hrl_escape.agents.components.exploration import compute_epsilon_greedy
 from hrl_escape.agents.components.networks import NetworkSettings
 from hrl_escape.agents.components.options.choices import OptionChoices
 from hrl_escape.agents.components.options.networks import OptionHeads
-from hrl_escape.agents.components.options.rollouts import RolloutOptionAgent
+from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import Rollout, compute_entropy, take_column
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
@@ -44,6 +44,8 @@ class A2OCSettings(NetworkSettings, LearningSettings):
     """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     rollout: Annotated[int, Range(2)] = 20
     """Decisions collected before each update."""
+    stream_rollout: Annotated[int, Range(1)] = 20
+    """Decisions of each stream, on average, that a rollout of several streams has at least."""
     gae_lambda: Annotated[float, Range(0, 1)] = 1.0
     """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
     lambda_per: Literal["decision", "primitive"] = "decision"
@@ -76,7 +78,7 @@ class GreedyHeads(OptionHeads):
         return (1 - self.settings.epsilon) * best + self.settings.epsilon / self.options
 
 
-class A2OC(RolloutOptionAgent):
+class A2OC(StreamOptionAgent):
     """Learn pi_o, Q(s, o) and beta_o from every few decisions (s, o, a) -> R, s', in one step down the sum of losses.
 
         policy       - log pi_o(a | s) (G - Q(s, o)) - weight x entropy of pi_o

@@ -16,7 +16,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.nn import functional
 
@@ -25,11 +25,12 @@ from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.networks import Learner, make_generator, make_network
 from hrl_escape.agents.components.options.choices import OptionChoices
 from hrl_escape.agents.components.options.networks import OptionHeads
-from hrl_escape.agents.components.options.rollouts import RolloutOptionAgent
+from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, compute_advantages, take_column
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept
+from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.settings import Range
 
 __all__ = ["DIAYN", "DIAYNSettings"]
@@ -46,6 +47,9 @@ class DIAYNSettings(ClippedSettings, LearningSettings):
     goal: Literal["bits", "observation"] = "bits"
     """Part of the observation that the discriminator sees. `bits`: components of a flat Box that have only ever been 0
     or 1, in a room the puzzle's; all of a discrete observation. `observation`: everything."""
+    stream_rollout: Annotated[int, Range(1)] = 32
+    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
+    `rollout` is cut into as many minibatches, so into larger ones."""
     discriminator_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
     """Step size of Adam for the discriminator."""
 
@@ -61,7 +65,7 @@ class SkillHeads(OptionHeads):
 
     def compute_betas(self, observation: Tensor) -> Tensor:
         """The same for many observations, (n, skills)."""
-        return torch.zeros((len(observation), self.options))
+        return torch.zeros((len(observation), self.options), device=observation.device)
 
     def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
         """Probability of each skill, p(z), which is uniform, float64 (skills,)."""
@@ -69,10 +73,10 @@ class SkillHeads(OptionHeads):
 
     def compute_fresh_choice(self, observation: Tensor) -> Tensor:
         """The same for many observations, (n, skills)."""
-        return torch.full((len(observation), self.options), 1 / self.options)
+        return torch.full((len(observation), self.options), 1 / self.options, device=observation.device)
 
 
-class DIAYN(RolloutOptionAgent):
+class DIAYN(StreamOptionAgent):
     """One skill z an episode, drawn evenly, and PPO within skills.
 
     A skill is paid
@@ -106,7 +110,7 @@ class DIAYN(RolloutOptionAgent):
         sees_bits = self.settings.goal == "bits" and isinstance(observation_space, spaces.Box)
         self._reader = FactorReader(observation_space, self.name) if sees_bits else None
         self._returns, self._episodes = np.zeros(self.options), np.zeros(self.options, np.int64)
-        self._earned, self._is_warned = 0.0, False
+        self._earned, self._is_warned = np.zeros(1), False  # so far, in each stream's episode
 
     # --- skills -----------------------------------------------------------------------
 
@@ -128,20 +132,47 @@ class DIAYN(RolloutOptionAgent):
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Keep the decision and what its episode earned; update when the rollout is full."""
-        if self._reader is not None:
-            self._reader.notice(self._reader.flatten(transition.next_observation))
-        self._earned += transition.summed_reward
-        if transition.terminated or transition.truncated:
-            self._returns[self._option] += self._earned
-            self._episodes[self._option] += 1
-            self._earned = 0.0
+        if self._open is not None:
+            self._earned = np.zeros(1)
+        over = transition.terminated or transition.truncated
+        self._note([0], [self._option], [transition.summed_reward], [over], [transition.next_observation])
         return super().observe(transition)
+
+    def begin_streams(self, count: int, device: torch.device) -> None:
+        """Move to a device; every stream begins an episode, of which nothing has been earned."""
+        super().begin_streams(count, device)
+        self._earned = np.zeros(count)
+
+    def move(self, device: torch.device) -> None:
+        """Move networks, optimisers and what waits for updates to a device."""
+        super().move(device)
+        self._judge.move(device)
+
+    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
+        """The same for decisions of many streams."""
+        assert self._open is not None, "begin_streams comes first"
+        option = self._open[1].get_running(decisions.stream)
+        parts = (decisions.stream, option, decisions.summed_reward, decisions.terminated | decisions.truncated,
+                 decisions.next_observation)
+        self._note(*(part.cpu().numpy() for part in parts))
+        return super().observe_streams(decisions)
+
+    def _note(self, stream: ArrayLike, option: ArrayLike, reward: ArrayLike, over: ArrayLike, reached: ArrayLike
+              ) -> None:
+        """Add up what skills earn, and notice which components of observations are no bits; arrays (n, ...)."""
+        stream, option, over = np.asarray(stream), np.asarray(option), np.asarray(over, dtype=np.bool_)
+        if self._reader is not None and len(stream):
+            self._reader.notice(np.asarray(reached, dtype=np.float64).reshape(len(stream), -1))
+        self._earned[stream] += np.asarray(reward)
+        np.add.at(self._returns, option[over], self._earned[stream[over]])
+        np.add.at(self._episodes, option[over], 1)
+        self._earned[stream[over]] = 0.0
 
     def read_goals(self, observation: Tensor) -> Tensor:
         """The part of encoded observations that the discriminator sees, the rest 0; (n, ...)."""
         if self._reader is None:
             return observation
-        seen = torch.zeros(observation.shape[1])
+        seen = torch.zeros(observation.shape[1], device=observation.device)
         seen[self._reader.components] = 1.0
         if not seen.any() and not self._is_warned:
             self._is_warned = True
@@ -161,9 +192,8 @@ class DIAYN(RolloutOptionAgent):
             values = take_column(self.heads.critic(rollout.observation), option)
             next_values, _ = self.heads.compute_next_values(rollout, choices)
             advantage = compute_advantages(rollout._replace(reward=rewards), values, next_values, settings)
-            log_policy = self.heads.compute_log_policies(rollout.observation, option, rollout.mask)
             columns = (rollout.observation, rollout.mask, option, rollout.action,
-                       take_column(log_policy, rollout.action), advantage, advantage + values)
+                       self.heads.compute_old_log_probability(rollout, choices), advantage, advantage + values)
         batches = list(self._draw_batches(len(option), len(option)))
         metrics = self.heads.learner.minimise_each(
             self.heads.compute_option_loss(*(column[rows] for column in columns)) for rows in batches)
@@ -183,3 +213,7 @@ class DIAYN(RolloutOptionAgent):
     def _bits(self, components: NDArray[np.int64] | None) -> None:
         if self._reader is not None:
             self._reader.keep(np.asarray(components, np.int64))
+
+    def after_load(self) -> None:
+        """Take a number that was kept for the one environment as an array."""
+        self._earned = np.atleast_1d(self._earned)

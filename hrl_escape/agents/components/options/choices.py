@@ -120,6 +120,10 @@ class OpenOptions(Stateful):
         self._log_probability[stream] = chance.clamp(min=SMALLEST).log()
         return option
 
+    def get_running(self, stream: Tensor) -> Tensor:
+        """Options that some streams run, int64 (n,)."""
+        return self._option[stream]
+
     def end(self, stream: Tensor, over: Tensor) -> OptionChoices:
         """Options of decisions that ended, int64 (n,); where the episode is `over` too, bool (n,), none goes on."""
         choices = OptionChoices(self._option[stream], self._former[stream], self._is_chosen[stream],

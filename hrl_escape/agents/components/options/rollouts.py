@@ -208,7 +208,8 @@ class RolloutOptionAgent(OptionAgent):
 class StreamOptionAgent(RolloutOptionAgent, StreamAgent):
     """The same from many streams, too, with `stream_rollout` among the settings."""
 
-    STATE = ("_stream_rng", "_stream_option_rng", Kept("_kept_streams", "streams", unpack=dict))
+    STATE = (Kept("_stream_rng", is_left_out=True), Kept("_stream_option_rng", is_left_out=True),
+             Kept("_kept_streams", "streams", unpack=dict, is_left_out=True))
 
     def __init__(
         self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any = None

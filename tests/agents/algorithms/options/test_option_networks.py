@@ -2,18 +2,16 @@
 
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
 
-from hrl_escape.agents import train
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.options.choices import NONE, OptionChoices, mix_values, mix_with_former
 from hrl_escape.agents.components.policy_gradient import Rollout
 from hrl_escape.agents.registry import make_agent
-from hrl_escape.errors import AgentSettingsError, UnknownNameError
+from hrl_escape.errors import UnknownNameError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
 
@@ -169,13 +167,6 @@ def test_memory_and_objects_are_refused_as_the_page_says(name):
     for setting in ("memory", "network"):
         with pytest.raises(UnknownNameError, match=f"'{setting}'"):
             make(name, **{setting: "objects"})
-
-
-def test_a2oc_refuses_many_environments_as_its_page_says():
-    page = (Path(__file__).parents[4] / "docs" / "agents" / "a2oc.md").read_text()
-    assert "a vector environment is refused" in page
-    with pytest.raises(AgentSettingsError, match="'a2oc' is not possible: one that learns from many environments"):
-        train("a2oc", gymnasium.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync"), primitives=10)
 
 
 # --- DAC ----------------------------------------------------------------------------------
