@@ -50,7 +50,7 @@ MUTATIONS = [
         "viewer/watch/gate.py",
         "            self._paused = paused\n            self._primitives = self._decisions = 0",
         "            self._primitives = self._decisions = 0",
-        "viewer/watch/test_gate.py viewer/watch/test_watch.py",
+        "viewer/watch/test_gate.py::test_a_running_driver_can_be_paused_and_goes_on",
     ),
     Mutation(
         "the button Pause runs on",
