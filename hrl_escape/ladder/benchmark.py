@@ -23,7 +23,8 @@ class Benchmark:
 
     def __init__(self, manifest: Manifest, source: str = "") -> None:
         self.manifest, self.name, self.source = manifest, manifest.name, source or manifest.name
-        self._rungs = {record.name: Rung(manifest.name, record, self.source) for record in manifest.rungs}
+        self._rungs = {record.name: Rung(manifest.name, record, self.source, manifest.hidden_round)
+                       for record in manifest.rungs}
 
     def __repr__(self) -> str:
         return f"<Benchmark {self.name}: {', '.join(self._rungs)}>"

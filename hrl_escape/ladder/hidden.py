@@ -1,8 +1,9 @@
 """Hidden tests without a server: seeds that nobody knows before the agents are frozen.
 
-Post-dated seeds are the default. Agents are frozen, by the hash of their code and weights, before a date; the seeds
-follow from public randomness that is published after it, such as a drand round or a pulse of the NIST beacon. Anybody
-can derive them, run the test and verify the score, for ever.
+Post-dated seeds are the default. A season announces a round of a public beacon, drand's quicknet, that lies ahead;
+agents are frozen, by the hash of their code and weights, before it; the seeds follow from the round's value. Anybody
+can derive them, run the test and verify the score, for ever. A round has one value and a value one canonical form, so
+nobody can choose among tests by spelling it otherwise.
 
 Commit and reveal is the other way, where maintainers run the submissions: they publish `compute_commitment` of salt,
 seeds and version with the release, and the salt and the seeds with the next.
@@ -12,11 +13,43 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from hrl_escape.errors import ConfigError
 
-__all__ = ["compute_commitment", "derive_hidden_seed", "derive_seed"]
+__all__ = ["Beacon", "compute_commitment", "derive_hidden_seed", "derive_seed", "read_beacon"]
+
+_ROUND = re.compile(r"(?:drand\W+)?quicknet\W+(?:round\W+)?(\d+)\W+(?:randomness\W+)?(?:0x)?([0-9a-f]{64})", re.ASCII)
+
+
+class Beacon(NamedTuple):
+    """One round of drand's quicknet chain (https://api.drand.sh, chain 52db9ba70e0c...).
+
+    Attributes:
+        round: its number.
+        value: its randomness, 64 lower-case hexadecimal digits.
+    """
+
+    round: int
+    value: str
+
+    def __str__(self) -> str:
+        return f"quicknet {self.round} {self.value}"
+
+
+def read_beacon(text: str) -> Beacon:
+    """Read a round from text, such as `quicknet 4242 1f9c...`; spellings of one round give one value.
+
+    Raises:
+        ConfigError: no round of quicknet with a value of 64 hexadecimal digits.
+    """
+    found = _ROUND.fullmatch(text.strip().lower())
+    if found is None or int(found[1]) == 0:
+        raise ConfigError("beacon", text, "a round of drand's quicknet and its randomness, 'quicknet 4242 1f9c...', "
+                          "which has 64 hexadecimal digits")
+    return Beacon(int(found[1]), found[2])
 
 
 def derive_seed(*words: str | int) -> int:
@@ -25,21 +58,16 @@ def derive_seed(*words: str | int) -> int:
     return int.from_bytes(digest[:8], "big") >> 1
 
 
-def derive_hidden_seed(randomness: str, benchmark: str, rung: str, index: int) -> int:
+def derive_hidden_seed(beacon: Beacon, benchmark: str, rung: str, index: int) -> int:
     """Seed of one room of a hidden test.
 
     Args:
-        randomness: public random text, published after all agents were frozen; at least 16 characters.
+        beacon: a round that was announced before, and published after all agents were frozen.
         benchmark: name of the benchmark.
         rung: name of the rung.
         index: number of the room, from 0.
-
-    Raises:
-        ConfigError: too short a text to be random.
     """
-    if len(randomness) < 16:
-        raise ConfigError("randomness", randomness, "a public random text of at least 16 characters")
-    return derive_seed(benchmark, rung, "hidden", randomness, index)
+    return derive_seed(benchmark, rung, "hidden", str(beacon), index)
 
 
 def compute_commitment(salt: str, seeds: Sequence[int], version: str) -> str:

@@ -79,6 +79,8 @@ class Manifest(Settings):
     """Schema version of the instances."""
     rungs: tuple[RungRecord, ...] = ()
     """Rungs from easy to hard."""
+    hidden_round: Annotated[int, Range(1, 2**63 - 1)] | None = None
+    """Round of drand's quicknet that decides hidden tests, announced before agents are frozen (None: not yet)."""
 
     def save(self, path: str | Path) -> None:
         """Write the manifest as JSON; fields at their defaults are left out."""

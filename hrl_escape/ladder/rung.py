@@ -13,8 +13,8 @@ from functools import cached_property
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.ranges import sample_puzzle
-from hrl_escape.errors import EscapeError, GenerationError
-from hrl_escape.ladder.hidden import derive_hidden_seed, derive_seed
+from hrl_escape.errors import ConfigError, EscapeError, GenerationError
+from hrl_escape.ladder.hidden import derive_hidden_seed, derive_seed, read_beacon
 from hrl_escape.ladder.instance_set import InstanceSet, LazySeeds
 from hrl_escape.ladder.keys import RoomKeys, compute_keys, compute_layout_key, compute_task_key
 from hrl_escape.ladder.manifest import ROLES, RungRecord
@@ -37,6 +37,7 @@ class Rung:
         benchmark: name of the benchmark.
         record: the rung in the manifest.
         source: name or file by which `load_benchmark` finds it, so that environments of its sets have a `spec`.
+        hidden_round: round of the beacon that the benchmark has announced for hidden tests.
 
     Attributes:
         name: of the rung.
@@ -44,8 +45,8 @@ class Rung:
         config: schematic of its rooms.
     """
 
-    def __init__(self, benchmark: str, record: RungRecord, source: str = "") -> None:
-        self.benchmark, self.record, self.source = benchmark, record, source
+    def __init__(self, benchmark: str, record: RungRecord, source: str = "", hidden_round: int | None = None) -> None:
+        self.benchmark, self.record, self.source, self.hidden_round = benchmark, record, source, hidden_round
         self.name, self.isolates, self.config = record.name, record.isolates, record.config
 
     def __repr__(self) -> str:
@@ -102,19 +103,25 @@ class Rung:
     def _get_task(self, seed: int) -> str:
         return compute_task_key(sample_puzzle(self.config, seed)[1])
 
-    def make_hidden_test(self, randomness: str, count: int = 100) -> InstanceSet:
+    def make_hidden_test(self, beacon: str, count: int = 100) -> InstanceSet:
         """Make the hidden test that public randomness decides; no agent may be changed after it was published.
 
         Rooms that look like one of the rung's published sets are skipped. This generates all these sets.
 
         Args:
-            randomness: public random text, such as a drand round, published after all agents were frozen.
+            beacon: round of drand's quicknet and its randomness, as `read_beacon` takes it.
             count: number of rooms.
+
+        Raises:
+            ConfigError: no such round, or another than the benchmark has announced.
         """
-        seeds = ((i, derive_hidden_seed(randomness, self.benchmark, self.name, i)) for i in itertools.count())
+        read = read_beacon(beacon)
+        if self.hidden_round not in (None, read.round):
+            raise ConfigError("beacon", beacon, f"round {self.hidden_round}, which {self.benchmark} has announced")
+        seeds = ((i, derive_hidden_seed(read, self.benchmark, self.name, i)) for i in itertools.count())
         seen = {compute_layout_key(room) for rooms in self.sets.values() for room in rooms}
         _, kept = choose_seeds(self.config, self._keep_tasks(False, seeds), count, seen)
-        return InstanceSet(f"{self.benchmark}/{self.name}/hidden/{randomness}", self.config, list(kept))
+        return InstanceSet(f"{self.benchmark}/{self.name}/hidden/{read.round}", self.config, list(kept))
 
 
 def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], count: int, seen: Collection[str]

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from hrl_escape.env.presets import get_preset
@@ -15,7 +16,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError, VerificationError
 from hrl_escape.ladder.benchmark import Benchmark, list_benchmarks, load_benchmark
 from hrl_escape.ladder.certificate import certify_rung, find_overlaps, freeze_manifest
-from hrl_escape.ladder.hidden import compute_commitment, derive_hidden_seed
+from hrl_escape.ladder.hidden import compute_commitment, derive_hidden_seed, read_beacon
 from hrl_escape.ladder.keys import RoomKeys, compute_keys, compute_task_key
 from hrl_escape.ladder.manifest import Manifest, RungRecord, SetRecord
 from hrl_escape.ladder.merkle import check_proof, prove_leaf
@@ -125,16 +126,48 @@ def test_tasks_held_out_are_decided_by_their_hash():
 
 # --- hidden tests ------------------------------------------------------------------------
 
+VALUE = hashlib.sha256(b"a round").hexdigest()
+ROUND = f"quicknet 4242 {VALUE}"
+
 
 def test_public_randomness_decides_a_hidden_test_that_meets_no_published_room():
     rung = Benchmark(make_manifest())["five"]
-    hidden = rung.make_hidden_test("drand round 4242424242", count=5)
-    assert hidden.ids == rung.make_hidden_test("drand round 4242424242", count=5).ids
-    assert not set(hidden.ids) & set(rung.make_hidden_test("drand round 4242424243", count=5).ids)
+    hidden = rung.make_hidden_test(ROUND, count=5)
+    assert hidden.ids == rung.make_hidden_test(ROUND, count=5).ids
+    assert not set(hidden.ids) & set(rung.make_hidden_test(ROUND.replace("4242", "4243"), count=5).ids)
     known = {compute_keys(room).layout for rooms in rung.sets.values() for room in rooms}
     assert not known & {compute_keys(room).layout for room in hidden}
-    with pytest.raises(ConfigError, match="16 characters"):
-        derive_hidden_seed("short", "small", "five", 0)
+
+
+def test_a_thousand_spellings_of_a_round_give_one_test():
+    rng, spellings = np.random.default_rng(0), {ROUND}
+    while len(spellings) < 1000:
+        name, number, value = (rng.choice(words) for words in (
+            ("quicknet", "drand quicknet", "Drand: QuickNet", "QUICKNET round"), ("4242", "004242", "0004242"),
+            ("", "0x", "randomness: ")))
+        digits = "".join(rng.choice([digit.lower(), digit.upper()]) for digit in VALUE)
+        gaps = rng.choice([" ", ": ", ", ", " = ", "\n", " - "], 2)
+        spellings.add(f"{' ' * rng.integers(3)}{name}{gaps[0]}{number}{gaps[1]}{value}{digits} ")
+    seeds = {derive_hidden_seed(read_beacon(text), "small", "five", 0) for text in spellings}
+    assert seeds == {derive_hidden_seed(read_beacon(ROUND), "small", "five", 0)}
+    others = (ROUND.replace("4242", "4243"), ROUND[:-1] + "0")
+    assert len({derive_hidden_seed(read_beacon(text), "small", "five", 0) for text in others} | seeds) == 3
+
+
+@pytest.mark.parametrize("text", [
+    "4242 " + "1f" * 32, "quicknet 4242 " + "1f" * 31, "quicknet 4242 " + "1f" * 33, "quicknet " + "1f" * 32,
+    "nist 4242 " + "1f" * 32, "quicknet 0 " + "1f" * 32, "quicknet 4242 " + "1f" * 32 + " again", "",
+    "quicknet \u0664\u0662 " + "1f" * 32,
+])
+def test_what_is_no_round_of_the_beacon_is_refused(text):
+    with pytest.raises(ConfigError, match="64 hexadecimal digits"):
+        read_beacon(text)
+
+
+def test_only_the_round_that_was_announced_makes_a_hidden_test():
+    bench = Benchmark(dataclasses.replace(make_manifest(), hidden_round=4243))
+    with pytest.raises(ConfigError, match="round 4243, which small has announced"):
+        bench["one"].make_hidden_test(ROUND)
 
 
 def test_a_hidden_test_has_no_published_room():
@@ -142,7 +175,7 @@ def test_a_hidden_test_has_no_published_room():
     rung = Rung("fixed", RungRecord(name="fixed", config=get_preset("paper-one-button"), train=one, valid=one,
                                     test=one))
     with pytest.raises(EscapeError, match="more room to vary"):
-        rung.make_hidden_test("drand round 4242424242", count=1)
+        rung.make_hidden_test(ROUND, count=1)
 
 
 def test_a_commitment_binds_seeds_salt_and_version():
@@ -221,8 +254,8 @@ def test_the_manifest_of_another_version_is_still_read():
 
 
 def test_a_hidden_seed_is_the_hash_of_all_that_names_its_room():
-    """Anybody can compute it: the first 63 bits of SHA-256 over benchmark/rung/hidden/randomness/index."""
-    digest = hashlib.sha256(b"ladder-1/pair/hidden/drand round 4242424242/7").digest()
-    seed = derive_hidden_seed("drand round 4242424242", "ladder-1", "pair", 7)
+    """Anybody can compute it: the first 63 bits of SHA-256 over benchmark/rung/hidden/quicknet round value/index."""
+    digest = hashlib.sha256(f"ladder-1/pair/hidden/quicknet 4242 {VALUE}/7".encode()).digest()
+    seed = derive_hidden_seed(read_beacon(ROUND), "ladder-1", "pair", 7)
     assert seed == int.from_bytes(digest[:8], "big") >> 1
-    assert seed != derive_hidden_seed("drand round 4242424242", "ladder-2", "pair", 7)
+    assert seed != derive_hidden_seed(read_beacon(ROUND), "ladder-2", "pair", 7)

@@ -109,10 +109,17 @@ MUTATIONS = [
         "ladder/test_room_sets.py::test_texts_name_the_rooms_of_rungs_presets_and_files",
     ),
     Mutation(
+        "a beacon's value in capitals is another test",
+        "ladder/hidden.py",
+        "_ROUND.fullmatch(text.strip().lower())",
+        "re.compile(_ROUND.pattern, re.ASCII | re.IGNORECASE).fullmatch(text.strip())",
+        "ladder/test_certificate.py::test_a_thousand_spellings_of_a_round_give_one_test",
+    ),
+    Mutation(
         "hidden rooms of two benchmarks are the same",
         "ladder/hidden.py",
-        'derive_seed(benchmark, rung, "hidden", randomness, index)',
-        'derive_seed(rung, "hidden", randomness, index)',
+        'derive_seed(benchmark, rung, "hidden", str(beacon), index)',
+        'derive_seed(rung, "hidden", str(beacon), index)',
         "ladder/test_certificate.py::test_a_hidden_seed_is_the_hash_of_all_that_names_its_room",
     ),
     Mutation(
