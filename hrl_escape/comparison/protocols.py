@@ -5,8 +5,7 @@ Every protocol is a grid for the same comparison; nothing here runs anything.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -22,9 +21,8 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.tower import TOWER_HORIZON, join_floors, list_sets
 
-__all__ = ["TOWER", "LadderSettings", "Protocol", "RungStanding", "choose_floors", "find_miscalibration", "find_steps",
-           "get_budget", "judge", "list_standings", "make_protocol_grid", "make_tower_grid", "name_protocol",
-           "score_standings"]
+__all__ = ["TOWER", "LadderSettings", "Protocol", "RungStanding", "choose_floors", "get_budget", "judge",
+           "list_standings", "make_protocol_grid", "make_tower_grid", "name_protocol", "score_standings"]
 
 Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot", "tower"]
 """`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others of the
@@ -45,11 +43,6 @@ EVALUATIONS = 5
 PASSED_ESCAPES, PASSED_EFFICIENCY = 0.9, 0.5
 """A rung is passed with escapes above the first, by the lower end of Wilson's interval, and efficiency above the
 second."""
-
-STEP = 0.9, 0.1
-"""A learner steps between two neighbouring rungs where it falls from above the first efficiency to below the second."""
-MOST_CHANCE = 0.5
-"""Efficiency that random choices among the options must stay below."""
 
 
 def get_budget(rung: str) -> int:
@@ -255,30 +248,3 @@ def score_standings(standings: Iterable[RungStanding]) -> tuple[list[str], dict[
     common = [rung for rung, agents in by_rung.items() if len(agents) == len(labels)]
     return common, {label: compute_ladder_score([by_rung[rung][label] for rung in common], np.random.default_rng(0))
                     for label in labels if common}
-
-
-def find_miscalibration(chance: float, planner: float, is_stochastic: bool = False) -> list[str]:
-    """Faults of a rung, in words, by the efficiency of random choices among its options and of the planner.
-
-    Where moves err the planner is measured by its own expectation, from which a few episodes stray by 0.05 or less.
-    """
-    faults = [f"chance reaches {chance:.2f}, not below {MOST_CHANCE:g}"] if chance >= MOST_CHANCE else []
-    least = 0.95 if is_stochastic else 1.0
-    return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < least else [])
-
-
-def find_steps(rows: Mapping[str, Mapping[str, float]], learners: Iterable[str]) -> dict[str, list[str]]:
-    """Find learners that fall from mastery to nothing from one rung to the next; the rungs between are missing.
-
-    Args:
-        rows: efficiency of each agent on each rung, the rungs in order.
-        learners: agents to look at.
-
-    Returns:
-        Faults of each rung, in words.
-    """
-    faults: dict[str, list[str]] = {rung: [] for rung in rows}
-    for (before, high), (after, low) in itertools.pairwise(rows.items()):
-        faults[after] += [f"{agent} falls from {high[agent]:.2f} on {before} to {low[agent]:.2f}"
-                          for agent in learners if high[agent] > STEP[0] and low[agent] < STEP[1]]
-    return faults

@@ -8,22 +8,25 @@ much alike, so that tests are over rooms.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
-from hrl_escape.comparison.protocols import MOST_CHANCE, STEP, find_miscalibration, find_steps
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun, compute_run_efficiency
 
-__all__ = ["CHANCE", "IN_ORDER", "KNOWN", "ROUND", "tell_calibration"]
+__all__ = ["CHANCE", "IN_ORDER", "KNOWN", "ROUND", "find_miscalibration", "find_steps", "tell_calibration"]
 
 CHANCE, ROUND = "smdp-random+no-primitives", "smdp-shuffled-round+no-primitives"
 PERMUTATIONS = 2_000
+STEP = 0.9, 0.1
+"""A learner steps between two neighbouring rungs where it falls from above the first efficiency to below the second."""
+MOST_CHANCE = 0.5
+"""Efficiency that random choices among the options must stay below."""
 IN_ORDER, KNOWN = "smdp-index-order+no-primitives", "planner"
 
 
@@ -137,3 +140,30 @@ def _count(exceptions: Collection[str], curve: Mapping[str, float]) -> str:
     """Number of rungs without an exception, and the exceptions."""
     but = f", but not on {join_words(f'`{rung}` ({curve[rung]:.2f})' for rung in exceptions)}" if exceptions else ""
     return f"on {len(curve) - len(exceptions)} of {len(curve)} rungs{but}"
+
+
+def find_miscalibration(chance: float, planner: float, is_stochastic: bool = False) -> list[str]:
+    """Faults of a rung, in words, by the efficiency of random choices among its options and of the planner.
+
+    Where moves err the planner is measured by its own expectation, from which a few episodes stray by 0.05 or less.
+    """
+    faults = [f"chance reaches {chance:.2f}, not below {MOST_CHANCE:g}"] if chance >= MOST_CHANCE else []
+    least = 0.95 if is_stochastic else 1.0
+    return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < least else [])
+
+
+def find_steps(rows: Mapping[str, Mapping[str, float]], learners: Iterable[str]) -> dict[str, list[str]]:
+    """Find learners that fall from mastery to nothing from one rung to the next; the rungs between are missing.
+
+    Args:
+        rows: efficiency of each agent on each rung, the rungs in order.
+        learners: agents to look at.
+
+    Returns:
+        Faults of each rung, in words.
+    """
+    faults: dict[str, list[str]] = {rung: [] for rung in rows}
+    for (before, high), (after, low) in itertools.pairwise(rows.items()):
+        faults[after] += [f"{agent} falls from {high[agent]:.2f} on {before} to {low[agent]:.2f}"
+                          for agent in learners if high[agent] > STEP[0] and low[agent] < STEP[1]]
+    return faults

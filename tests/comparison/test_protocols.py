@@ -10,8 +10,6 @@ from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.protocols import (
     LadderSettings,
     Protocol,
-    find_miscalibration,
-    find_steps,
     judge,
     list_standings,
     make_protocol_grid,
@@ -20,6 +18,7 @@ from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ConfigError, GridError, UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
+from studies.ladder.calibration import find_miscalibration, find_steps
 from tests.comparison.made_up import compare
 
 BENCH = load_benchmark("ladder-1")

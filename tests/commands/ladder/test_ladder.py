@@ -1,7 +1,8 @@
-"""`hrl-escape ladder`: lists, shows and verifies rungs, and freezes manifests."""
+"""`hrl-escape ladder`: lists, shows and verifies rungs; the maintainers' commands calibrate and freeze them."""
 
 import json
 
+from benchmarks.ladder import main as maintain
 from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.env.instance import RoomInstance
@@ -43,7 +44,7 @@ def test_a_frozen_manifest_verifies_and_a_changed_one_does_not(capsys, tmp_path)
     sizes = {"train": {"count": 3}, "valid": {"count": 2}, "test": {"count": 2}}
     path.write_text(json.dumps({"name": "mine", "rungs": [
         {"name": "one", "config": make_config(2, "chain").to_dict(), **sizes}]}))
-    assert call(capsys, "freeze", str(path))[0] == 0
+    assert maintain(["freeze", str(path)]) == 0 and "mine: 1 rungs" in capsys.readouterr().out
     code, out, _ = call(capsys, "verify", "--benchmark", str(path))
     assert code == 0 and out.startswith("one: train 3, valid 2, test 2")
     path.write_text(path.read_text().replace('"room": {', '"horizon": 77, "room": {', 1))
@@ -141,10 +142,10 @@ def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
 
 
 def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
-    code, out, _ = call(capsys, "calibrate", "--rung", "doormat", "--rooms", "2", "--workers", "1", "--json", "--out",
-                        str(tmp_path), "--agents", "smdp-q-learning+no-primitives", "--primitives", "10",
-                        "--eval-episodes", "1")
-    told = json.loads(out)
+    code = maintain(["calibrate", "--rung", "doormat", "--rooms", "2", "--workers", "1", "--json", "--out",
+                     str(tmp_path), "--agents", "smdp-q-learning+no-primitives", "--primitives", "10",
+                     "--eval-episodes", "1"])
+    told = json.loads(capsys.readouterr().out)
     assert (tmp_path / "per-instance" / "doormat" / "grid.json").exists(), "learned from nothing in each"
     assert 0 <= told["efficiency"]["doormat"]["smdp-q-learning+no-primitives"] <= 1
     assert told["efficiency"]["doormat"]["planner"] == 1.0

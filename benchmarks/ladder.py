@@ -1,33 +1,43 @@
-"""Calibrate a benchmark: how efficient chance, the order of the numbers, the planner and learners are on each rung.
+"""Calibration and freezing of a ladder: what agents reach on each rung, and the roots of its sets.
 
-Every agent is tested in the same few test rooms. Learners train in each of them from nothing, or with the protocol
-generalise in as many training rooms. A rung asks for something only where chance stays below 0.5, it is sound where the
-planner, which knows the graph, reaches 1, and it is a step too high where a learner falls there from above 0.9 on the
-rung before to below 0.1.
+    python -m benchmarks.ladder calibrate --rung doormat pair chain
+    python -m benchmarks.ladder calibrate --agents smdp-dqn+no-primitives smdp-ppo+no-primitives --primitives 20000
+    python -m benchmarks.ladder calibrate --agents smdp-ppo+objects+memory+no-primitives --protocol generalise
+    python -m benchmarks.ladder freeze my-ladder.json
 
-Examples:
-    hrl-escape ladder calibrate --rung doormat pair chain
-    hrl-escape ladder calibrate --agents smdp-dqn+no-primitives smdp-ppo+no-primitives --primitives 20000
-    hrl-escape ladder calibrate --agents smdp-ppo+objects+memory+no-primitives --protocol generalise
+To freeze is to generate the rooms of every rung, to skip those that look alike, and to write the manifest's roots. A
+manifest needs a name and, for each rung, a name and a schematic; counts have defaults. Whoever changes a frozen
+benchmark gives it another name.
+
+In a calibration every agent is tested in the same few test rooms. Learners train in each of them from nothing, or with
+the protocol generalise in as many training rooms. A rung asks for something only where chance stays below 0.5, it is
+sound where the planner, which knows the graph, reaches 1, and it is a step too high where a learner falls there from
+above 0.9 on the rung before to below 0.1. The exit code is 1 if any of this does not hold.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
+import tyro
 from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.protocols import LadderSettings, find_miscalibration, find_steps, make_protocol_grid
+from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
+from hrl_escape.ladder.certificate import freeze_manifest
+from hrl_escape.ladder.manifest import load_manifest
+from hrl_escape.version import __version__
+from studies.ladder.calibration import find_miscalibration, find_steps
 
 _YARDSTICKS = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives", "smdp-index-order+no-primitives",
                "planner")
@@ -35,7 +45,7 @@ _YARDSTICKS = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives",
 
 @dataclasses.dataclass(frozen=True)
 class CalibrateArgs:
-    """Options of `hrl-escape ladder calibrate`."""
+    """Options of the calibration of a benchmark."""
 
     rung: tuple[str, ...] = ()
     """Names of rungs; all by default."""
@@ -61,7 +71,23 @@ class CalibrateArgs:
     """Print JSON instead of a table."""
 
 
-def run(args: CalibrateArgs) -> int:
+@dataclasses.dataclass(frozen=True)
+class FreezeArgs:
+    """Options of the freezing of a manifest."""
+
+    manifest: Annotated[Path, tyro.conf.Positional]
+    """Manifest file; it is written anew, with roots, skipped indices and task overlaps."""
+
+
+def freeze(args: FreezeArgs) -> int:
+    """Write the manifest with roots, skipped indices and task overlaps."""
+    frozen = freeze_manifest(load_manifest(args.manifest), __version__)
+    frozen.save(args.manifest)
+    print(f"{frozen.name}: {len(frozen.rungs)} rungs; wrote {args.manifest}")
+    return 0
+
+
+def calibrate(args: CalibrateArgs) -> int:
     """Print a row a rung; the exit code is 1 if a rung is not calibrated."""
     bench = load_benchmark(args.benchmark)
     learners = tuple(map(AgentSpec.parse, args.agents))
@@ -94,3 +120,17 @@ def _measure(bench: Benchmark, rung: str, learners: Sequence[AgentSpec], args: C
         summary = summarise(run_grid(grid, args.out / name / rung, LocalLauncher(args.workers)))
         found |= {agent.label: round(agent.efficiency.value, 4) for agent in summary.agents}
     return found
+
+
+def main(words: Sequence[str]) -> int:
+    """Run `calibrate` or `freeze` with the options behind it."""
+    parts = {"calibrate": (CalibrateArgs, calibrate), "freeze": (FreezeArgs, freeze)}
+    if not words or words[0] not in parts:
+        print(__doc__)
+        return 0 if words and words[0] in ("-h", "--help") else 2
+    kind, run = parts[words[0]]
+    return run(tyro.cli(kind, args=words[1:], prog=f"benchmarks.ladder {words[0]}"))  # type: ignore[operator]
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,136 @@
+"""Nothing that an agent sees before its first press tells of the hidden graph, beyond what marks are meant to tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
+from hrl_escape.env.puzzles.base import Panels
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.marks import MARK_WORDS, MarksConfig, compute_depths
+from hrl_escape.ladder.instance_set import InstanceSet
+
+COUNT, LEVELS = 4, 4
+PERMUTATIONS = 200
+
+
+def make_set(marks: MarksConfig, rooms: int) -> InstanceSet:
+    config = RoomConfig(
+        room=ShapeConfig(width=7, depth=7), robot=RobotConfig(body_radius=0.3, turn_step_deg=90.0),
+        puzzle=ButtonsConfig(count=COUNT, graph=GraphConfig(kind="layered", max_parents=2), buttons=Panels(width=0.8),
+                             marks=marks))
+    return InstanceSet("leaks", config, list(range(rooms)))
+
+
+def list_numbers(observation: NDArray[np.float32], info: dict, width: int) -> NDArray[np.float64]:
+    """All that an agent could read about each button, (buttons, numbers): its row, its number, its option's mask."""
+    rows = observation[: COUNT * width].reshape(COUNT, width)
+    rest = np.concatenate([observation[COUNT * width:], np.ravel(info["action_mask"][-1:])])
+    numbers = [rows, np.arange(COUNT)[:, None], info["action_mask"][-1 - COUNT:-1, None], np.tile(rest, (COUNT, 1))]
+    for name in ("primitives", "instance"):
+        numbers.append(np.full((COUNT, 1), float(info[name])))
+    numbers += [np.array(info[name], float)[:COUNT, None] for name in ("pressed", "buttons_on")]
+    return np.concatenate(numbers, axis=1)
+
+
+def look(rooms: InstanceSet) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Numbers of every button of every room, (rooms, buttons, numbers), its depth and the class of its mark.
+
+    Every room is entered once by number, in an order that says nothing.
+    """
+    env = rooms.make_env(options=True, observation="objects")
+    width, rules = len(env.observation_space.words), rooms.config.puzzle.marks
+    kept = [number for number, word in enumerate(env.observation_space.words) if word not in MARK_WORDS]
+    found, depths, classes = [], [], []
+    for index in np.random.default_rng(0).permutation(len(rooms)).tolist():
+        observation, info = env.reset(seed=index, options={"instance_index": index})
+        numbers = list_numbers(observation, info, width)
+        found.append(np.concatenate([numbers[:, kept], numbers[:, width:]], axis=1))
+        puzzle = env.unwrapped.instance.puzzle
+        depths.append(compute_depths(COUNT, puzzle.edge_list))
+        classes.append(rules.meanings[list(puzzle.marks)] if puzzle.marks else np.zeros(COUNT))
+    env.close()
+    return np.array(found), np.array(depths), np.array(classes, dtype=np.int64)
+
+
+def find_leaks(numbers: NDArray[np.float64], depths: NDArray[np.int64], classes: NDArray[np.int64]) -> list[int]:
+    """Numbers that tell of depth, given the marks: mutual information above that of all permutations.
+
+    A number is cut into eighths, of its value and of its rank in its room. Depths are permuted among the buttons that
+    show a mark of the same class, so what marks tell stays as it is.
+    """
+    rng, shape = np.random.default_rng(1), depths.shape
+    stratum = classes.ravel()
+    rank = np.argsort(np.argsort(numbers, axis=1, kind="stable"), axis=1, kind="stable")
+    constant = np.ptp(numbers, axis=(0, 1)) == 0
+    found = []
+    shuffled = [depths.ravel().copy() for _ in range(PERMUTATIONS)]
+    for own in np.unique(stratum):
+        places = np.flatnonzero(stratum == own)
+        for each in shuffled:
+            each[places] = each[rng.permutation(places)]
+    for number in np.flatnonzero(~constant):
+        values = numbers[..., number].reshape(shape)
+        cuts = np.unique(np.quantile(values, np.arange(1, 8) / 8))
+        for cells in (np.searchsorted(cuts, values.ravel()), rank[..., number].ravel()):
+            measure = make_measure(cells, stratum)
+            if measure(depths.ravel()) > max(map(measure, shuffled)):
+                found.append(int(number))
+    return found
+
+
+def make_measure(cells: NDArray[np.int64], stratum: NDArray[np.int64]) -> Callable[[NDArray[np.int64]], float]:
+    """Mutual information of cells and depths within each stratum, times the number of buttons, nats."""
+    keys = stratum * (cells.max() + 1) + cells
+
+    def measure(depths: NDArray[np.int64]) -> float:
+        joint = np.bincount(keys * LEVELS + depths, minlength=(keys.max() + 1) * LEVELS).reshape(-1, LEVELS)
+        by_stratum = np.array([joint[first:first + cells.max() + 1].sum(axis=0)
+                               for first in range(0, len(joint), cells.max() + 1)])
+        whole = by_stratum[np.arange(len(joint)) // (cells.max() + 1)]
+        expected = joint.sum(axis=1, keepdims=True) * whole / np.maximum(whole.sum(axis=1, keepdims=True), 1)
+        return float((joint * np.log(np.where(joint, joint / np.maximum(expected, 1e-12), 1.0))).sum())
+
+    return measure
+
+
+DECEPTIVE = MarksConfig("rank", levels=LEVELS, symbols=8, truth=0.5)
+
+
+def check(marks: MarksConfig, rooms: int) -> None:
+    numbers, depths, classes = look(make_set(marks, rooms))
+    varying = int((np.ptp(numbers, axis=(0, 1)) > 0).sum())
+    leaks = find_leaks(numbers, depths, classes)
+    assert varying >= 8 and leaks == []
+
+
+@pytest.mark.parametrize("marks", [MarksConfig(), DECEPTIVE], ids=["bare", "marked"])
+def test_nothing_tells_of_the_graph_before_the_first_press(marks):
+    check(marks, 250)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("marks", [MarksConfig(), DECEPTIVE], ids=["bare", "marked"])
+def test_nothing_tells_of_the_graph_in_two_thousand_rooms(marks):
+    check(marks, 2_000)
+
+
+def test_planted_leaks_are_seen():
+    numbers, depths, classes = look(make_set(DECEPTIVE, 250))
+    rng = np.random.default_rng(2)
+    planted = {5: numbers[..., 5] + 0.15 * (depths - 1) * np.ptp(numbers[..., 5]) * rng.random(depths.shape),
+               # a place that moves with depth; half sizes that differ by a hair; numbers that follow the order
+               9: numbers[..., 9] + 1e-6 * depths,
+               numbers.shape[2] - 9: np.where(rng.random((len(depths), 1)) < 0.4, depths, np.arange(COUNT))}
+    for number, values in planted.items():
+        changed = numbers.copy()
+        changed[..., number] = values
+        assert number in find_leaks(changed, depths, classes), number
+    told = numbers.copy()
+    told[..., 5] = classes  # what marks tell is no leak
+    assert 5 not in find_leaks(told, depths, classes)
