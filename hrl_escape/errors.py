@@ -44,6 +44,11 @@ def show_value(value: object) -> str:
         return "a number of thousands of digits"
 
 
+def name_install(extra: str) -> str:
+    """Command that installs an extra: from a checkout, for no package is published."""
+    return f"pip install -c constraints.txt '.[{extra}]' in a checkout of hrl-escape"
+
+
 # --- rooms -----------------------------------------------------------------------------
 
 
@@ -126,7 +131,7 @@ class MissingExtraError(EscapeError, ImportError):
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         self.package, self.extra, self.purpose = package, extra, purpose
-        super().__init__(f"{purpose} needs {package}: pip install 'hrl-escape[{extra}]'")
+        super().__init__(f"{purpose} needs {package}: {name_install(extra)}")
 
 
 class FileWriteError(EscapeError, OSError):

@@ -1,12 +1,12 @@
-"""Play a room yourself, in the browser, a window or a terminal, and beat the best known return.
+"""Play a room yourself, in the browser or a terminal, and beat the best known return.
 
     hrl-escape play
-    hrl-escape play --preset clutter --seed 3
+    hrl-escape play --preset clutter --seed 3 --hidden
     hrl-escape play --no-browser
     hrl-escape play --replay episodes/paper-two-button-0-31-primitives-3f9c02ab.json
 
 W A S D and the arrows drive, U J move the arm, M and a number run a meta-action. Z takes a move back, R starts
-again, N enters the next room, F saves the episode.
+again, N enters the next room, F saves the episode. Your best return in each room is kept in --save-to.
 """
 
 from __future__ import annotations
@@ -33,24 +33,19 @@ class PlayArgs(PageAddress, RoomChoice):
     """Folder for saved episodes."""
     browser: bool = True
     """Play in the browser; --no-browser plays in the terminal, over ssh too."""
-    window: bool = False
-    """Play in Bullet's own window instead."""
+    hidden: bool = False
+    """Hide which buttons wait for which: the graph shows what your presses prove, and all of it once you escape."""
 
 
 def run(args: PlayArgs) -> None:
     """Play until the user quits."""
-    if args.window and not args.browser:
-        raise UnsupportedError("--window and --no-browser are two ways to play: choose one")
+    if args.hidden and not args.browser:
+        raise UnsupportedError("--hidden plays in the browser: leave out --no-browser")
     saved = load_episode(args.replay) if args.replay else None
     instance = saved.instance if saved else args.make_instance()
     config = None if saved or args.load else args.make_config()
     seed = saved.seed if saved else args.episode_seed
-    if args.window:
-        from hrl_escape.viewer.play.window import play_in_window
-
-        play_in_window(instance, seed)
-        return
-    episode = Episode(instance, config, seed)
+    episode = Episode(instance, config, seed, args.hidden)
     if not args.browser:
         from hrl_escape.viewer.play.terminal import play_in_terminal
 

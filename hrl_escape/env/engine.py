@@ -66,10 +66,6 @@ class Engine(Protocol):
         """Keep the window watchable: wait until 1 / `rate` seconds after the last call."""
         ...
 
-    def read_keys(self) -> list[str]:
-        """Keys pressed in the window since the last call: letters, digits, `up`, `down`, `left`, `right`."""
-        ...
-
     def close(self) -> None:
         """Free everything; safe to call twice."""
         ...

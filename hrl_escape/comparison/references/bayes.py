@@ -67,6 +67,10 @@ class BayesSearcher(Searcher):
             assert self._mind is not None
             self._mind.learn(target, lit, bool(_get_bits(after) >> target & 1), self._puzzle.is_solved(after.puzzle))
 
+    def _describe(self, action: int, state: RoomState) -> str:
+        assert self._mind is not None
+        return f"lights with {self._mind.compute_odds(_get_bits(state))[self._options[action].targets[0]]:.0%}"
+
     def _choose(self, legal: Sequence[int], state: RoomState, rng: np.random.Generator) -> int:
         assert self._mind is not None
         actions = {self._options[action].targets[0]: action for action in legal}
@@ -129,11 +133,12 @@ class _Mind:
             costs = legs + [cost[0, last * count + target] for cost, target in zip(after, targets, strict=True)]
             if np.isfinite(costs).any():
                 return targets[int(costs.argmin())]
-        odds = self._compute_odds(lit)[list(targets)]
+        odds = self.compute_odds(lit)[list(targets)]
         unlit = np.array([not lit >> target & 1 for target in targets])
         return targets[int(np.argmax(unlit * (odds + 1e-9) / (legs + 1.0)))]
 
-    def _compute_odds(self, lit: int) -> NDArray[np.float64]:
+    def compute_odds(self, lit: int) -> NDArray[np.float64]:
+        """Probability that a press lights each button, shape (buttons,), `lit` being the bits now."""
         if self._graph is None:
             return self._particles.compute_odds(lit)
         family, kept = self._family, self._graphs

@@ -102,6 +102,19 @@ class Searcher(Reference):
         return min((math.dist((state.x, state.y), (targets[i].x, targets[i].y))
                     for i in self._options[action].targets), default=math.inf)
 
+    def describe_presses(self) -> dict[int, str]:
+        """What the rule knows of each press at the latest decision, in words, by the number of its option."""
+        state = self._recorder.states[-1]
+        known = {action: self._describe(action, state) for action in self._options if action != self._leave}
+        return {action: words if self._is_dark(action, state) else "lit" for action, words in known.items()}
+
+    @abstractmethod
+    def _describe(self, action: int, state: RoomState) -> str:
+        """What is known of pressing something unlit, in words."""
+
+    def _tell(self, is_tried: bool, action: int, state: RoomState) -> str:
+        return "tried in vain" if is_tried else f"untried, {self._measure(action, state):.1f} m"
+
     @abstractmethod
     def _begin(self, is_new: bool) -> None:
         """An episode begins; `is_new` is false for a later trial in the same room."""
@@ -131,6 +144,9 @@ class Untried(Searcher):
             self._tried.clear()
         else:
             self._tried.add(action)
+
+    def _describe(self, action: int, state: RoomState) -> str:
+        return self._tell(action in self._tried, action, state)
 
     def _choose(self, legal: Sequence[int], state: RoomState, rng: np.random.Generator) -> int:
         fresh = [action for action in legal if action not in self._tried]
@@ -169,6 +185,9 @@ class Retrace(Searcher):
         was, now = self._puzzle.observe(before.puzzle), self._puzzle.observe(after.puzzle)
         if was != now or action not in self._known.get(was, ()):
             self._known.setdefault(was, {})[action] = now
+
+    def _describe(self, action: int, state: RoomState) -> str:
+        return self._tell(action in self._known.get(self._puzzle.observe(state.puzzle), {}), action, state)
 
     def _choose(self, legal: Sequence[int], state: RoomState, rng: np.random.Generator) -> int:
         here = self._puzzle.observe(state.puzzle)

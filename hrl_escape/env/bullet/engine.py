@@ -26,8 +26,6 @@ from hrl_escape.errors import ClosedError, UnsupportedError
 
 __all__ = ["BulletRoom"]
 
-_ARROWS = {pybullet.B3G_UP_ARROW: "up", pybullet.B3G_DOWN_ARROW: "down", pybullet.B3G_LEFT_ARROW: "left",
-           pybullet.B3G_RIGHT_ARROW: "right"}
 
 
 class BulletRoom:
@@ -158,14 +156,6 @@ class BulletRoom:
         now = time.monotonic()
         time.sleep(min(max(self._next_frame - now, 0.0), 1.0 / rate))
         self._next_frame = max(self._next_frame, now) + 1.0 / rate
-
-    def read_keys(self) -> list[str]:
-        """Keys pressed in the window since the last call: letters, digits, `up`, `down`, `left`, `right`."""
-        self._require_open()
-        pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_KEYBOARD_SHORTCUTS, 0, physicsClientId=self.client)
-        events = pybullet.getKeyboardEvents(physicsClientId=self.client)
-        pressed = [key for key, state in events.items() if state & pybullet.KEY_WAS_TRIGGERED]
-        return [_ARROWS.get(key) or chr(key).lower() for key in pressed if key in _ARROWS or 0 < key < 128]
 
     # --- queries -------------------------------------------------------------------------
 

@@ -51,17 +51,19 @@ OFF = TargetLook("#c8553d", "#8c3424", "#ffffff")
 WAITING = TargetLook("#edcabf", "#c8553d", INK)
 
 
-def name_target(puzzle: Puzzle, state: Hashable, target: int) -> str:
-    """Name of a target in drawings: with the text that it shows, and a star for a goal."""
+def name_target(puzzle: Puzzle, state: Hashable, target: int, is_hidden: bool = False) -> str:
+    """Name of a target in drawings: with the text that it shows, and a star for a goal that is not hidden."""
     sign = get_trait(puzzle, Depicted).get_sign(state, target)
-    star = " \N{BLACK STAR}" if target in get_trait(puzzle, Graphed).goal_targets else ""
+    star = " \N{BLACK STAR}" if not is_hidden and target in get_trait(puzzle, Graphed).goal_targets else ""
     return puzzle.target_names[target] + (f": {sign}" if sign else "") + star
 
 
-def get_target_look(puzzle: Puzzle, state: Hashable, target: int) -> TargetLook:
-    """Choose the look of a target: on, off, or off while no operator on it is applicable yet."""
+def get_target_look(puzzle: Puzzle, state: Hashable, target: int, is_hidden: bool = False) -> TargetLook:
+    """Choose the look of a target: on, off, or off while no operator on it is applicable yet, unless that is hidden."""
     if puzzle.get_lit(state)[target]:
         return LIT
+    if is_hidden:
+        return OFF
     name, facts = puzzle.target_names[target], puzzle.symbolic.get_facts(state)
     operators = [o for o in puzzle.symbolic.make_symbolic_model().operators if o.target == name]
     return OFF if not operators or any(operator.is_applicable(facts) for operator in operators) else WAITING

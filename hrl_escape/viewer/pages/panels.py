@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
-from typing import Any
+import math
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from markupsafe import escape
 
@@ -12,16 +13,40 @@ from hrl_escape.env.drawing.graph_inset import compute_layout, shorten
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
-__all__ = ["make_bars", "make_facts", "make_graph", "make_keys", "make_lines", "make_table"]
+__all__ = ["Edges", "make_bars", "make_facts", "make_graph", "make_keys", "make_lines", "make_table"]
 
 WIDTH = 350
 _STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;margin:0 0.75em"
 
 
-def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH) -> str:
-    """The puzzle's graph as SVG: edges of precedence, lit targets lit, a second ring round the goal."""
+class Edges(NamedTuple):
+    """What somebody knows of a graph, in place of the graph itself.
+
+    Attributes:
+        known: edges (parent, child) taken for certain.
+        possible: edges that may be there, drawn dashed.
+    """
+
+    known: Collection[tuple[int, int]] = ()
+    possible: Collection[tuple[int, int]] = ()
+
+
+def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH, believed: Edges | None = None,
+               is_hidden: bool = False, drawing: str = "puzzle") -> str:
+    """The puzzle's graph as SVG: edges of precedence, lit targets lit, a second ring round the goal.
+
+    Args:
+        puzzle: the puzzle.
+        state: its state.
+        width: of the drawing, pixels.
+        believed: edges to draw in place of the true ones; one that is wrong is red.
+        is_hidden: places, on a ring, and colours say nothing of the true graph.
+        drawing: its id in the page.
+    """
     graph = get_trait(puzzle, Graphed)
-    places = compute_layout(len(puzzle.target_names), graph.edges)
+    edges = graph.edges if believed is None else sorted({*believed.known, *believed.possible})
+    count = len(puzzle.target_names)
+    places = _place_on_ring(count) if is_hidden else compute_layout(count, graph.edges)
     columns = max((x for x, _ in places), default=0.0) + 1
     rows = max((y for _, y in places), default=0.0) + 1
     cell = min(62.0, (width - 20) / columns)
@@ -30,19 +55,22 @@ def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH) -> str:
     at = [(left + cell * x, top + cell * y) for x, y in places]
     lit = puzzle.get_lit(state)
     parts = []
-    for parent, child in graph.edges:
+    for parent, child in edges:
         (x0, y0), (x1, y1) = at[parent], at[child]
         length = max(((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5, 1.0)
         gap = (radius + 4) / length
-        parts.append(f'<line x1="{x0 + gap * (x1 - x0):.1f}" y1="{y0 + gap * (y1 - y0):.1f}" '
-                     f'x2="{x1 - gap * (x1 - x0):.1f}" y2="{y1 - gap * (y1 - y0):.1f}" stroke="{palette.MUTED}" '
-                     'stroke-width="1.4" marker-end="url(#arrow)"/>')
+        colour = palette.MUTED if is_hidden or (parent, child) in graph.edges else palette.LOCK
+        dashes = "" if believed is None or (parent, child) in believed.known else ' stroke-dasharray="3 3"'
+        parts.append(f'<line class="edge" data-edge="{parent}-{child}" x1="{x0 + gap * (x1 - x0):.1f}" '
+                     f'y1="{y0 + gap * (y1 - y0):.1f}" x2="{x1 - gap * (x1 - x0):.1f}" '
+                     f'y2="{y1 - gap * (y1 - y0):.1f}" stroke="{colour}" stroke-width="1.4"{dashes} '
+                     'marker-end="url(#arrow)"/>')
     for node, (x, y) in enumerate(at):
-        fill, edge, ink = palette.get_target_look(puzzle, state, node)
+        fill, edge, ink = palette.get_target_look(puzzle, state, node, is_hidden)
         name = puzzle.target_names[node]
         if lit[node]:
             parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius + 7:.1f}" fill="{fill}" opacity="0.3"/>')
-        if node in graph.goal_targets:
+        if node in graph.goal_targets and not is_hidden:
             parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius + 4:.1f}" fill="none" stroke="{edge}" '
                          'stroke-width="1.5"/>')
         parts.append(f'<circle class="node" data-name="{escape(name)}" data-lit="{int(lit[node])}" cx="{x:.1f}" '
@@ -52,8 +80,15 @@ def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH) -> str:
     arrow = ('<defs><marker id="arrow" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="7" markerHeight="7" '
              f'orient="auto"><path d="M0 0L8 4L0 8z" fill="{palette.MUTED}"/></marker></defs>')
     high = cell * rows + 8
-    return (f'<div style="{_STYLE}"><svg id="puzzle" width="{width}" height="{high:.0f}" '
+    return (f'<div style="{_STYLE}"><svg id="{drawing}" width="{width}" height="{high:.0f}" '
             f'viewBox="0 -4 {width} {high:.0f}" style="font-family:inherit">{arrow}{"".join(parts)}</svg></div>')
+
+
+def _place_on_ring(count: int) -> list[tuple[float, float]]:
+    """Places of nodes on a ring, from the top clockwise, neighbours at a distance of 1 or more."""
+    radius = 0.5 / math.sin(math.pi / count) if count > 1 else 0.0
+    return [(radius * (1 + math.sin(math.tau * i / count)), radius * (1 - math.cos(math.tau * i / count)))
+            for i in range(count)]
 
 
 def make_facts(facts: Iterable[tuple[str, str]], note: str = "", **data: object) -> str:
@@ -87,7 +122,8 @@ def make_table(header: Sequence[str], rows: Iterable[Sequence[str]], name: str =
             f'font-variant-numeric:tabular-nums"><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>')
 
 
-def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, chosen: int, meaning: str) -> str:
+def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, chosen: int, meaning: str,
+              notes: Mapping[int, str] | None = None) -> str:
     """Actions with their values as bars; the chosen one is marked, masked ones are grey.
 
     Args:
@@ -95,8 +131,10 @@ def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, cho
         values: one number an action, or None.
         mask: legal actions.
         chosen: index of the chosen action.
-        meaning: `value`, `preference`, or empty if there are no values.
+        meaning: `value`, `preference`, `note`, or empty if there are no values.
+        notes: words in place of numbers, by the index of their action.
     """
+    notes = notes or {}
     legal = [bool(on) for on in mask]
     numbers = [None] * len(names) if values is None else [float(value) for value in values]
     shown = [value for value, on in zip(numbers, legal, strict=True) if on and value is not None]
@@ -108,6 +146,8 @@ def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, cho
         ink = palette.INK if on else "#b4b8c0"
         mark = "\N{BLACK RIGHT-POINTING TRIANGLE}" if index == chosen else ""
         text = ("" if value is None else f"{value:.3f}") if on else "masked"
+        flex = "0 0 5em" if index not in notes else "0 1 auto"
+        text = escape(notes[index]) if index in notes and on else text
         weight = 700 if index == chosen else 400
         number = "" if value is None else repr(value)
         rows.append(
@@ -116,12 +156,13 @@ def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, cho
             f'font-weight:{weight}"><span style="flex:0 0 1em;color:#d55e00">{mark}</span>'
             f'<span style="flex:0 0 9.5em">{escape(name)}</span><span style="flex:1 1 auto"><span style="display:'
             f'inline-block;height:8px;border-radius:2px;background:{palette.BODY};opacity:0.75;'
-            f'width:{100 * share:.0f}%"></span></span><span style="flex:0 0 5em;text-align:right;'
+            f'width:{100 * share:.0f}%"></span></span><span style="flex:{flex};text-align:right;'
             f'font-variant-numeric:tabular-nums">{text}</span>'
             "</div>"
         )
     about = {"value": "action values Q(s, \N{MIDDLE DOT}), in units of return",
-             "preference": "preferences of the policy", "": "this driver computes no values"}[meaning]
+             "preference": "preferences of the policy", "note": "what this driver knows of each press",
+             "": "this driver computes no values"}[meaning]
     return (f'<div id="values" style="{_STYLE};font-size:12px"><div style="color:{palette.MUTED}">{about}</div>'
             f'{"".join(rows)}</div>')
 

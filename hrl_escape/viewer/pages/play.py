@@ -13,10 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.errors import EscapeError
-from hrl_escape.planning.best_known import best_known_return
 from hrl_escape.viewer.pages.panels import make_facts, make_keys
-from hrl_escape.viewer.pages.room import RoomPage
+from hrl_escape.viewer.pages.room import RoomPage, name_room
 from hrl_escape.viewer.play.commands import carry_out
 from hrl_escape.viewer.play.controls import HELP, KEYS, Command, Controls
 from hrl_escape.viewer.play.episode import Episode
@@ -52,9 +52,10 @@ class PlayPage:
         self.server, self.episode = server, episode
         self._folder, self._stride = folder, stride
         self._waiting: queue.Queue[Command | str] = queue.Queue()
-        self._best: dict[str, float] = {}
-        self._note = "Press the buttons in the order of the graph, then drive into the exit"
-        self.page = RoomPage(server, episode.instance, episode.state, owns_keys=True)
+        task = "Press the buttons in the order of the graph" if episode.discovery is None else (
+            "Find out which buttons wait for which")
+        self._note = f"{task}, then drive into the exit"
+        self.page = RoomPage(server, episode.instance, episode.state, owns_keys=True, discovery=episode.discovery)
         self._meta: list[Any] = []
         self._build()
         self._enter_room()
@@ -127,25 +128,22 @@ class PlayPage:
                 self._meta.append(group)
         episode.on_step = self._show_step
         self._show_facts()
-        threading.Thread(target=self._find_best, args=(episode.instance,), daemon=True).start()
+        threading.Thread(target=self._find_best, daemon=True).start()
 
-    def _find_best(self, instance: Any) -> None:
-        try:
-            self._best[instance.id] = best_known_return(instance)
-        except EscapeError:  # no way was found: the page shows none
-            return
+    def _find_best(self) -> None:
+        self.page.find_best()
         self._show_facts()
 
     def _show_facts(self) -> None:
         episode = self.episode
-        best = self._best.get(episode.instance.id)
+        best = self.page.best
         steps = len(episode.steps)
         facts = (("primitives", str(steps)), ("return", f"{episode.total:g}"),
                  ("best known", "\N{HORIZONTAL ELLIPSIS}" if best is None else f"{best:g}"),
                  ("moves", str(len(episode.moves))))
-        room = f"{episode.instance.name}, room {episode.instance.seed}: "
-        self._facts.content = make_facts(facts, room + self._note, steps=steps, state=episode.end.value,
-                                         waiting=self._waiting.qsize(), room=episode.instance.id)
+        self._facts.content = make_facts(facts, f"{name_room(episode.instance)}: {self._note}", steps=steps,
+                                         state=episode.end.value, waiting=self._waiting.qsize(),
+                                         room=episode.instance.id)
 
     # --- playing ---------------------------------------------------------------------------------
 
@@ -178,17 +176,19 @@ class PlayPage:
             return True
         self._note = self._announce(command)
         self._show_facts()
-        room = self.episode.instance.id
+        room, was_over = self.episode.instance.id, self.episode.is_over
         try:
-            self._note = carry_out(command, self.episode, self._folder, self._best.get(room))
+            self._note = carry_out(command, self.episode, self._folder, self.page.best)
         except EscapeError as error:
             self._note = str(error)
         if self.episode.instance.id != room:
-            self.page.enter(self.episode.instance, self.episode.state)
+            self.page.enter(self.episode.instance, self.episode.state, self.episode.discovery)
             self._enter_room()
         if command.verb in ("undo", "reset", "next"):
             self._show_state()
         self._show_facts()
+        if command.verb == "act" and was_over != self.episode.is_over and self.episode.end is EpisodeEnd.ESCAPED:
+            self.page.celebrate(lambda: self._waiting.qsize() > 0)
         return command.verb != "quit"
 
     def _announce(self, command: Command) -> str:

@@ -6,6 +6,7 @@ which states.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
@@ -13,16 +14,20 @@ from collections.abc import Callable
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import EscapeError
+from hrl_escape.planning.best_known import best_known_return
 from hrl_escape.viewer.extra import viser
-from hrl_escape.viewer.pages.panels import make_graph
+from hrl_escape.viewer.pages.panels import Edges, make_graph
+from hrl_escape.viewer.play.discovery import Discovery
 from hrl_escape.viewer.scene.poses import RoomPose, blend, make_pose
 from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, compute_overview
 from hrl_escape.viewer.server import Server
 
-__all__ = ["VIEWS", "RoomPage"]
+__all__ = ["VIEWS", "RoomPage", "name_room"]
 
 VIEWS = ("orbit", "follow", "robot's eye")
 FRAME_SECONDS = 1 / 30
+CONFETTI_FRAMES = 50
 _Point = tuple[float, float, float]
 _OWN_KEYS = ("<img alt='' style='display:none' src='data:,' onerror=\"if(!window.hrlKeys){window.hrlKeys=1;"
              "document.documentElement.addEventListener('keydown',e=>e.stopPropagation())}\">")
@@ -37,32 +42,37 @@ class RoomPage:
         instance: the room.
         state: the state to show first.
         owns_keys: keys drive something here, so viser's camera must ignore them.
+        discovery: what is known of a graph that is to be discovered, until an escape shows it; None to show it at once.
 
     Attributes:
         scene: the room shown now.
+        best: best known return of this room; None until it is found.
     """
 
-    def __init__(self, server: Server, instance: RoomInstance, state: RoomState, owns_keys: bool = False) -> None:
-        self.server = server
+    def __init__(self, server: Server, instance: RoomInstance, state: RoomState, owns_keys: bool = False,
+                 discovery: Discovery | None = None) -> None:
+        self.server, self._discovery = server, discovery
+        self.best: float | None = None
         self._lock = threading.Lock()
         self._cameras: dict[int, str] = {}
-        self.scene = RoomScene(server, instance)
-        server.set_title(instance.name)
+        self.scene = RoomScene(server, instance, discovery is not None)
+        server.set_title(name_room(instance))
         gui = server.gui
         if owns_keys:
             gui.add_html(_OWN_KEYS)
         self.view_folder = gui.add_folder("View", order=50.0)
         self._graph = gui.add_html("", order=20.0)
-        self._shown: tuple[str, object] | None = None
+        self._shown: tuple[str, object, Edges | None] | None = None
         self._pose = make_pose(self.scene.rules, state)
         self.show(state)
         server.on_client_connect(self._welcome)
         server.on_client_disconnect(self._forget)
 
-    def enter(self, instance: RoomInstance, state: RoomState) -> None:
+    def enter(self, instance: RoomInstance, state: RoomState, discovery: Discovery | None = None) -> None:
         """Replace the room by another one."""
         self.scene.remove()
-        self.scene = RoomScene(self.server, instance)
+        self._discovery, self.best = discovery, None
+        self.scene = RoomScene(self.server, instance, discovery is not None)
         self.show(state)
         for client in self.server.get_clients().values():
             self._choose(client, self._cameras.get(client.client_id, VIEWS[0]))
@@ -73,6 +83,8 @@ class RoomPage:
         self.scene.show(state)
         self._draw_graph(state)
         self._aim()
+        eyes = [tuple(client.camera.position) for client in self.server.get_clients().values()]
+        self.scene.uncover(eyes, self._pose)
 
     def move(self, state: RoomState, seconds: float, is_cancelled: Callable[[], bool] | None = None) -> None:
         """Move smoothly to a state; panels light up when it is reached.
@@ -95,10 +107,30 @@ class RoomPage:
         self.show(state)
 
     def _draw_graph(self, state: RoomState) -> None:
-        key = (self.scene.instance.id, state.puzzle)
+        puzzle = self.scene.instance.puzzle
+        is_hidden = self._discovery is not None and not puzzle.is_solved(state.puzzle)
+        believed = Edges(*self._discovery.list_edges()) if is_hidden and self._discovery is not None else None
+        key = (self.scene.instance.id, state.puzzle, believed)
         if key != self._shown:
             self._shown = key
-            self._graph.content = make_graph(self.scene.instance.puzzle, state.puzzle)
+            self._graph.content = make_graph(puzzle, state.puzzle, believed=believed, is_hidden=is_hidden)
+
+    def find_best(self) -> None:
+        """Find the best known return of the room, which takes some seconds; `best` stays None where none is known."""
+        instance = self.scene.instance
+        with contextlib.suppress(EscapeError):
+            best = best_known_return(instance)
+            if instance is self.scene.instance:
+                self.best = best
+
+    def celebrate(self, is_cancelled: Callable[[], bool]) -> None:
+        """Throw confetti over the exit for a moment."""
+        for frame in range(CONFETTI_FRAMES):
+            if is_cancelled():
+                break
+            self.scene.draw_confetti(frame / CONFETTI_FRAMES)
+            time.sleep(FRAME_SECONDS)
+        self.scene.draw_confetti(1.0)
 
     # --- cameras -------------------------------------------------------------------------------
 
@@ -162,6 +194,11 @@ class RoomPage:
         behind, eye = -0.3 * robot.inner_radius, pose.z + robot.body_height + 0.35  # on a mast, over the arm
         return ((pose.x + behind * cos, pose.y + behind * sin, eye),
                 (pose.x + (behind + 2) * cos, pose.y + (behind + 2) * sin, eye - 0.25), 75.0)
+
+
+def name_room(instance: RoomInstance) -> str:
+    """Name a room by its schematic and its seed, as the command line takes them."""
+    return instance.name if instance.seed is None else f"{instance.name}, seed {instance.seed}"
 
 
 def _get_aspect(client: viser.ClientHandle) -> float:

@@ -13,14 +13,18 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.env.drawing import palette
+from hrl_escape.env.episode_end import EpisodeEnd
+from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.errors import EscapeError
 from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.planning.goals import ExitGoal, PressGoal
 from hrl_escape.planning.paths.navigator import Navigator
 from hrl_escape.viewer.extra import uplot
-from hrl_escape.viewer.pages.panels import make_bars, make_facts, make_lines, make_table
-from hrl_escape.viewer.pages.room import RoomPage
+from hrl_escape.viewer.pages.panels import Edges, make_bars, make_facts, make_graph, make_lines, make_table
+from hrl_escape.viewer.pages.room import RoomPage, name_room
+from hrl_escape.viewer.play.commands import praise
 from hrl_escape.viewer.server import Server
 from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.preview import Preview
@@ -53,6 +57,7 @@ class WatchPage:
         self.problem = ""
         self.finished = threading.Event()
         self._refreshed = 0.0
+        self._escape = ""  # what is said of an escape while it is celebrated
         self._previewing = threading.Lock()
         self._planned: tuple[Preview | None] | None = None  # the plan that is drawn
         room = watch.driver.room
@@ -85,7 +90,9 @@ class WatchPage:
             self._speed = gui.add_slider("per second", 1, FASTEST, 1, gate.pace or FASTEST)
             self._fast = gui.add_checkbox("unlimited", gate.pace is None)
         tabs = gui.add_tab_group(order=40.0)
-        with tabs.add_tab("Values"):
+        with tabs.add_tab("Mind"):
+            self._learned = gui.add_html("", visible=False)
+            self._calls = gui.add_html("", visible=False)
             self._values = gui.add_html("")
             empty = (np.zeros(1), np.zeros(1))
             self._plot = gui.add_uplot(
@@ -95,8 +102,6 @@ class WatchPage:
             )
         with tabs.add_tab("SMDP"):
             self._table = gui.add_html("")
-        with tabs.add_tab("Calls"):
-            self._calls = gui.add_html("")
         with tabs.add_tab("Log"):
             self._log = gui.add_html("")
         with tabs.add_tab("What if"):
@@ -163,6 +168,16 @@ class WatchPage:
             self._show_scene()
         if is_due:
             self._refresh()
+        if step is not None and step.end is EpisodeEnd.ESCAPED and pace is not None:
+            self._celebrate()
+
+    def _celebrate(self) -> None:
+        """Show the escape beside the best known one, which is looked for at the first."""
+        self.page.find_best()
+        self._escape = praise(self.watch.total, self.page.best)
+        self._refresh()
+        self.page.celebrate(lambda: self.watch.gate.is_stopped or self.watch.gate.pace is None)
+        self._escape = ""
 
     def _show_wait(self) -> None:
         """Bring everything up to date before a primitive that has to wait."""
@@ -212,27 +227,43 @@ class WatchPage:
         if watch.choice is not None:
             choice = watch.choice
             self._values.content = make_bars(watch.driver.names, choice.values, choice.mask, choice.action,
-                                             choice.meaning)
+                                             choice.meaning, choice.notes)
+            self._show_learned()
         rows = [(done.name, str(done.duration), f"{done.reward:.2f}", f"{done.discount:.4f}", f"{done.summed:g}",
                  _ENDED.get(done.ended, done.ended)) for done in reversed(watch.decisions)]
         header = ("decision", "k", "R", GAMMA_K, "sum of r", "")
         self._table.content = make_table(header, rows, "smdp", "no decision is complete yet") + make_lines([SMDP_NOTE])
         calls = [(f"{'  ' * depth}{each.name}", str(each.call.primitives), f"{each.reward:g}", each.ending)
                  for depth, each in enumerate(watch.calls)]
-        self._calls.content = make_table(("running call", "primitives", "reward", ""), calls, "calls",
-                                         "this agent runs no calls")
+        self._calls.content = make_table(("running call", "primitives", "reward", ""), calls, "calls")
+        self._calls.visible = bool(calls)
         self._log.content = make_lines(list(reversed(watch.events))[:24], "log")
         if len(watch.values) > 1:
             xs, ys = zip(*watch.values, strict=True)
             self._plot.visible = True
             self._plot.data = (np.array(xs, dtype=np.float64), np.array(ys, dtype=np.float64))
 
+    def _show_learned(self) -> None:
+        """Draw the graph that the agent believes in, in the places of the true one above, and count what is right."""
+        graph, watch = self.watch.read_graph(), self.watch
+        self._learned.visible = graph is not None
+        if graph is None or not watch.states:
+            return
+        puzzle, state = watch.driver.room.instance.puzzle, watch.states[-1].puzzle
+        true = get_trait(puzzle, Graphed)
+        believed, needed = (find_edges_that_matter(edges, true.goal_targets) for edges in (graph, true.edges))
+        found, wrong = len(believed & needed), len(believed - needed)
+        words = f"the graph that it believes in: {found} of {len(needed)} edges that matter, {wrong} wrong"
+        self._learned.content = make_lines([words], "learned-words") + make_graph(puzzle, state, believed=Edges(graph),
+                                                                                drawing="learned")
+
     def _show_facts(self) -> None:
         watch = self.watch
         facts = (("episode", str(watch.episode)), ("primitives", str(max(len(watch.states) - 1, 0))),
                  ("return", f"{watch.total:g}"), ("in all", f"{watch.primitives:,}"))
         state = self.problem or ("paused" if watch.gate.is_paused else "running")
-        self._facts.content = make_facts(facts, f"{watch.driver.name}: {state}", steps=max(len(watch.states) - 1, 0),
+        self._facts.content = make_facts(facts, f"{watch.driver.name} in {name_room(watch.driver.room.instance)}: "
+                                         f"{self._escape or state}", steps=max(len(watch.states) - 1, 0),
                                          state="paused" if watch.gate.is_paused else "running",
                                          primitives=watch.primitives, decisions=len(watch.decisions))
 

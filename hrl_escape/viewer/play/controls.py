@@ -1,4 +1,4 @@
-"""Keys of manual mode: one table of meanings that browser, window and terminal share.
+"""Keys of manual mode: one table of meanings that browser and terminal share.
 
 `Controls` turns one key after another into commands. It remembers the chosen joint and a
 meta-action that is being typed. It steps nothing.

@@ -17,6 +17,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EpisodeFileError, UnsupportedError
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.viewer.play.discovery import Discovery
 from hrl_escape.viewer.play.saved_episode import SavedEpisode
 from hrl_escape.viewer.step_hooks import PrimitiveStep, StepHooks
 
@@ -47,21 +48,25 @@ class Episode:
         instance: the room.
         config: schematic of the room, needed to enter the next one; None if unknown.
         seed: of the episode; fixes the start and the noise.
+        is_hidden: the graph is to be discovered.
 
     Attributes:
         instance: the present room.
+        discovery: what presses have shown of a graph that is to be discovered; None where it is shown.
         moves: all moves since the episode began.
         running: primitives so far of the move in progress.
         on_step: called after every primitive.
     """
 
-    def __init__(self, instance: RoomInstance, config: RoomConfig | None = None, seed: int = 0) -> None:
-        self.config, self.seed = config, seed
+    def __init__(self, instance: RoomInstance, config: RoomConfig | None = None, seed: int = 0,
+                 is_hidden: bool = False) -> None:
+        self.config, self.seed, self._is_hidden = config, seed, is_hidden
         self.on_step: Callable[[PrimitiveStep], None] | None = None
         self._open(instance)
 
     def _open(self, instance: RoomInstance) -> None:
         self.instance = instance
+        self.discovery = Discovery(instance) if self._is_hidden else None
         self._env = EscapeRoomEnv(instance=instance)
         hooks = StepHooks(self._env)
         hooks.on_step = self._note
@@ -138,6 +143,8 @@ class Episode:
 
     def _note(self, step: PrimitiveStep) -> None:
         self.running.append(step)
+        if self.discovery is not None:
+            self.discovery.note(step)
         if self.on_step is not None:
             self.on_step(step)
 

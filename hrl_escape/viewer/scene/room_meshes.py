@@ -8,14 +8,20 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hrl_escape.env.drawing import meshes, palette
 from hrl_escape.env.drawing.meshes import Mesh, compute_outline, make_flat, make_prism, merge
-from hrl_escape.env.geometry import Solid
+from hrl_escape.env.geometry import Solid, compute_distance
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 
-__all__ = ["Painted", "make_exit", "make_fixtures", "make_target"]
+__all__ = ["SCRAPS", "Painted", "is_hidden_by", "make_confetti", "make_exit", "make_fixtures", "make_obstacle",
+           "make_target"]
 
 OTHER_TILE, SHADE, GLASS = "#e4dfd2", "#cfc9bc", "#8fa0b8"
+SCRAPS = 160
+"""Number of scraps of confetti."""
 CLEAR, HAZY = 0.12, 0.5
 """Opacity of outer walls seen from outside, and of walls within the room."""
 
@@ -30,7 +36,7 @@ class Painted(NamedTuple):
 
 
 def make_fixtures(instance: RoomInstance) -> list[Painted]:
-    """Parts that never change: floor with shadows and puddles, walls, obstacles."""
+    """Parts that never change: floor with shadows and puddles, walls. Obstacles are apart, see `make_obstacle`."""
     floors = palette.compute_floors(instance)
     walls = [solid for solid in instance.solids if solid.role == "wall"]
     others = [solid for solid in instance.solids if solid.role != "wall"]
@@ -49,9 +55,30 @@ def make_fixtures(instance: RoomInstance) -> list[Painted]:
         Painted("walls/between", merge(faces["between"]), meshes.WALL_FACE, HAZY),
         Painted("walls/outside", merge(faces["outside"]), GLASS, CLEAR),
         Painted("walls/top", merge(tops), meshes.WALL_TOP, 0.55),
-        Painted("obstacles", merge([meshes.make_solid(solid) for solid in others]), meshes.OBSTACLE_FACE),
     ]
     return [painted for painted in found if len(painted.mesh.triangles)]
+
+
+def make_obstacle(solid: Solid) -> Painted:
+    """One obstacle; the scene shows it as glass while it hides the robot."""
+    return Painted("solid", meshes.make_solid(solid), meshes.OBSTACLE_FACE)
+
+
+def is_hidden_by(solid: Solid, eye: tuple[float, float, float], point: tuple[float, float, float]) -> bool:
+    """Return whether an upright solid stands between a camera and a point, tried at 64 places between them, m."""
+    shares = np.arange(1, 65) / 65
+    xs, ys, zs = (a + shares * (b - a) for a, b in zip(eye, point, strict=True))
+    low = zs < solid.height
+    return any(compute_distance(x, y, solid.footprint) <= 0.0
+               for x, y in zip(xs[low].tolist(), ys[low].tolist(), strict=True))
+
+
+def make_confetti(centre: tuple[float, float], share: float) -> NDArray[np.float32]:
+    """Places (n, 3) of the scraps that fly up over a place and come down again, m; `share` goes from 0 to 1."""
+    rng = np.random.default_rng(0)
+    side, up = rng.normal(0.0, 1.6, (SCRAPS, 2)), rng.uniform(2.0, 6.0, SCRAPS)
+    height = np.maximum(4.0 * up * share * (1.0 - share), meshes.LAYER)
+    return np.column_stack([centre + side * share, height]).astype(np.float32)
 
 
 def _make_faces(wall: Solid, floors: tuple[Rectangle, ...]) -> list[tuple[Mesh, str]]:

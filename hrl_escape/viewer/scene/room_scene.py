@@ -7,7 +7,7 @@ one node, so that a room can be removed as a whole and replaced. Metres, the roo
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,12 +23,23 @@ from hrl_escape.env.robot import Robot
 from hrl_escape.viewer.extra import SO3, viser
 from hrl_escape.viewer.scene.poses import RoomPose, make_pose
 from hrl_escape.viewer.scene.robot_shapes import ArmPose, Shape, make_arm_shapes, make_base_shapes, to_quaternion
-from hrl_escape.viewer.scene.room_meshes import Painted, make_exit, make_fixtures, make_target
+from hrl_escape.viewer.scene.room_meshes import (
+    SCRAPS,
+    Painted,
+    is_hidden_by,
+    make_confetti,
+    make_exit,
+    make_fixtures,
+    make_obstacle,
+    make_target,
+)
 
 __all__ = ["OVERVIEW_FIELD", "RoomScene", "compute_overview"]
 
 ROOT = "/room"
 PLAN, PREVIEW = "#d55e00", "#cc79a7"
+GLASS = 0.25
+"""Opacity of an obstacle that hides the robot."""
 LONGEST_TRAIL = 600
 LINE_WIDTH = 3.0
 OVERVIEW_FIELD = 50.0
@@ -41,13 +52,18 @@ _Point = tuple[float, float, float]
 class RoomScene:
     """One room on a viser server.
 
+    Args:
+        server: server of the page.
+        instance: the room.
+        is_hidden: panels do not tell which of them wait for others, nor which one opens the exit.
+
     Attributes:
         instance: the room shown.
         rules: rules that poses are computed with.
     """
 
-    def __init__(self, server: viser.ViserServer, instance: RoomInstance) -> None:
-        self.instance = instance
+    def __init__(self, server: viser.ViserServer, instance: RoomInstance, is_hidden: bool = False) -> None:
+        self.instance, self.is_hidden = instance, is_hidden
         physics = instance.dynamics.kind == "physics"
         self.rules: Rules = Rules(instance) if physics else Kinematics(instance)
         self._server, self._scene = server, server.scene
@@ -56,6 +72,8 @@ class RoomScene:
             self._root = self._scene.add_frame(ROOT, show_axes=False)
             for painted in make_fixtures(instance):
                 self._add(painted)
+            self._obstacles = [(solid, self._add(make_obstacle(solid), f"obstacles/{number}"))
+                               for number, solid in enumerate(instance.solids) if solid.role != "wall"]
             self._names: list[viser.LabelHandle] = []
             self._lamps = [self._add_target(i) for i in range(len(instance.targets))]
             self._exit = [self._add(painted, "exit") for painted in make_exit(instance)]
@@ -67,6 +85,7 @@ class RoomScene:
             self._robot = _RobotModel(self._scene, f"{ROOT}/robot", self.rules.robot, instance.robot)
             self._ghosts: dict[str, _RobotModel] = {}
             self._goals: dict[_Point, tuple[str, viser.LabelHandle]] = {}
+            self._confetti: viser.PointCloudHandle | None = None
         self._lit: Any = None
         self._set_initial_camera()
 
@@ -99,8 +118,8 @@ class RoomScene:
         self._lit = state.puzzle
         puzzle = self.instance.puzzle
         for i, (lamp, name) in enumerate(zip(self._lamps, self._names, strict=True)):
-            lamp.color = _to_bytes(palette.get_target_look(puzzle, state.puzzle, i).fill)
-            if name.text != (text := palette.name_target(puzzle, state.puzzle, i)):
+            lamp.color = _to_bytes(palette.get_target_look(puzzle, state.puzzle, i, self.is_hidden).fill)
+            if name.text != (text := palette.name_target(puzzle, state.puzzle, i, self.is_hidden)):
                 name.text = text
         shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
         for i, node in enumerate(self._inner_doors):
@@ -108,6 +127,20 @@ class RoomScene:
         colour = palette.EXIT_OPEN if puzzle.is_solved(state.puzzle) else palette.EXIT_LOCKED
         for part in self._exit:
             part.color = _to_bytes(colour)
+
+    def uncover(self, eyes: Iterable[_Point], pose: RoomPose) -> None:
+        """Show obstacles that hide the robot from any of these cameras as glass, and the others solid.
+
+        Args:
+            eyes: positions of cameras, m.
+            pose: where the robot is.
+        """
+        robot = (pose.x, pose.y, pose.z + self.instance.robot.body_height / 2)
+        eyes = tuple(eyes)
+        for solid, node in self._obstacles:
+            opacity = GLASS if any(is_hidden_by(solid, eye, robot) for eye in eyes) else 1.0
+            if node.opacity != opacity:
+                node.opacity = opacity
 
     # --- what is drawn upon it -------------------------------------------------------------
 
@@ -130,6 +163,15 @@ class RoomScene:
     def draw_hand_path(self, points: Sequence[_Point]) -> None:
         """Draw the way of the hand, in the air."""
         self._draw_segments("hand-path", np.array(points, dtype=np.float32).reshape(-1, 3), PLAN)
+
+    def draw_confetti(self, share: float) -> None:
+        """Scraps over the exit: flying at a share from 0 to 1, none outside."""
+        places = make_confetti(self.instance.exit.centre, min(max(share, 0.0), 1.0))
+        if self._confetti is None:
+            colours = np.resize(np.array([_to_bytes(line) for line in palette.LINES], dtype=np.uint8), (SCRAPS, 3))
+            self._confetti = self._scene.add_point_cloud(f"{ROOT}/confetti", places, colours, point_size=0.14,
+                                                         point_shape="square", point_shading="flat")
+        self._confetti.points, self._confetti.visible = places, 0.0 <= share < 1.0
 
     def draw_goals(self, goals: Sequence[tuple[str, float, float]]) -> None:
         """Label the places (name, x, y) of running calls' goals; calls with one place share a label."""
@@ -186,7 +228,7 @@ class RoomScene:
         del others
         puzzle = self.instance.puzzle
         self._names.append(self._scene.add_label(
-            f"{ROOT}/targets/{index}/name", palette.name_target(puzzle, puzzle.make_state(), index),
+            f"{ROOT}/targets/{index}/name", palette.name_target(puzzle, puzzle.make_state(), index, self.is_hidden),
             anchor="bottom-center", position=(target.x, target.y, target.z + target.half_z + 0.25),
             font_screen_scale=0.9))
         return face

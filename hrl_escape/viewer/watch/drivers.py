@@ -1,4 +1,4 @@
-"""Drivers of watch mode: the planner, the agent of a finished run, or an agent in training.
+"""Drivers of watch mode: the planner, a searcher that learns nothing, the agent of a finished run, or one in training.
 
 Each becomes an agent in an environment made as in training. Nothing here shows anything.
 """
@@ -18,16 +18,20 @@ from hrl_escape.agents.training.env_description import make_described_env
 from hrl_escape.agents.training.run import refusing_damage
 from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
+from hrl_escape.comparison.episodes import StateRecorder
+from hrl_escape.comparison.references.registry import SEARCHERS, make_reference
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.errors import FileReadError, RunMismatchError
+from hrl_escape.errors import FileReadError, RunMismatchError, UnknownNameError
 from hrl_escape.ladder.trained import find_trained_agent
+from hrl_escape.options.meta_actions import make_meta_options
+from hrl_escape.options.option import Option
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.viewer.step_hooks import StepHooks
-from hrl_escape.viewer.watch.planner_agent import PlannerAgent
+from hrl_escape.viewer.watch.planner_agent import EscapePlan, PlannerAgent, make_legs
 
 __all__ = ["PLANNER_NAME", "Driver", "find_driver", "find_run_room", "open_driver"]
 
@@ -47,6 +51,7 @@ class Driver:
         primitives: number of primitives among the actions; they come first.
         flavour: flavour of the meta-actions.
         trains: the agent learns while it drives.
+        plan: the plan that the planner follows; None for other drivers.
     """
 
     name: str
@@ -57,12 +62,20 @@ class Driver:
     primitives: int
     flavour: str
     trains: bool = False
+    plan: EscapePlan | None = None
 
     @property
     def room(self) -> EscapeRoomEnv:
         """The room under all wrappers, which shows where the robot is."""
         room: Any = self.env.unwrapped
         return room
+
+    def make_options(self) -> tuple[Option, ...]:
+        """Meta-actions like those of its environment, for previews that disturb none that runs."""
+        instance = self.room.instance
+        if self.plan is not None:
+            return make_legs(self.plan)
+        return make_meta_options(instance, self.flavour, get_planner(instance))
 
 
 def open_driver(text: str, instance: RoomInstance, *, observation: str = "features", flavour: str = "press",
@@ -71,7 +84,8 @@ def open_driver(text: str, instance: RoomInstance, *, observation: str = "featur
     """Open the driver that a user names.
 
     Args:
-        text: `planner`, the folder of a run, or the name of an agent to train.
+        text: `planner`, a searcher such as `smdp-untried-nearest`, the folder of a run, or the name of an agent to
+            train.
         instance: the room.
         observation: observation of an agent to train; a run's own is found out.
         flavour: flavour of the meta-actions of an agent to train; a run's own is kept with it.
@@ -91,13 +105,18 @@ def open_driver(text: str, instance: RoomInstance, *, observation: str = "featur
         UnsupportedError: no hierarchy is synthesised for this agent.
     """
     if text == PLANNER_NAME:
-        env, hooks = _make_env(instance, observation, True, False, flavour, False)
-        agent: Agent = PlannerAgent(env, get_planner(instance))
-        return _make_driver("the planner", agent, env, hooks, flavour)
+        hooks, plan = _make_room(instance, observation), EscapePlan(get_planner(instance))
+        env = OptionsEnv(hooks, options=lambda _: make_legs(plan), include_primitives=False)
+        return _make_driver("the planner", PlannerAgent(env, plan), env, hooks, "press", plan=plan)
+    if text in SEARCHERS:
+        hooks = _make_room(instance, observation)
+        recorder = StateRecorder(hooks)
+        env = OptionsEnv(recorder, include_primitives=False, flavour=flavour)
+        return _make_driver(text, make_reference(text, env, recorder), env, hooks, flavour)
     folder = Path(text)
     if folder.exists() or "/" in text:
         return _open_run(folder, instance, trust)
-    agent_class = get_agent_class(text)
+    agent_class = _find_agent_class(text)
     over_options = text.startswith(SMDP_PREFIX)
     trace = over_options and agent_class.needs_trace
     env, hooks = _make_env(instance, observation, over_options, include_primitives, flavour, trace)
@@ -148,6 +167,13 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
     return _make_driver(f"{name}, as trained", load_agent(folder, env), env, _find_hooks(env), flavour)
 
 
+def _find_agent_class(text: str) -> type[Agent]:
+    try:
+        return get_agent_class(text)
+    except UnknownNameError as error:
+        raise UnknownNameError("driver", text, [PLANNER_NAME, *SEARCHERS, *error.known]) from None
+
+
 def _find_hooks(env: gymnasium.Env) -> StepHooks:
     while not isinstance(env, StepHooks):
         assert isinstance(env, gymnasium.Wrapper), "hooks are the innermost wrapper of every driver"
@@ -155,18 +181,22 @@ def _find_hooks(env: gymnasium.Env) -> StepHooks:
     return env
 
 
+def _make_room(instance: RoomInstance, observation: str) -> StepHooks:
+    return StepHooks(EscapeRoomEnv(instance=instance, observation=observation))
+
+
 def _make_env(instance: RoomInstance, observation: str, over_options: bool, primitives: bool, flavour: str,
               trace: bool) -> tuple[gymnasium.Env, StepHooks]:
-    hooks = StepHooks(EscapeRoomEnv(instance=instance, observation=observation))
+    hooks = _make_room(instance, observation)
     if not over_options:
         return hooks, hooks
     return OptionsEnv(hooks, include_primitives=primitives, flavour=flavour, trace=trace), hooks
 
 
 def _make_driver(name: str, agent: Agent, env: gymnasium.Env, hooks: StepHooks, flavour: str,
-                 trains: bool = False) -> Driver:
+                 trains: bool = False, plan: EscapePlan | None = None) -> Driver:
     room: Any = env.unwrapped
     flat = room.rules.actions.names
     names = env.action_names if isinstance(env, OptionsEnv) else flat
     primitives = sum(name in flat for name in names)
-    return Driver(name, agent, env, hooks, names, primitives, flavour, trains)
+    return Driver(name, agent, env, hooks, names, primitives, flavour, trains, plan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError
 from hrl_escape.options.execution import OptionExecution
 from hrl_escape.options.meta_actions import make_meta_options
+from hrl_escape.options.option import Option
 from hrl_escape.planning.planner import get_planner
 
 __all__ = ["Preview", "Previewer"]
@@ -42,12 +44,13 @@ class Previewer:
 
     Args:
         instance: the room.
-        flavour: flavour of the meta-actions.
+        options: its meta-actions; None for those of the flavour `press`.
     """
 
-    def __init__(self, instance: RoomInstance, flavour: str = "press") -> None:
+    def __init__(self, instance: RoomInstance, options: Iterable[Option] | None = None) -> None:
         self._planner = get_planner(instance)
-        self.options = {option.name: option for option in make_meta_options(instance, flavour, self._planner)}
+        made = make_meta_options(instance, "press", self._planner) if options is None else options
+        self.options = {option.name: option for option in made}
         self._instance = instance
 
     def preview(self, name: str, state: RoomState) -> Preview:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
+from hrl_escape.comparison.references.by_lights import Searcher
 from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.viewer.step_hooks import PrimitiveStep
@@ -44,6 +45,7 @@ class ObservedChoice:
         meaning: meaning of `values`: `value` (Q, in units of return) or `preference`; empty without values.
         state_value: V(s) of the critic, or the highest legal Q; None if the agent has neither.
         state: state of the room.
+        notes: what a searcher knows of each press, by action.
     """
 
     observation: Any
@@ -53,6 +55,7 @@ class ObservedChoice:
     meaning: str
     state_value: float | None
     state: RoomState
+    notes: Mapping[int, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,8 +145,7 @@ class Watch:
         self.total = 0.0
         self.on_change: Callable[[PrimitiveStep | None], None] = lambda step: None
         self.on_wait: Callable[[], None] = lambda: None
-        instance = driver.room.instance
-        self.previewer = Previewer(instance, driver.flavour)
+        self.previewer = Previewer(driver.room.instance, driver.make_options())
         hooks = driver.hooks
         hooks.on_step, hooks.before_step, hooks.on_reset = self._note_step, self._wait, self._note_reset
 
@@ -177,7 +179,17 @@ class Watch:
         if shown is None:
             shown, meaning = agent.compute_preferences(observation), "preference"
         values, meaning = (None, "") if shown is None else (np.array(shown), meaning)
-        return ObservedChoice(observation, int(action), mask.copy(), values, meaning, state_value, self.states[-1])
+        notes = agent.describe_presses() if isinstance(agent, Searcher) else {}
+        return ObservedChoice(observation, int(action), mask.copy(), values, "note" if notes else meaning, state_value,
+                              self.states[-1], notes)
+
+    def read_graph(self) -> frozenset[tuple[int, int]] | None:
+        """Edges (parent, child) among targets that the agent believes in now; None where it has no graph."""
+        shape, graph = self.driver.env.observation_space.shape, self.driver.agent.get_graph()
+        if graph is None or shape is None or len(shape) != 1:
+            return None
+        first = shape[0] - len(self.driver.room.instance.targets)  # the puzzle's bits end the observation
+        return frozenset((parent - first, child - first) for parent, child in graph if min(parent, child) >= first)
 
     def note_choice(self, choice: ObservedChoice) -> None:
         """Record a choice, and predict the course of a chosen option."""

@@ -98,5 +98,5 @@ def test_a_process_that_is_lost_without_a_word_is_told(tmp_path: Path):
 
 def test_without_ray_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with open(os.devnull, "w") as nowhere, pytest.raises(MissingExtraError, match=r"hrl-escape\[ray\]"):
+    with open(os.devnull, "w") as nowhere, pytest.raises(MissingExtraError, match=r"\.\[ray\]"):
         run_grid(change(runs=1), tmp_path, RayLauncher(1), Console(file=nowhere))

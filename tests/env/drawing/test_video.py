@@ -53,7 +53,7 @@ def test_mp4s_hold_every_frame(tmp_path):
 
 def test_mp4_without_its_extra_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(MissingExtraError, match=r"hrl-escape\[video\]"):
+    with pytest.raises(MissingExtraError, match=r"\.\[video\]"):
         save_video(tmp_path / "video.mp4", make_frames())
     save_video(tmp_path / "video.gif", make_frames())
 

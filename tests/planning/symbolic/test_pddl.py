@@ -119,7 +119,7 @@ def test_a_missing_extra_is_named(monkeypatch):
         return real(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(MissingExtraError, match=r"hrl-escape\[pddl\]"):
+    with pytest.raises(MissingExtraError, match=r"\.\[pddl\]"):
         solve(generate(get_preset("paper-two-button"), 0))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import hashlib
 import json
 import re
@@ -15,7 +16,8 @@ import zstandard
 from PIL import Image
 
 from hrl_escape.cli import main
-from hrl_escape.viewer.pages.replay import make_replay
+from hrl_escape.env.episode_end import EpisodeEnd
+from hrl_escape.viewer.pages.replay import CONFETTI, make_replay
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.play.saved_episode import load_episode, save_episode
 from hrl_escape.viewer.recording import record_driver, record_saved
@@ -95,10 +97,24 @@ def test_what_cannot_be_recorded_gives_one_message(arguments, message: str, capf
 
 def test_a_page_is_named_after_its_room_and_fades_in_no_environment(two_buttons):
     page = make_replay(record_driver(open_driver("planner", two_buttons)))
-    assert "<title>paper-two-button, room 0: " in page and "<title>Viser" not in page
+    assert "<title>paper-two-button, seed 0: " in page and "<title>Viser" not in page
     content, _ = read_recorded(page)
     maps = [message for _, message in content["messages"] if message["type"] == "EnvironmentMapMessage"]
     assert maps and all(message["hdri_data"] is None for message in maps)
+
+
+def test_an_escape_is_told_beside_the_best_known_and_celebrated(two_buttons):
+    recording = record_driver(open_driver("planner", two_buttons))
+    page = make_replay(recording)
+    assert f"Escaped with a return of {sum(recording.rewards):g}: the best known!" in page
+    assert '"initialCameraPosition": "0.000,' in page, "upright screens have a camera of their own"
+    content, _ = read_recorded(page)
+    scraps = [message for _, message in content["messages"] if "confetti" in str(message.get("name"))]
+    assert len(scraps) > CONFETTI
+    stopped = make_replay(dataclasses.replace(recording, end=EpisodeEnd.TRUNCATED))
+    content, _ = read_recorded(stopped)
+    assert "best known!" not in stopped
+    assert len([1 for _, message in content["messages"] if "confetti" in str(message.get("name"))]) < CONFETTI
 
 
 def test_a_page_draws_the_whole_way_from_its_first_point(two_buttons):

@@ -7,10 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from hrl_escape.viewer.play.commands import carry_out
+from hrl_escape.viewer.play.commands import PERSONAL_BESTS, carry_out
 from hrl_escape.viewer.play.controls import Command
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.play.saved_episode import load_episode
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
 
 
 def act(episode: Episode, name: str, best: float | None = None) -> str:
@@ -31,12 +36,14 @@ def test_undo_and_reset_change_the_episode_and_say_so(two_buttons, tmp_path):
     assert carry_out(Command("reset"), episode, tmp_path) == "Started again" and episode.steps == []
 
 
-@pytest.mark.parametrize(("best", "praised"), [(None, False), (91.0, True), (92.0, False)])
-def test_an_escape_with_the_best_known_return_is_praised(one_button, best, praised):
+@pytest.mark.parametrize(("best", "praise"), [
+    (None, "!"), (91.0, ": the best known!"), (93.0, ", 2 short of the best known"),
+    (90.0, ": 1 better than the best known!"),
+])
+def test_an_escape_is_held_against_the_best_known_return(one_button, best, praise):
     episode = Episode(one_button)
     messages = [act(episode, "strafe-left", best) for _ in range(9)]
-    assert messages[-1].startswith("Escaped with a return of 91")
-    assert ("best known" in messages[-1]) == praised
+    assert messages[-1] == f"Escaped with a return of 91{praise}. Your first escape from this room"
     assert act(episode, "forward").startswith("This episode is over")
     assert len(episode.steps) == 9
 
@@ -71,3 +78,17 @@ def test_a_room_whose_name_is_a_path_is_saved_in_the_folder(two_buttons, tmp_pat
         act(episode, "forward")
         carry_out(Command("save"), episode, tmp_path / "here")
     assert list(tmp_path.iterdir()) == [tmp_path / "here"] and len(list((tmp_path / "here").iterdir())) == 4
+
+
+def test_a_personal_best_is_kept_for_each_room_and_apart_where_the_graph_is_hidden(one_button):
+    def escape(detour: int, is_hidden: bool = False) -> str:
+        episode = Episode(one_button, is_hidden=is_hidden)
+        for name in ["turn-left", "turn-right"] * detour:
+            act(episode, name)
+        return [act(episode, "strafe-left") for _ in range(9)][-1].partition(". ")[2]
+
+    assert [escape(2), escape(1), escape(2), escape(2, True)] == [
+        "Your first escape from this room", "Your best so far; it was 87", "Your best is 89",
+        "Your first escape from this room"]
+    Path(PERSONAL_BESTS).write_text("[1, 2")
+    assert escape(0) == "Your first escape from this room", "a damaged file is begun anew"

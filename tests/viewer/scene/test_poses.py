@@ -16,7 +16,7 @@ from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.viewer.scene.poses import blend, make_pose
 from hrl_escape.viewer.scene.robot_shapes import ArmPose, make_arm_shapes, make_base_shapes, to_quaternion
-from hrl_escape.viewer.scene.room_meshes import make_fixtures
+from hrl_escape.viewer.scene.room_meshes import is_hidden_by, make_confetti, make_fixtures
 from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, compute_overview
 
 ROBOTS = [RobotConfig(joints=1), RobotConfig(joints=3, link_length=0.5), RobotConfig(joints=7),
@@ -120,3 +120,23 @@ def test_names_over_targets_tell_what_these_show(server):
         labels = [handle.text for name, handle in server.scene._handle_from_node_name.items() if name.endswith("/name")
                   and "/targets/" in name]
         assert labels[0] == ("wood: 3" if stored else "wood") and "diamond \N{BLACK STAR}" in labels
+
+
+def test_an_obstacle_between_camera_and_robot_turns_to_glass_and_back(server, clutter):
+    scene = RoomScene(server, clutter)
+    pose = make_pose(scene.rules, scene.rules.make_state(clutter.starts[0]))
+    solid, node = scene._obstacles[0]
+    beside = (solid.x + 3 * solid.half_x, solid.y)
+    behind = pose._replace(x=2 * solid.x - beside[0], y=solid.y)
+    scene.uncover([(*beside, 0.3)], behind)
+    assert node.opacity < 0.5
+    scene.uncover([(*beside, 0.3)], behind._replace(x=beside[0], y=solid.y + 2.0))
+    assert node.opacity == 1.0
+    assert not is_hidden_by(solid, (*beside, 40.0), (*beside, 0.3)), "from right above it sees over"
+
+
+def test_confetti_begins_at_the_exit_rises_and_comes_down(clutter):
+    centre = clutter.exit.centre
+    begin, middle, end = (make_confetti(centre, share) for share in (0.0, 0.5, 1.0))
+    np.testing.assert_allclose(begin[:, :2], np.broadcast_to(centre, begin[:, :2].shape), atol=1e-6)
+    assert middle[:, 2].min() > 1.0 and end[:, 2].max() < 0.1

@@ -1,0 +1,78 @@
+"""What presses prove of a hidden graph: never more than is true, in the end all of it, on the page nothing before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from hrl_escape.comparison.solved_probe import find_edges_that_matter
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.viewer.pages.panels import Edges, make_graph
+from hrl_escape.viewer.play.episode import Episode
+
+
+def make_room(preset: str, seed: int, **puzzle: object) -> RoomInstance:
+    fields = get_preset(preset).to_dict()
+    fields["puzzle"] |= puzzle
+    return generate(RoomConfig.from_dict(fields), seed)
+
+
+def press_in_every_state(episode: Episode, check: Callable[[], None], seen: set) -> None:
+    """Press each button in each state that presses lead to, taking every press back."""
+    seen.add(episode.state.puzzle)
+    for action in range(episode.primitive_count, len(episode.names) - 1):
+        if episode.do(action) is not None:
+            check()
+            if episode.state.puzzle not in seen and not episode.is_over:
+                press_in_every_state(episode, check, seen)
+            episode.undo()
+
+
+@pytest.mark.parametrize("puzzle", [{}, {"on_violation": "reset"}])
+@pytest.mark.parametrize("seed", range(3))
+def test_edges_that_are_proved_are_true_and_true_ones_stay_possible(seed: int, puzzle: dict):
+    room = make_room("clutter", seed, **puzzle)
+    episode, true = Episode(room, is_hidden=True), set(get_trait(room.puzzle, Graphed).edges)
+    discovery = episode.discovery
+    assert discovery is not None and true
+
+    def check() -> None:
+        proved, possible = map(set, discovery.list_edges())
+        lit = {child for _, child in possible}
+        assert proved <= true and {edge for edge in true if edge[1] in lit} <= possible
+
+    press_in_every_state(episode, check, set())
+    proved, possible = map(set, discovery.list_edges())
+    assert proved == find_edges_that_matter(true, range(4)) and possible >= true
+
+
+def test_nothing_is_concluded_where_a_button_can_lock_another(clutter):
+    room = generate(get_preset("dead-ends"), 0)
+    episode = Episode(room, is_hidden=True)
+    episode.do(episode.primitive_count)
+    assert episode.discovery is not None and episode.discovery.list_edges() == ((), ())
+
+
+def test_a_hidden_graph_looks_the_same_whatever_it_is():
+    drawn = set()
+    for seed in range(3):
+        puzzle = generate(get_preset("four-button-chain"), seed).puzzle
+        drawn.add(make_graph(puzzle, puzzle.make_state(), believed=Edges(), is_hidden=True))
+    assert len(drawn) == 1 and "class=\"edge\"" not in drawn.pop()
+    assert len({make_graph(generate(get_preset("four-button-chain"), seed).puzzle,
+                           generate(get_preset("four-button-chain"), seed).puzzle.make_state())
+                for seed in range(3)}) > 1
+
+
+def test_a_belief_is_drawn_with_what_is_wrong_in_red_and_what_is_open_dashed(two_buttons):
+    puzzle = two_buttons.puzzle
+    (edge,) = get_trait(puzzle, Graphed).edges
+    page = make_graph(puzzle, puzzle.make_state(), believed=Edges([edge], [edge[::-1]]))
+    right, wrong = (next(line for line in page.split("<") if f'data-edge="{a}-{b}"' in line)
+                    for a, b in (edge, edge[::-1]))
+    assert "dasharray" not in right and "dasharray" in wrong and right.split("stroke=")[1] != wrong.split("stroke=")[1]
