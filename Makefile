@@ -1,7 +1,7 @@
 # `make demo`, `make watch` and `make test` each install into .venv first, once.
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
-DEMO   ?= hrl-escape compare quickstart
+DEMO   ?= hrl-escape demo
 WATCH  ?= hrl-escape watch --preset clutter --seed 3
 JOBS   ?= 2
 SHARD  ?= 1/1

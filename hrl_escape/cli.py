@@ -25,7 +25,7 @@ from pathlib import Path
 from hrl_escape import __version__
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError
 
-__all__ = ["main", "run_in_order", "run_script"]
+__all__ = ["find_commands", "main", "run_in_order", "run_script"]
 
 _PROGRAM = "hrl-escape"
 _COMMANDS = "hrl_escape.commands"
@@ -142,7 +142,7 @@ def _report(program: str, message: str, code: int) -> int:
 
 
 def _run(arguments: list[str], folder: Path, package: str, words: list[str]) -> int:
-    commands = _find_commands(folder)
+    commands = find_commands(folder)
     verb = arguments[0] if arguments else _HELP[0]
     if verb in _VERSION and words == [_PROGRAM]:
         print(f"{_PROGRAM} {__version__}")
@@ -168,7 +168,7 @@ def _run_command(run: Callable[..., int | None], arguments: list[str], words: li
     return run(args) or 0
 
 
-def _find_commands(folder: Path) -> dict[str, Path]:
+def find_commands(folder: Path) -> dict[str, Path]:
     """Names of the commands and groups in a folder, and where they are."""
     found = {}
     for path in sorted(folder.iterdir()):

@@ -88,14 +88,15 @@ class RobotError(EscapeError, ValueError):
 
 
 class UnknownNameError(EscapeError, KeyError):
-    """A name is unknown; the message gives the closest known name, then all."""
+    """A name is unknown; the message gives the closest known name, then all, and a note where there is more to say."""
 
-    def __init__(self, what: str, name: object, known: Iterable[str]) -> None:
+    def __init__(self, what: str, name: object, known: Iterable[str], note: str = "") -> None:
         self.what, self.name, self.known = what, name, tuple(sorted(known))
         shown = show_value(name)
-        close = difflib.get_close_matches(str(name), self.known, n=1) if len(shown) < 100 else ()
+        longer = sorted((other for other in self.known if len(str(name)) > 2 and other.startswith(str(name))), key=len)
+        close = longer or (difflib.get_close_matches(str(name), self.known, n=1) if len(shown) < 100 else ())
         hint = f"; did you mean {close[0]!r}?" if close else "."
-        self.message = f"unknown {what} {shown}{hint} Known: {', '.join(self.known) or 'none'}"
+        self.message = f"unknown {what} {shown}{hint} Known: {', '.join(self.known) or 'none'}{note}"
         super().__init__(self.message)
 
     def __str__(self) -> str:

@@ -58,7 +58,7 @@ def test_a_missing_package_stops_only_the_commands_that_need_it(missing):
 def test_a_missing_extra_is_named(capsys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     code, _, err = call(capsys, "room", "--drive", "forward", "--draw", tmp_path / "drive.mp4")
-    assert code == 2 and "hrl-escape[video]" in err and err.count("\n") == 1
+    assert code == 2 and "'.[video]'" in err and err.count("\n") == 1
 
 
 COMMANDS = [["room"], ["solve"], ["train"], ["play"], ["watch"], ["record"], ["list"], ["demo"], ["compare"],

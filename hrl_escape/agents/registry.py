@@ -35,6 +35,7 @@ __all__ = [
     "get_agent_class",
     "get_recipe",
     "list_agents",
+    "list_all_agents",
     "list_given_agents",
     "list_recipes",
     "list_stream_agents",
@@ -65,6 +66,11 @@ def list_stream_agents() -> list[str]:
     return [name for name in sorted(_find_made()) if issubclass(get_agent_class(name), StreamAgent)]
 
 
+def list_all_agents() -> list[str]:
+    """Names of all agents, those that act by a hierarchy that they are given included."""
+    return [*list_agents(), *list_given_agents()]
+
+
 def get_agent_class(name: str) -> type[Agent]:
     """The class behind a name, with or without the prefix `smdp-`.
 
@@ -81,8 +87,9 @@ def get_agent_class(name: str) -> type[Agent]:
         return found
     others = _find_others()
     if base not in others:
-        known = list_agents()
-        raise UnknownNameError("agent", name, [*known, *(SMDP_PREFIX + other for other in known)])
+        prefix = name[: len(name) - len(base)]
+        note = "" if prefix else f"; each also with {SMDP_PREFIX} in front"
+        raise UnknownNameError("agent", name, [prefix + other for other in list_all_agents()], note)
     loaded: list[Any] = []
     load_entry_point(others[base], "agent", "an Agent", loaded.append)
     if not _is_agent(loaded[0]):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import json
+import re
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,8 +20,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.agents.registry import SMDP_PREFIX, find_agent_module, list_agents, list_given_agents
+from hrl_escape.agents.registry import SMDP_PREFIX, find_agent_module, list_all_agents, list_given_agents
 from hrl_escape.comparison.presets import GRIDS
+from hrl_escape.comparison.references.registry import REFERENCES, describe_rule
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
@@ -28,7 +30,11 @@ from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
 
 Kind = Literal["presets", "environments", "puzzles", "observations", "cameras", "primitives",
-               "agents", "hierarchical", "comparisons"]
+               "agents", "hierarchical", "references", "comparisons"]
+
+TITLES = {"agents": f"agents; with {SMDP_PREFIX} in front they choose options",
+          "hierarchical": "hierarchical: agents that are given a hierarchy, see --leaves of `hrl-escape train`",
+          "references": "references: they learn nothing, and a learner has to beat the best of them"}
 
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
               "macros": "macro-actions", "tree": "cells", "simulator": "simulator"}
@@ -54,8 +60,9 @@ def run(args: ListArgs) -> None:
         "observations": lambda: {observation.name: observation.doc for observation in list_observations()},
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
-        "agents": lambda: {name: _describe_agent(name) for name in list_agents()},
+        "agents": lambda: {name: _summarise(_parse_agent(name)) for name in list_all_agents()},
         "hierarchical": lambda: {name: _describe_hierarchical(name) for name in list_given_agents()},
+        "references": lambda: {name: describe_rule(name) for name in REFERENCES},
         "comparisons": lambda: {grid.name: grid.description for grid in GRIDS.values()},
     }
     lists = {kind: makers[kind]() for kind in args.kinds or makers}
@@ -64,8 +71,8 @@ def run(args: ListArgs) -> None:
         return
     console = Console()
     for kind, entries in lists.items():
-        table = Table("name", "", title=kind, title_justify="left", title_style="bold", box=None, show_header=False,
-                      padding=(0, 2), pad_edge=False)
+        table = Table("name", "", title=TITLES.get(kind, kind), title_justify="left", title_style="bold", box=None,
+                      show_header=False, padding=(0, 2), pad_edge=False)
         for name, line in entries.items():
             table.add_row(name, line)
         console.print(table, "")
@@ -74,13 +81,7 @@ def run(args: ListArgs) -> None:
 def _describe_puzzle(name: str) -> str:
     """First sentence of the docstring of the puzzle's module, or of its class."""
     kind = get_puzzle_kind(name).puzzle_type
-    document = sys.modules[kind.__module__].__doc__ or kind.__doc__ or ""
-    return " ".join(document.split()).split(". ")[0].rstrip(".")
-
-
-def _describe_agent(name: str) -> str:
-    """First sentence of the docstring of the agent's module."""
-    return f"{_summarise(_parse_agent(name))}; {SMDP_PREFIX}{name} chooses options"
+    return _get_sentence(sys.modules[kind.__module__].__doc__ or kind.__doc__ or "")
 
 
 def _describe_hierarchical(name: str) -> str:
@@ -101,7 +102,12 @@ def _parse_agent(name: str) -> ast.Module:
 
 def _summarise(module: ast.Module) -> str:
     """First sentence of a module's docstring."""
-    return " ".join((ast.get_docstring(module) or "From another package.").split()).split(". ")[0].rstrip(".")
+    return _get_sentence(ast.get_docstring(module) or "From another package.")
+
+
+def _get_sentence(document: str) -> str:
+    """First sentence of a docstring, without its full stop; that of `et al.` or of an initial ends none."""
+    return re.split(r"(?<!\bet al)(?<!\b[A-Z])\.(?:\s|$)", " ".join(document.split()), maxsplit=1)[0]
 
 
 def _describe_primitives() -> dict[str, str]:

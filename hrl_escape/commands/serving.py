@@ -24,8 +24,8 @@ class PageAddress:
     """Address to serve on; any other than 127.0.0.1 lets other machines in."""
     port: int = 8080
     """Port to serve on; 0 for any free one."""
-    open: bool = True
-    """Open the page in your browser; --no-open only prints its address."""
+    no_open: bool = False
+    """Only print the page's address; by default your browser opens it."""
 
     def open_server(self) -> Server:
         """Start serving an empty page.
@@ -44,5 +44,5 @@ class PageAddress:
 
         url = get_url(server)
         Console(soft_wrap=True).print(f"{make_console_text(invitation)} at [bold]{url}[/bold] (Ctrl-C ends)")
-        if self.open:
+        if not self.no_open:
             webbrowser.open(url)

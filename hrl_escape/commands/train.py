@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -24,7 +25,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.agents.registry import get_recipe
+from hrl_escape.agents.registry import get_recipe, list_given_agents
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
@@ -121,10 +122,17 @@ class TrainArgs(RoomChoice):
 def run(args: TrainArgs) -> None:
     """Train an agent, evaluate it as the options say, and print its learning curve."""
     spec = args.make_spec()
+    if spec.is_reference:
+        raise UnsupportedError(f"{spec.name} learns nothing: `hrl-escape watch {spec.name}` shows it, and `hrl-escape "
+                               "compare` holds learners against it")
     resolved = spec.resolve_settings()
     if args.list_settings:
         _print_settings(args, resolved)
         return
+    if args.leaves is None and spec.algorithm in list_given_agents():
+        acts = "options" if spec.chooses_options else "primitives"
+        print(f"{spec.name} is given no hierarchy: it learns over {acts}, as one task. --leaves planned or --leaves "
+              "learned gives it one", file=sys.stderr)
     instance = args.make_instance()
     name = make_file_name(f"{spec.label}-{RunPlace.of_room(instance).name}-{args.training_seed}")
     out = args.out or Path("runs") / f"{name}-{{key}}"
@@ -182,6 +190,10 @@ def _print(result: TrainResult, best: float) -> None:
     console.print(table)
     episodes = len(result.episodes) + sum(segment.episodes for segment in result.segments)
     calls = f", {result.planner_calls:,} planner calls" if result.planner_calls else ""
+    if result.resumed_at:
+        done = "was finished: nothing was trained" if result.resumed_at >= result.primitives else (
+            f"went on from primitive {result.resumed_at:,}")
+        console.print(f"this run {done}")
     console.print(f"[bold]{make_console_text(result.agent_name)}[/bold], seed {result.seed}: {result.primitives:,} "
                   f"primitives, {result.decisions:,} decisions, {episodes:,} episodes{calls}, "
                   f"{result.seconds:.1f} s of training")

@@ -1,17 +1,14 @@
-"""`hrl-escape demo`: a way out, planned, driven and drawn."""
+"""`hrl-escape demo`, which `make demo` runs: the comparison that `compare` makes where nothing is named."""
 
+import re
 from pathlib import Path
 
-from PIL import Image
-
-from tests.command_line import run_program
+from tests.command_line import call
 
 
-def test_demo_leaves_pictures_and_says_where(tmp_path):
-    done = run_program("demo", "--preset", "paper-one-button", "--folder", "out", cwd=tmp_path)
-    assert done.returncode == 0 and done.stderr == ""
-    assert "escaped" in done.stdout
-    shown = done.stdout.strip().splitlines()[-1].split(": ")[-1]
-    assert Path(shown) == tmp_path / "out" / "map.svg" and Path(shown).stat().st_size > 10_000
-    assert Image.open(tmp_path / "out" / "filmstrip.png").width > 1000
-    assert Image.open(tmp_path / "out" / "escape.gif").n_frames > 5
+def test_demo_is_the_quickstart_comparison_and_make_runs_it(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, said, _ = call(capsys, "demo", "--dry-run")
+    assert code == 0 and said == call(capsys, "compare", "quickstart", "--dry-run")[1] and "runs/quickstart" in said
+    makefile = (Path(__file__).parents[2] / "Makefile").read_text()
+    assert re.search(r"^DEMO +\?= (.*)$", makefile, re.MULTILINE)[1] == "hrl-escape demo"

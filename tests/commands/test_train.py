@@ -36,7 +36,33 @@ def test_ctrl_c_saves_the_run_and_the_same_command_goes_on_with_it(tmp_path):
     head = log.read_bytes()
     done = subprocess.run([*command, "--primitives", "4000"], cwd=tmp_path, text=True, capture_output=True)
     assert done.returncode == 0 and log.read_bytes()[:length] == head, "nothing was trained twice"
+    assert f"this run went on from primitive {saved:,}\n" in done.stdout
     assert "best evaluation: return" in done.stdout and (tmp_path / "run" / "best.npz").exists()
+
+
+def test_a_finished_run_says_that_nothing_was_trained(capsys, tmp_path):
+    command = ["train", "smdp-random", "--primitives", "50", "--eval-episodes", "0", "--out", tmp_path / "run"]
+    assert "this run" not in call(capsys, *command)[1]
+    written = (tmp_path / "run" / "result.json").read_bytes()
+    assert "this run was finished: nothing was trained\n" in call(capsys, *command)[1]
+    assert (tmp_path / "run" / "result.json").read_bytes() == written and b"resumed" not in written
+
+
+def test_an_agent_without_the_hierarchy_that_it_is_made_for_says_what_it_does(capsys, tmp_path):
+    command = ["train", "maxq-q", "--primitives", "30", "--eval-episodes", "0", "--out", tmp_path / "flat"]
+    code, _, said = call(capsys, *command)
+    assert code == 0 and said == ("maxq-q is given no hierarchy: it learns over primitives, as one task. --leaves "
+                                  "planned or --leaves learned gives it one\n")
+    planned = [*command[:-1], tmp_path / "planned", "--leaves", "planned"]
+    assert call(capsys, *planned)[2] == ""
+
+
+def test_names_that_cannot_be_trained_are_told_what_to_do_instead(capsys):
+    assert_refused(capsys, ["train", "smdp-untried-nearest"], "hrl-escape watch smdp-untried-nearest")
+    said = call(capsys, "train", "maxq")[2]
+    assert "did you mean 'maxq-q'" in said
+    known = said.partition("Known: ")[2]
+    assert "maxq-q" in known and "hamq" in known and known.endswith("each also with smdp- in front\n")
 
 
 def heed_ctrl_c():

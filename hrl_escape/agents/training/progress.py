@@ -49,6 +49,8 @@ def show_progress(name: str, total: int, done: int, show: bool | None) -> Iterat
         TimeRemainingColumn(compact=True),
     )
     with Progress(*columns, console=console) as progress:
+        if done:
+            console.print(f"{name} goes on from primitive {done:,}", markup=False)
         task = progress.add_task(name, total=total, completed=done, rate="", words="")
         started = last = time.monotonic()
         latest = done, ""

@@ -195,6 +195,7 @@ class TrainResult:
         planner_seconds: share of it spent in planners.
         agent: the trained agent; None in a result read from a file.
         folder: folder of the run; None where it left no files.
+        resumed_at: primitives that its folder held already; 0 in a new run.
     """
 
     agent_name: str
@@ -210,6 +211,7 @@ class TrainResult:
     segments: tuple[SegmentRecord, ...] = ()
     agent: Agent | None = field(default=None, compare=False, repr=False)
     folder: Path | None = field(default=None, compare=False)
+    resumed_at: int = field(default=0, compare=False)
 
     def __repr__(self) -> str:
         first, last = self.first_escape, self.evaluations[-1] if self.evaluations else None
@@ -269,8 +271,9 @@ class TrainResult:
         return figure
 
     def to_json(self) -> dict[str, Any]:
-        """JSON value without agent and folder."""
-        value = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in ("agent", "folder")}
+        """JSON value without agent, folder, and what the folder held before."""
+        left_out = ("agent", "folder", "resumed_at")
+        value = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in left_out}
         return value | {
             "settings": dict(self.settings),
             "evaluations": [dataclasses.asdict(evaluation) for evaluation in self.evaluations],

@@ -187,10 +187,10 @@ class Run(Stateful):
             DivergenceError: a loss became NaN; names run and primitive.
             KeyboardInterrupt: Ctrl-C was pressed; a run with a folder has saved the episode that was running.
         """
-        folder = self._folder
+        folder, resumed_at = self._folder, self.primitives
         if folder is not None and folder.state is not None and (finished := folder.result) is not None:
             self._sign()
-            return dataclasses.replace(finished, agent=self.agent)
+            return dataclasses.replace(finished, agent=self.agent, resumed_at=finished.primitives)
         try:
             if folder is None:
                 self._train(None, checkpoint_seconds, report)
@@ -205,7 +205,7 @@ class Run(Stateful):
         result = self.make_result(self._list_settings())
         if folder is not None:
             folder.finish(result.to_json())
-        return result
+        return dataclasses.replace(result, resumed_at=resumed_at)
 
     def _train(self, folder: RunFolder | None, checkpoint_seconds: float, report: Reporter,
                is_interrupted: Callable[[], bool] = lambda: False) -> None:

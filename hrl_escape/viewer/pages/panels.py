@@ -13,9 +13,11 @@ from hrl_escape.env.drawing.graph_inset import compute_layout, shorten
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
-__all__ = ["Edges", "make_bars", "make_facts", "make_graph", "make_keys", "make_lines", "make_table"]
+__all__ = ["WIDTH", "Edges", "make_bars", "make_facts", "make_graph", "make_keys", "make_lines", "make_pair",
+           "make_table"]
 
 WIDTH = 350
+"""Width of the control panel's drawings, pixels."""
 _STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;margin:0 0.75em"
 
 
@@ -81,7 +83,15 @@ def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH, believed: Ed
              f'orient="auto"><path d="M0 0L8 4L0 8z" fill="{palette.MUTED}"/></marker></defs>')
     high = cell * rows + 8
     return (f'<div style="{_STYLE}"><svg id="{drawing}" width="{width}" height="{high:.0f}" '
-            f'viewBox="0 -4 {width} {high:.0f}" style="font-family:inherit">{arrow}{"".join(parts)}</svg></div>')
+            f'viewBox="0 -4 {width} {high:.0f}" style="font-family:inherit;max-width:100%;height:auto">'
+            f'{arrow}{"".join(parts)}</svg></div>')
+
+
+def make_pair(*drawings: tuple[str, str]) -> str:
+    """Drawings side by side, each with its words above; their HTML is taken as it is."""
+    return f'<div style="{_STYLE};font-size:12px;display:flex;gap:6px">' + "".join(
+        f'<div class="belief" style="flex:1 1 0;min-width:0;text-align:center"><div style="color:{palette.MUTED}">'
+        f"{escape(words)}</div>{drawing.replace(_STYLE, '')}</div>" for words, drawing in drawings) + "</div>"
 
 
 def _place_on_ring(count: int) -> list[tuple[float, float]]:

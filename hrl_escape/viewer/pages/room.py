@@ -17,7 +17,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError
 from hrl_escape.planning.best_known import best_known_return
 from hrl_escape.viewer.extra import viser
-from hrl_escape.viewer.pages.panels import Edges, make_graph
+from hrl_escape.viewer.pages.panels import WIDTH, Edges, make_graph, make_pair
 from hrl_escape.viewer.play.discovery import Discovery
 from hrl_escape.viewer.scene.poses import RoomPose, blend, make_pose
 from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, compute_overview
@@ -62,7 +62,8 @@ class RoomPage:
             gui.add_html(_OWN_KEYS)
         self.view_folder = gui.add_folder("View", order=50.0)
         self._graph = gui.add_html("", order=20.0)
-        self._shown: tuple[str, object, Edges | None] | None = None
+        self._belief: tuple[Edges, str] | None = None  # graph that an agent believes in, and words on it
+        self._shown: tuple[str, object, Edges | None, str] | None = None
         self._pose = make_pose(self.scene.rules, state)
         self.show(state)
         server.on_client_connect(self._welcome)
@@ -109,11 +110,22 @@ class RoomPage:
     def _draw_graph(self, state: RoomState) -> None:
         puzzle = self.scene.instance.puzzle
         is_hidden = self._discovery is not None and not puzzle.is_solved(state.puzzle)
-        believed = Edges(*self._discovery.list_edges()) if is_hidden and self._discovery is not None else None
-        key = (self.scene.instance.id, state.puzzle, believed)
+        believed, words = self._belief or (None, "")
+        if is_hidden and self._discovery is not None:
+            believed = Edges(*self._discovery.list_edges())
+        key = (self.scene.instance.id, state.puzzle, believed, words)
         if key != self._shown:
             self._shown = key
-            self._graph.content = make_graph(puzzle, state.puzzle, believed=believed, is_hidden=is_hidden)
+            if words and believed is not None:
+                self._graph.content = make_pair(("the room's graph", make_graph(puzzle, state.puzzle, WIDTH // 2)), (
+                    words, make_graph(puzzle, state.puzzle, WIDTH // 2, believed, drawing="learned")))
+            else:
+                self._graph.content = make_graph(puzzle, state.puzzle, WIDTH, believed, is_hidden)
+
+    def show_belief(self, state: RoomState, believed: Edges, words: str) -> None:
+        """Show the graph that an agent believes in, with words on it, beside the true one."""
+        self._belief = believed, words
+        self._draw_graph(state)
 
     def find_best(self) -> None:
         """Find the best known return of the room, which takes some seconds; `best` stays None where none is known."""

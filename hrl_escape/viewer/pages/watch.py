@@ -22,7 +22,7 @@ from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.planning.goals import ExitGoal, PressGoal
 from hrl_escape.planning.paths.navigator import Navigator
 from hrl_escape.viewer.extra import uplot
-from hrl_escape.viewer.pages.panels import Edges, make_bars, make_facts, make_graph, make_lines, make_table
+from hrl_escape.viewer.pages.panels import Edges, make_bars, make_facts, make_lines, make_table
 from hrl_escape.viewer.pages.room import RoomPage, name_room
 from hrl_escape.viewer.play.commands import praise
 from hrl_escape.viewer.server import Server
@@ -37,6 +37,7 @@ REFRESH = 0.1
 """Minimum time between two updates of the panel while the driver runs, s."""
 GAMMA_K = "\N{GREEK SMALL LETTER GAMMA}\N{MODIFIER LETTER SMALL K}"
 SMDP_NOTE = f"k: primitives that ran; R: their discounted reward; {GAMMA_K}: discount of the next state's value"
+NESTED = 3 * "\N{NO-BREAK SPACE}"
 _ENDED = {"reached": "", "episode-over": "episode over"}
 
 
@@ -91,7 +92,6 @@ class WatchPage:
             self._fast = gui.add_checkbox("unlimited", gate.pace is None)
         tabs = gui.add_tab_group(order=40.0)
         with tabs.add_tab("Mind"):
-            self._learned = gui.add_html("", visible=False)
             self._calls = gui.add_html("", visible=False)
             self._values = gui.add_html("")
             empty = (np.zeros(1), np.zeros(1))
@@ -233,7 +233,7 @@ class WatchPage:
                  _ENDED.get(done.ended, done.ended)) for done in reversed(watch.decisions)]
         header = ("decision", "k", "R", GAMMA_K, "sum of r", "")
         self._table.content = make_table(header, rows, "smdp", "no decision is complete yet") + make_lines([SMDP_NOTE])
-        calls = [(f"{'  ' * depth}{each.name}", str(each.call.primitives), f"{each.reward:g}", each.ending)
+        calls = [(f"{NESTED * depth}{each.name}", str(each.call.primitives), f"{each.reward:g}", each.ending)
                  for depth, each in enumerate(watch.calls)]
         self._calls.content = make_table(("running call", "primitives", "reward", ""), calls, "calls")
         self._calls.visible = bool(calls)
@@ -244,18 +244,15 @@ class WatchPage:
             self._plot.data = (np.array(xs, dtype=np.float64), np.array(ys, dtype=np.float64))
 
     def _show_learned(self) -> None:
-        """Draw the graph that the agent believes in, in the places of the true one above, and count what is right."""
-        graph, watch = self.watch.read_graph(), self.watch
-        self._learned.visible = graph is not None
-        if graph is None or not watch.states:
+        """Draw the graph that the agent believes in beside the true one, and count what is right."""
+        graph = self.watch.read_graph()
+        if graph is None or not self.watch.states:
             return
-        puzzle, state = watch.driver.room.instance.puzzle, watch.states[-1].puzzle
-        true = get_trait(puzzle, Graphed)
+        true = get_trait(self.watch.driver.room.instance.puzzle, Graphed)
         believed, needed = (find_edges_that_matter(edges, true.goal_targets) for edges in (graph, true.edges))
         found, wrong = len(believed & needed), len(believed - needed)
-        words = f"the graph that it believes in: {found} of {len(needed)} edges that matter, {wrong} wrong"
-        self._learned.content = make_lines([words], "learned-words") + make_graph(puzzle, state, believed=Edges(graph),
-                                                                                drawing="learned")
+        words = f"learned: {found} of {len(needed)} edges that matter" + (f", {wrong} wrong" if wrong else "")
+        self.page.show_belief(self.watch.states[-1], Edges(graph), words)
 
     def _show_facts(self) -> None:
         watch = self.watch

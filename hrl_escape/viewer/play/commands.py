@@ -65,7 +65,8 @@ def _act(action: int, episode: Episode, folder: Path, best: float | None) -> str
     if move is None:
         return f"{episode.names[action]} cannot start here"
     if episode.end is EpisodeEnd.ESCAPED:
-        return praise(episode.total, best) + _keep_personal_best(episode, folder)
+        said = praise(episode.total, best)
+        return f"{said}{'' if said.endswith('!') else '.'} {_keep_personal_best(episode, folder)}"
     return episode.end.words.capitalize() if episode.is_over else _describe(move, episode)
 
 
@@ -73,7 +74,7 @@ def praise(total: float, best: float | None) -> str:
     """Words on an escape: its return, and how far it is from the best known one, where that is known."""
     words = f"Escaped with a return of {total:g}"
     if best is None:
-        return f"{words}!"
+        return words
     ahead = total - best
     if abs(ahead) < 1e-9:
         return f"{words}: the best known!"
@@ -90,9 +91,9 @@ def _keep_personal_best(episode: Episode, folder: Path) -> str:
         kept = {str(name): float(value) for name, value in read_json(path, "personal bests").items()}
     before = kept.get(room)
     if before is not None and before >= episode.total:
-        return f". Your best is {before:g}"
+        return f"Your best is {before:g}"
     write_json(path, {**kept, room: episode.total})
-    return ". Your first escape from this room" if before is None else f". Your best so far; it was {before:g}"
+    return "Your first escape from this room" if before is None else f"Your best so far; it was {before:g}"
 
 
 def _describe(move: PlayedMove, episode: Episode) -> str:

@@ -138,7 +138,7 @@ class RoomScene:
         robot = (pose.x, pose.y, pose.z + self.instance.robot.body_height / 2)
         eyes = tuple(eyes)
         for solid, node in self._obstacles:
-            opacity = GLASS if any(is_hidden_by(solid, eye, robot) for eye in eyes) else 1.0
+            opacity = GLASS if any(is_hidden_by(solid, eye, robot) for eye in eyes) else None
             if node.opacity != opacity:
                 node.opacity = opacity
 

@@ -171,7 +171,8 @@ def _find_agent_class(text: str) -> type[Agent]:
     try:
         return get_agent_class(text)
     except UnknownNameError as error:
-        raise UnknownNameError("driver", text, [PLANNER_NAME, *SEARCHERS, *error.known]) from None
+        note = f"; or the folder of a run. Each agent also has {SMDP_PREFIX} in front"
+        raise UnknownNameError("driver", text, [PLANNER_NAME, *SEARCHERS, *error.known], note) from None
 
 
 def _find_hooks(env: gymnasium.Env) -> StepHooks:

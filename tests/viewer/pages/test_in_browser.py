@@ -111,7 +111,7 @@ def test_meta_keys_press_buttons_and_buttons_on_the_page_do_the_same(two_buttons
         wait_for(page, state="escaped")
         page.click("Save episode")
         page.wait("document.body.innerText.includes('Saved as')")
-        (file,) = tmp_path.iterdir()
+        (file,) = tmp_path.glob("paper-two-button-0-*.json")
         assert load_episode(file).primitives == tuple(step.primitive for step in game.episode.steps)
         page.press("n")
         following = generate(get_preset("paper-two-button"), 1)

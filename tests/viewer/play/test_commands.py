@@ -37,13 +37,13 @@ def test_undo_and_reset_change_the_episode_and_say_so(two_buttons, tmp_path):
 
 
 @pytest.mark.parametrize(("best", "praise"), [
-    (None, "!"), (91.0, ": the best known!"), (93.0, ", 2 short of the best known"),
+    (None, "."), (91.0, ": the best known!"), (93.0, ", 2 short of the best known."),
     (90.0, ": 1 better than the best known!"),
 ])
 def test_an_escape_is_held_against_the_best_known_return(one_button, best, praise):
     episode = Episode(one_button)
     messages = [act(episode, "strafe-left", best) for _ in range(9)]
-    assert messages[-1] == f"Escaped with a return of 91{praise}. Your first escape from this room"
+    assert messages[-1] == f"Escaped with a return of 91{praise} Your first escape from this room"
     assert act(episode, "forward").startswith("This episode is over")
     assert len(episode.steps) == 9
 
