@@ -12,7 +12,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 unexport PYTHONDONTWRITEBYTECODE  # every process that tests start would compile the package anew
 
 .DEFAULT_GOAL := help
-.PHONY: help demo watch test test-planted test-slow docs lint clean
+.PHONY: help demo watch test test-planted test-slow docs lint dist clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
@@ -41,6 +41,14 @@ docs: $(STAMP) ## the site, into build/docs, read once more by its tests
 	sphinx-build -W --keep-going -q docs build/docs
 	python -m pytest -q tests/docs/test_site.py --site build/docs
 	@echo "Read it: $(CURDIR)/build/docs/index.html"
+
+dist: $(STAMP) ## wheel and source into dist, built twice to the same bytes and checked for a package index
+	python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[release]'
+	rm -rf dist build/again
+	python -m build --no-isolation --outdir dist .
+	python -m build --no-isolation --outdir build/again .
+	diff -r dist build/again
+	twine check --strict dist/*
 
 lint: $(STAMP) ## style, types and which way imports run
 	ruff check .

@@ -135,6 +135,15 @@ class MissingExtraError(EscapeError, ImportError):
         super().__init__(f"{purpose} needs {package}: {name_install(extra)}")
 
 
+class MissingPackageError(EscapeError, ImportError):
+    """A package of the default installation is missing or cannot be loaded; rooms step without it."""
+
+    def __init__(self, package: str, purpose: str, reason: ImportError) -> None:
+        self.package, self.purpose = package, purpose
+        super().__init__(f"{purpose} needs the package {package}, which cannot be imported ({reason}): pip install "
+                         f"-c constraints.txt {package} in a checkout of hrl-escape. Rooms step without it")
+
+
 class FileWriteError(EscapeError, OSError):
     """A file could not be written (full disk, unwritable folder); nothing was half written."""
 

@@ -36,7 +36,7 @@ def test_each_agent_is_described_by_its_own_file(capsys):
 
 def test_sentences_are_whole(capsys):
     lists = json.loads(call(capsys, "list", "--json")[1])
-    assert lists["puzzles"]["deep-sea"].startswith("Deep Sea (Osband et al. 2020")
+    assert lists["puzzles"]["deep-sea"].startswith("Deep Sea (Osband et al. 2019")
     lines = [line for entries in lists.values() for line in entries.values()]
     assert not [line for line in lines if line.endswith("et al") or line.count("(") != line.count(")")]
     assert {"smdp-untried-nearest", "planner"} <= set(lists["references"])

@@ -103,14 +103,14 @@ class Searcher(Reference):
                     for i in self._options[action].targets), default=math.inf)
 
     def describe_presses(self) -> dict[int, str]:
-        """What the rule knows of each press at the latest decision, in words, by the number of its option."""
+        """Words on what the rule knows of each press at the latest decision, by the number of its option."""
         state = self._recorder.states[-1]
         known = {action: self._describe(action, state) for action in self._options if action != self._leave}
         return {action: words if self._is_dark(action, state) else "lit" for action, words in known.items()}
 
     @abstractmethod
     def _describe(self, action: int, state: RoomState) -> str:
-        """What is known of pressing something unlit, in words."""
+        """Words on what is known of pressing something unlit."""
 
     def _tell(self, is_tried: bool, action: int, state: RoomState) -> str:
         return "tried in vain" if is_tried else f"untried, {self._measure(action, state):.1f} m"

@@ -14,13 +14,18 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import coal
 import numpy as np
-import pinocchio
 from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.robot import BASE_LINK, Robot
+from hrl_escape.errors import MissingPackageError
+
+try:
+    import coal
+    import pinocchio
+except ImportError as missing:
+    raise MissingPackageError("pin", "Planning for an arm", missing) from missing
 
 __all__ = ["ArmCollisions", "ArmKinematics"]
 

@@ -13,10 +13,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from ompl import base, geometric, util
 
-from hrl_escape.errors import PathPlannerError, UnknownNameError
+from hrl_escape.errors import MissingPackageError, PathPlannerError, UnknownNameError
 from hrl_escape.planning.paths.problem import CheckerBudget, PathProblem, PlannerFactory, Spent
+
+try:
+    from ompl import base, geometric, util
+except ImportError as missing:
+    raise MissingPackageError("ompl", "Planning of paths", missing) from missing
 
 __all__ = ["ANYTIME", "OMPL_PLANNERS", "find_joint_path", "get_factory", "list_planners", "register_planner"]
 

@@ -13,7 +13,7 @@ from hrl_escape.env.drawing.graph_inset import compute_layout, shorten
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
-__all__ = ["WIDTH", "Edges", "make_bars", "make_facts", "make_graph", "make_keys", "make_lines", "make_pair",
+__all__ = ["WIDTH", "KnownEdges", "make_bars", "make_facts", "make_graph", "make_keys", "make_lines", "make_pair",
            "make_table"]
 
 WIDTH = 350
@@ -21,8 +21,8 @@ WIDTH = 350
 _STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;margin:0 0.75em"
 
 
-class Edges(NamedTuple):
-    """What somebody knows of a graph, in place of the graph itself.
+class KnownEdges(NamedTuple):
+    """KnownEdges of a graph that somebody knows or believes in, in place of the graph itself.
 
     Attributes:
         known: edges (parent, child) taken for certain.
@@ -33,7 +33,7 @@ class Edges(NamedTuple):
     possible: Collection[tuple[int, int]] = ()
 
 
-def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH, believed: Edges | None = None,
+def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH, believed: KnownEdges | None = None,
                is_hidden: bool = False, drawing: str = "puzzle") -> str:
     """The puzzle's graph as SVG: edges of precedence, lit targets lit, a second ring round the goal.
 

@@ -17,8 +17,8 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError
 from hrl_escape.planning.best_known import best_known_return
 from hrl_escape.viewer.extra import viser
-from hrl_escape.viewer.pages.panels import WIDTH, Edges, make_graph, make_pair
-from hrl_escape.viewer.play.discovery import Discovery
+from hrl_escape.viewer.pages.panels import WIDTH, KnownEdges, make_graph, make_pair
+from hrl_escape.viewer.play.discovery import PressEvidence
 from hrl_escape.viewer.scene.poses import RoomPose, blend, make_pose
 from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, compute_overview
 from hrl_escape.viewer.server import Server
@@ -50,7 +50,7 @@ class RoomPage:
     """
 
     def __init__(self, server: Server, instance: RoomInstance, state: RoomState, owns_keys: bool = False,
-                 discovery: Discovery | None = None) -> None:
+                 discovery: PressEvidence | None = None) -> None:
         self.server, self._discovery = server, discovery
         self.best: float | None = None
         self._lock = threading.Lock()
@@ -62,14 +62,14 @@ class RoomPage:
             gui.add_html(_OWN_KEYS)
         self.view_folder = gui.add_folder("View", order=50.0)
         self._graph = gui.add_html("", order=20.0)
-        self._belief: tuple[Edges, str] | None = None  # graph that an agent believes in, and words on it
-        self._shown: tuple[str, object, Edges | None, str] | None = None
+        self._belief: tuple[KnownEdges, str] | None = None  # graph that an agent believes in, and words on it
+        self._shown: tuple[str, object, KnownEdges | None, str] | None = None
         self._pose = make_pose(self.scene.rules, state)
         self.show(state)
         server.on_client_connect(self._welcome)
         server.on_client_disconnect(self._forget)
 
-    def enter(self, instance: RoomInstance, state: RoomState, discovery: Discovery | None = None) -> None:
+    def enter(self, instance: RoomInstance, state: RoomState, discovery: PressEvidence | None = None) -> None:
         """Replace the room by another one."""
         self.scene.remove()
         self._discovery, self.best = discovery, None
@@ -112,7 +112,7 @@ class RoomPage:
         is_hidden = self._discovery is not None and not puzzle.is_solved(state.puzzle)
         believed, words = self._belief or (None, "")
         if is_hidden and self._discovery is not None:
-            believed = Edges(*self._discovery.list_edges())
+            believed = KnownEdges(*self._discovery.list_edges())
         key = (self.scene.instance.id, state.puzzle, believed, words)
         if key != self._shown:
             self._shown = key
@@ -122,7 +122,7 @@ class RoomPage:
             else:
                 self._graph.content = make_graph(puzzle, state.puzzle, WIDTH, believed, is_hidden)
 
-    def show_belief(self, state: RoomState, believed: Edges, words: str) -> None:
+    def show_belief(self, state: RoomState, believed: KnownEdges, words: str) -> None:
         """Show the graph that an agent believes in, with words on it, beside the true one."""
         self._belief = believed, words
         self._draw_graph(state)

@@ -22,7 +22,7 @@ from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.planning.goals import ExitGoal, PressGoal
 from hrl_escape.planning.paths.navigator import Navigator
 from hrl_escape.viewer.extra import uplot
-from hrl_escape.viewer.pages.panels import Edges, make_bars, make_facts, make_lines, make_table
+from hrl_escape.viewer.pages.panels import KnownEdges, make_bars, make_facts, make_lines, make_table
 from hrl_escape.viewer.pages.room import RoomPage, name_room
 from hrl_escape.viewer.play.commands import praise
 from hrl_escape.viewer.server import Server
@@ -252,7 +252,7 @@ class WatchPage:
         believed, needed = (find_edges_that_matter(edges, true.goal_targets) for edges in (graph, true.edges))
         found, wrong = len(believed & needed), len(believed - needed)
         words = f"learned: {found} of {len(needed)} edges that matter" + (f", {wrong} wrong" if wrong else "")
-        self.page.show_belief(self.watch.states[-1], Edges(graph), words)
+        self.page.show_belief(self.watch.states[-1], KnownEdges(graph), words)
 
     def _show_facts(self) -> None:
         watch = self.watch

@@ -1,4 +1,4 @@
-"""What presses have shown of a graph of buttons so far: edges that follow from them, and those that still may be there.
+"""Evidence of presses on a graph of buttons: edges that follow from it, and those that still may be there.
 
 A button that goes on shows that all its parents were on; one that stays off, that a parent was off. Only buttons whose
 presses say no more than that are reasoned about: none that can be turned off, and none that locks another.
@@ -12,10 +12,10 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.viewer.step_hooks import PrimitiveStep
 
-__all__ = ["Discovery"]
+__all__ = ["PressEvidence"]
 
 
-class Discovery:
+class PressEvidence:
     """Evidence from the presses in one room, over all its episodes.
 
     Args:

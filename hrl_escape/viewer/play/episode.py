@@ -17,7 +17,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EpisodeFileError, UnsupportedError
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.viewer.play.discovery import Discovery
+from hrl_escape.viewer.play.discovery import PressEvidence
 from hrl_escape.viewer.play.saved_episode import SavedEpisode
 from hrl_escape.viewer.step_hooks import PrimitiveStep, StepHooks
 
@@ -66,7 +66,7 @@ class Episode:
 
     def _open(self, instance: RoomInstance) -> None:
         self.instance = instance
-        self.discovery = Discovery(instance) if self._is_hidden else None
+        self.discovery = PressEvidence(instance) if self._is_hidden else None
         self._env = EscapeRoomEnv(instance=instance)
         hooks = StepHooks(self._env)
         hooks.on_step = self._note

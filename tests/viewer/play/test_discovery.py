@@ -12,7 +12,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.viewer.pages.panels import Edges, make_graph
+from hrl_escape.viewer.pages.panels import KnownEdges, make_graph
 from hrl_escape.viewer.play.episode import Episode
 
 
@@ -62,7 +62,7 @@ def test_a_hidden_graph_looks_the_same_whatever_it_is():
     drawn = set()
     for seed in range(3):
         puzzle = generate(get_preset("four-button-chain"), seed).puzzle
-        drawn.add(make_graph(puzzle, puzzle.make_state(), believed=Edges(), is_hidden=True))
+        drawn.add(make_graph(puzzle, puzzle.make_state(), believed=KnownEdges(), is_hidden=True))
     assert len(drawn) == 1 and "class=\"edge\"" not in drawn.pop()
     assert len({make_graph(generate(get_preset("four-button-chain"), seed).puzzle,
                            generate(get_preset("four-button-chain"), seed).puzzle.make_state())
@@ -72,7 +72,7 @@ def test_a_hidden_graph_looks_the_same_whatever_it_is():
 def test_a_belief_is_drawn_with_what_is_wrong_in_red_and_what_is_open_dashed(two_buttons):
     puzzle = two_buttons.puzzle
     (edge,) = get_trait(puzzle, Graphed).edges
-    page = make_graph(puzzle, puzzle.make_state(), believed=Edges([edge], [edge[::-1]]))
+    page = make_graph(puzzle, puzzle.make_state(), believed=KnownEdges([edge], [edge[::-1]]))
     right, wrong = (next(line for line in page.split("<") if f'data-edge="{a}-{b}"' in line)
                     for a, b in (edge, edge[::-1]))
     assert "dasharray" not in right and "dasharray" in wrong and right.split("stroke=")[1] != wrong.split("stroke=")[1]
