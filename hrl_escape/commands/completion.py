@@ -18,6 +18,7 @@ import tyro
 
 from hrl_escape.agents.registry import SMDP_PREFIX, list_all_agents
 from hrl_escape.commands.list import Kind
+from hrl_escape.commands.tree import find_commands
 from hrl_escape.comparison.presets import GRIDS
 from hrl_escape.comparison.references.registry import PLANNER, SEARCHERS
 from hrl_escape.env.presets import PRESETS
@@ -64,8 +65,6 @@ def run(args: CompletionArgs) -> None:
 
 def _list_commands(folder: Path, package: str, path: str) -> Iterator[tuple[str, dict[str, list[str]]]]:
     """Words of each command, with what may follow those that take one of a few names."""
-    from hrl_escape.cli import find_commands
-
     commands = find_commands(folder)
     yield path, {name: [] for name in commands}
     for name, file in commands.items():
