@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -26,6 +27,9 @@ from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.play.saved_episode import load_episode, save_episode
 from hrl_escape.viewer.play.terminal import play_in_terminal
 from hrl_escape.viewer.recording import record_saved
+from hrl_escape.viewer.watch.drivers import open_driver
+from hrl_escape.viewer.watch.gate import Gate
+from hrl_escape.viewer.watch.watch import Watch
 
 FAILING = [kind for kind in list_puzzles() if get_puzzle_kind(kind).puzzle_type.is_failed is not Puzzle.is_failed]
 """Puzzles that can be failed."""
@@ -76,6 +80,17 @@ def test_play_its_file_and_the_recorded_page_say_failed(failed, tmp_path, capsys
     monkeypatch.setattr(sys, "stdin", open(os.devnull))  # no key: the episode is shown as it is
     play_in_terminal(episode, tmp_path)
     assert ": failed" in capsys.readouterr().out
+
+
+def test_watching_says_failed(failed):
+    """The agent chooses what failed before, one after another."""
+    episode, _ = failed
+    driver = dataclasses.replace(open_driver("smdp-random", episode.instance), trains=False)
+    moves = iter([driver.names.index(move.name) for move in episode.moves])
+    driver.agent.act_greedy = lambda observation, mask, rng: next(moves)
+    watch = Watch(driver, Gate(None))
+    watch.run(1)
+    assert [line for line in watch.events if ", return " in line][0].split("  ")[1].startswith("failed")
 
 
 def test_driving_and_solving_say_failed(failed, tmp_path, capsys):
