@@ -6,7 +6,10 @@ It reads the syntax tree and runs nothing. Names are followed through imports an
 from __future__ import annotations
 
 import ast
+from functools import cache
 
+parse = cache(ast.parse)
+"""Syntax tree of a source, which several rules read."""
 NUMPY_ALLOWED = {
     *("default_rng", "RandomState", "Generator", "SeedSequence", "BitGenerator"),
     "get_state",  # reading tells whether somebody has drawn
@@ -30,7 +33,9 @@ TENSOR_SAMPLERS = {
 
 def find_global_random_state(source: str) -> list[str]:
     """Returns one line `number: name` for each use of a random stream that the caller does not own."""
-    tree = ast.parse(source)
+    if not any(word in source for word in ("random", "torch", *TENSOR_SAMPLERS)):
+        return []
+    tree = parse(source)
     names = _imported_names(tree)
     calls = {id(node.func): node for node in ast.walk(tree) if isinstance(node, ast.Call)}
     parts = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Attribute)}

@@ -19,7 +19,7 @@ from packaging.utils import canonicalize_name
 from hrl_escape.files import read_toml
 from tests.command_line import run_python
 from tests.forks import run_fork
-from tests.random_state import find_global_random_state
+from tests.random_state import find_global_random_state, parse
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "hrl_escape"
@@ -153,7 +153,7 @@ TWIN_FILES = [PACKAGE / "env/geometry.py", PACKAGE / "env/tensor_geometry.py"]
 def list_names(source: str) -> set[str]:
     """Public names that a module defines at its top level."""
     names = set[str]()
-    for node in ast.parse(source).body:
+    for node in parse(source).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             names.add(node.name)
         elif isinstance(node, ast.Assign | ast.AnnAssign):
@@ -192,7 +192,7 @@ QUESTION = re.compile(r"(What|Who|Where|How|Whether|Whose|Which|When|Why)\b")
 
 def list_docstrings(source: str) -> list[str]:
     """First lines of all docstrings of a module, those under attributes and constants included."""
-    texts = (node.value.value for node in ast.walk(ast.parse(source))
+    texts = (node.value.value for node in ast.walk(parse(source))
              if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
     return [text.strip().splitlines()[0] for text in texts if isinstance(text, str)]
 

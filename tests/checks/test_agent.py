@@ -12,9 +12,10 @@ from hrl_escape.agents.registry import get_agent_class, get_recipe
 from hrl_escape.checks import check_agent
 from hrl_escape.errors import ContractError
 from tests.agents.training.test_resuming import SMALL
+from tests.covering import thin
 
 
-@pytest.mark.parametrize("name", list_agents())
+@pytest.mark.parametrize("name", thin(list_agents(), 3, 2))
 def test_every_agent_keeps_its_contract(name):
     settings = get_recipe(name)
     check_agent(get_agent_class(name), type(settings)(**{**vars(settings), **SMALL.get(name, {})}), decisions=200)

@@ -18,7 +18,7 @@ from hrl_escape.env.batched.poses import TensorState, compute_rotation
 from hrl_escape.env.batched.puzzles.base import unpack_bits
 from hrl_escape.env.batched.rules import find_shut
 from hrl_escape.env.batched.scenery import (
-    COLOURS,
+    LOOK_COLOURS,
     LOOK_LABELS,
     LOOKS,
     Scenery,
@@ -199,7 +199,7 @@ def _take(layout: Layout, form: _Form, tables: Tables, scenery: Scenery, state: 
 def _tabulate(things: Scenery, looks: Tensor, rounds: int) -> Tensor:
     """Colour and label of everything that can be seen, packed into words, int32 (rooms, entries)."""
     device, rooms = looks.device, looks.shape[1]
-    colours = torch.tensor(COLOURS, device=device)
+    colours = torch.tensor(LOOK_COLOURS, device=device)
     labels = torch.tensor(LOOK_LABELS, dtype=torch.int32, device=device)
     cos, sin = things.boxes[2].expand(-1, rooms), things.boxes[3].expand(-1, rooms)
     nought = torch.zeros_like(cos)

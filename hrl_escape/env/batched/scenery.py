@@ -20,7 +20,7 @@ from hrl_escape.env.geometry import Footprint, Solid, make_footprint
 from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.tensor_geometry import stack_shapes
 
-__all__ = ["COLOURS", "LABELS", "LOOKS", "LOOK_LABELS", "Scenery", "SceneryForm",
+__all__ = ["LOOK_COLOURS", "LABELS", "LOOKS", "LOOK_LABELS", "Scenery", "SceneryForm",
            "find_look", "list_base_parts", "stack_scenery"]
 
 LABELS = ("nothing", "floor", "exit", "plate", "wall", "obstacle", "door", "target", "block", "robot")
@@ -36,7 +36,7 @@ LOOKS: dict[str, tuple[str, str]] = {
 }
 """Name of each look -> its label and colour."""
 
-COLOURS = tuple(tuple(255.0 * part for part in palette.to_rgb(colour)) for _, colour in LOOKS.values())
+LOOK_COLOURS = tuple(tuple(255.0 * part for part in palette.to_rgb(colour)) for _, colour in LOOKS.values())
 """Red, green and blue of each look, within [0, 255]."""
 LOOK_LABELS = tuple(LABELS.index(label) for label, _ in LOOKS.values())
 """Index in `LABELS` of each look."""

@@ -17,14 +17,14 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
-__all__ = ["compute_depths", "compute_layout", "draw_graph", "shorten"]
+__all__ = ["compute_layers", "compute_layout", "draw_graph", "shorten"]
 
 _ROWS_A_COLUMN, _NODES_A_ROW = 12, 8
 _LARGEST_CELL = 38.0  # points
 _SWEEPS = 8
 
 
-def compute_depths(count: int, edges: Sequence[tuple[int, int]]) -> tuple[int, ...]:
+def compute_layers(count: int, edges: Sequence[tuple[int, int]]) -> tuple[int, ...]:
     """Longest path from a root to each node of a DAG, in edges."""
     parents: list[list[int]] = [[] for _ in range(count)]
     for parent, child in edges:
@@ -46,7 +46,7 @@ def compute_layout(count: int, edges: Sequence[tuple[int, int]]) -> list[tuple[f
         take several rows; after 12 rows it continues in the next column, upwards and downwards
         in turn.
     """
-    depths = compute_depths(count, edges)
+    depths = compute_layers(count, edges)
     layers = [[n for n in range(count) if depths[n] == depth] for depth in range(max(depths, default=0) + 1)]
     _reduce_crossings(layers, edges)
     rows = [layer[i : i + _NODES_A_ROW] for layer in layers for i in range(0, len(layer), _NODES_A_ROW)]

@@ -304,7 +304,7 @@ def make_exit_area(instance: RoomInstance) -> tuple[Mesh, Mesh]:
 
 
 def find_hinge(door: Solid) -> tuple[float, float, float]:
-    """Where the hinge of the exit's door stands on the floor."""
+    """Foot of the hinge of the exit's door, on the floor."""
     return door.x - math.cos(door.yaw) * door.half_x, door.y - math.sin(door.yaw) * door.half_x, 0.0
 
 

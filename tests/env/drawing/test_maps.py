@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.graph_inset import compute_depths, compute_layout
+from hrl_escape.env.drawing.graph_inset import compute_layers, compute_layout
 from hrl_escape.env.drawing.map_axes import draw_room
 from hrl_escape.env.drawing.maps import Trajectory, make_map, make_map_image, save_map
 from hrl_escape.env.kinematics import Kinematics
@@ -187,7 +187,7 @@ def graphs(draw):
 @given(graphs())
 def test_depth_is_the_longest_way_from_a_root(graph):
     count, edges = graph
-    depths = compute_depths(count, edges)
+    depths = compute_layers(count, edges)
     for node in range(count):
         above = [depths[parent] for parent, child in edges if child == node]
         assert depths[node] == (max(above) + 1 if above else 0)
@@ -197,7 +197,7 @@ def test_depth_is_the_longest_way_from_a_root(graph):
 def test_graphs_are_laid_out_apart_and_downwards(graph):
     count, edges = graph
     places = compute_layout(count, edges)
-    depths = compute_depths(count, edges)
+    depths = compute_layers(count, edges)
     assert all(abs(a[0] - b[0]) >= 1 or abs(a[1] - b[1]) >= 1 for a, b in itertools.combinations(places, 2))
     rows = sum(-(-depths.count(depth) // 8) for depth in set(depths))
     for parent, child in edges if rows <= 12 else ():
