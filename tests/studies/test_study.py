@@ -11,6 +11,7 @@ import pytest
 from hrl_escape.files import read_toml
 from studies.__main__ import main
 from studies.study import ROOT, find_study, list_studies
+from tests.forks import run_module
 
 DEFINITION = '''
 about = "Measure whether a room of one button is escaped by chance."
@@ -65,8 +66,7 @@ def planted(tmp_path: Path) -> Path:
 
 
 def call(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "studies", *arguments]
-    return subprocess.run(command, cwd=ROOT.parent, capture_output=True, text=True)
+    return run_module("studies", *arguments, cwd=ROOT.parent)
 
 
 def test_a_new_study_is_a_folder_of_fewer_than_60_lines_besides_its_template(planted: Path):
