@@ -116,13 +116,13 @@ def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
 
 
 def _change(fields: dict[str, Any], path: str, value: Any) -> None:
-    """Set one field of a nested table; the schematic itself refuses unknown fields.
+    """Set one field of a nested table; the schematic itself refuses unknown fields and sections.
 
     Another kind of puzzle begins with that kind's defaults.
     """
     *sections, last = path.split(".")
     for depth, section in enumerate(sections):
-        inner = fields.get(section)
+        inner = fields.setdefault(section, {})  # a section at its defaults is not written
         if not isinstance(inner, dict):
             known = [name for name, part in fields.items() if isinstance(part, dict)]
             raise UnknownNameError(" ".join([*sections[:depth], "section"]), section, known)

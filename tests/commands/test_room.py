@@ -86,6 +86,13 @@ ARM = ("robot.kind=urdf", "robot.joints=1", "robot.body_radius=0.4", "dynamics.p
        "puzzle.buttons.centre_height=1.0")
 
 
+def test_a_section_at_its_defaults_can_be_set(capsys, tmp_path):
+    path = tmp_path / "room.json"
+    assert call(capsys, "room", "--preset", "four-button-chain", "--set", "puzzle.marks.kind=rank",
+                "puzzle.marks.levels=4", "--save", path)[0] == 0
+    assert len(RoomInstance.load(path).puzzle.marks) == 4
+
+
 def test_the_robot_s_urdf_is_given_by_its_path(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "boom.obj").write_text(MESH)
@@ -155,7 +162,8 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     (["--arguments", "size=4"], "paper-two-button"),
     (["--set", "room.width=3000"], "from 5 to 200 m"),
     (["--set", "room.widht=30"], "did you mean 'width'?"),
-    (["--set", "rom.width=30"], "unknown section 'rom'; did you mean 'room'?"),
+    (["--set", "rom.width=30"], "unknown config section 'rom'; did you mean 'room'?"),
+    (["--set", "puzzle.marcs.kind=rank"], "unknown puzzle section 'marcs'; did you mean 'marks'?"),
     (["--set", "room.width"], "name=value"),
     (["--set", "horizon=" + "9" * 5_000], "--set horizon: this value cannot be read: it has a number of thousands"),
     (["--set", "horizon=" + "[" * 10_000 + "]" * 10_000], "nested more than 100 levels deep"),
