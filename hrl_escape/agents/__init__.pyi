@@ -6,6 +6,7 @@ from .hierarchy.task_graph import maxq
 from .registry import get_recipe, list_agents, make_agent
 from .settings import AgentSettings, LearningSettings
 from .state import Kept, Stateful
+from .training.callbacks import Callback, MLflow, OptunaPruning, TensorBoard, WeightsAndBiases
 from .training.evaluation import Evaluation, evaluate, play_episode
 from .training.results import TrainResult, load_result
 from .training.run_archive import pack_run, read_summary, unpack_run
@@ -16,15 +17,20 @@ __all__ = [
     "AgentSettings",
     "BaseTask",
     "Call",
+    "Callback",
     "Evaluation",
     "Hierarchy",
     "Kept",
     "LearningSettings",
+    "MLflow",
     "OptionPolicy",
+    "OptunaPruning",
     "SMDPTransition",
     "StackAgent",
     "Stateful",
+    "TensorBoard",
     "TrainResult",
+    "WeightsAndBiases",
     "choose",
     "compute_backup",
     "do",

@@ -26,6 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.agents.registry import get_recipe, list_given_agents
+from hrl_escape.agents.training.callbacks import TensorBoard
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
@@ -142,7 +143,8 @@ def run(args: TrainArgs) -> None:
     else:
         env = args.make_batch(spec, instance)
     result = train(args.agent, env, primitives=args.primitives, seed=args.training_seed, settings=resolved,
-                   eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out, tensorboard=args.tensorboard,
+                   eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
+                   callbacks=[TensorBoard()] if args.tensorboard else [],
                    threads=args.threads, observed=recorder is None)
     if isinstance(env, gymnasium.Env) and recorder is not None:
         _record(env, recorder, result, f"{spec.label}, seed {args.training_seed}")

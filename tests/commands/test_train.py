@@ -122,5 +122,5 @@ def test_a_batch_trains_in_many_rooms_at_once(capsys, tmp_path, agent):
 
 def test_what_a_batch_cannot_do_is_refused(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert_refused(capsys, ["train", "sarsa", "--batch", "4"], "many environments at once")
+    assert_refused(capsys, ["train", "intra-option-q", "--batch", "4"], "many environments at once")
     assert_refused(capsys, ["train", "maxq-q", "--batch", "4", "--leaves", "planned"], "--leaves")

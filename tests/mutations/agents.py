@@ -252,6 +252,13 @@ MUTATIONS = [
         "::test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once",
     ),
     Mutation(
+        "a run that a callback ended counts as finished",
+        "agents/training/run.py",
+        "if folder is not None and not self._is_stopped:",
+        "if folder is not None:",
+        "agents/training/test_callbacks.py::test_a_run_that_a_callback_ended_goes_on_to_the_same_bits_without_it",
+    ),
+    Mutation(
         "the best checkpoint is the last of equals",
         "agents/training/run.py",
         "evaluation.mean_return > earlier.mean_return for",

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Protocol, cast
@@ -31,6 +31,7 @@ from hrl_escape.agents.agent import (
 )
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.state import Stateful, StateTree
+from hrl_escape.agents.training.callbacks import Callback, RunDescription
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
 from hrl_escape.agents.training.progress import Reporter
@@ -124,6 +125,7 @@ class Run(Stateful):
         eval_env: evaluation environment.
         arguments: arguments of the run; see `train`.
         probe: measurements of the agent on the way.
+        callbacks: told of the run, in this order.
     """
 
     STATE = ("agent", "primitives", "decisions", "planner_calls", "seconds", "planner_seconds", "probe")
@@ -131,9 +133,10 @@ class Run(Stateful):
 
     def __init__(
         self, agent: Agent, env: gymnasium.Env, eval_env: gymnasium.Env, arguments: RunArguments,
-        probe: Probe | None = None,
+        probe: Probe | None = None, callbacks: Sequence[Callback] = (),
     ) -> None:
         self.agent, self.env, self.eval_env, self.arguments, self.probe = agent, env, eval_env, arguments, probe
+        self.callbacks, self._is_stopped = tuple(callbacks), False
         self.actions = check_actions(agent, env.action_space)
         check_actions(agent, eval_env.action_space)
         self.episodes: list[EpisodeRecord] = []
@@ -166,9 +169,9 @@ class Run(Stateful):
         """Short hash of the identity: different numbers, different keys."""
         return compute_digest(hash_large_parts(self.identity))
 
-    def open(self, out: str | os.PathLike[str], tensorboard: bool) -> None:
+    def open(self, out: str | os.PathLike[str]) -> None:
         """Claim a folder, and resume from its checkpoint."""
-        self._folder = RunFolder(out, self.identity, tensorboard)
+        self._folder = RunFolder(out, self.identity)
         if self._folder.state is not None:
             self.resume(self._folder.state, self._folder.rows)
 
@@ -191,21 +194,44 @@ class Run(Stateful):
         if folder is not None and folder.state is not None and (finished := folder.result) is not None:
             self._sign()
             return dataclasses.replace(finished, agent=self.agent, resumed_at=finished.primitives)
+        result: TrainResult | None = None
+        begun: list[Callback] = []
         try:
+            if self.callbacks:
+                described = self._describe()
+                for callback in self.callbacks:
+                    callback.on_begin(described)
+                    begun.append(callback)
             if folder is None:
                 self._train(None, checkpoint_seconds, report)
             else:
                 with _deferring_interrupts() as is_interrupted:
                     self._train(folder, checkpoint_seconds, report, is_interrupted)
+            made = self.make_result(self._list_settings())
+            if folder is not None and not self._is_stopped:
+                folder.finish(made.to_json())
+            result = dataclasses.replace(made, resumed_at=resumed_at)
+            return result
         except DivergenceError as error:
             where = f", {folder.path}" if folder is not None else ""
             label = f"{self.arguments.name}, seed {self.arguments.seed}{where}"
             raise DivergenceError(error.agent, error.updates, label, self.primitives, error.loss,
                                   error.gradient_norm) from error
-        result = self.make_result(self._list_settings())
+        finally:
+            for callback in begun:
+                callback.on_end(result)
+
+    def _describe(self) -> RunDescription:
+        rows, path = (self._folder.rows, self._folder.path) if self._folder is not None else ([], None)
+        first = rows[-1]["primitives"] + 1 if rows else 0
+        return RunDescription(self.arguments.name, self.arguments.seed, self.key, self.identity, path, first)
+
+    def _log(self, row: Mapping[str, Any], folder: RunFolder | None) -> None:
+        """Keep a row, and tell of it."""
         if folder is not None:
-            folder.finish(result.to_json())
-        return dataclasses.replace(result, resumed_at=resumed_at)
+            folder.log(row)
+        for callback in self.callbacks:
+            callback.on_row(row)
 
     def _train(self, folder: RunFolder | None, checkpoint_seconds: float, report: Reporter,
                is_interrupted: Callable[[], bool] = lambda: False) -> None:
@@ -216,9 +242,7 @@ class Run(Stateful):
             report(self.primitives, self.describe_returns())
         next_evaluation = self._next_evaluation()
         while not self.is_over:
-            row = self.run_unit(report)
-            if folder is not None:
-                folder.log(row)
+            self._log(self.run_unit(report), folder)
             if self.is_over or self.primitives >= next_evaluation:
                 self._evaluate(folder)
                 report(self.primitives, self.describe_returns())
@@ -228,14 +252,17 @@ class Run(Stateful):
             if folder is not None and is_due and self.can_be_saved:
                 folder.save(self.state_dict())
                 last_save = time.monotonic()
+                for callback in self.callbacks:
+                    callback.on_checkpoint(folder.path)
             if folder is not None and is_interrupted() and self.can_be_saved and not self.is_over:
                 raise KeyboardInterrupt(f"interrupted after {self.primitives:,} primitives; {folder.path} holds the "
                                         "run, and the same command goes on from there")
 
     @property
     def is_over(self) -> bool:
-        """True once the budget is spent, the probe has seen enough, or two evaluations in a row were good enough."""
-        return self.is_spent or (self.probe is not None and self.probe.is_done) or self._is_good_enough
+        """True once the budget is spent, two evaluations in a row were good enough, or a callback or probe ends it."""
+        is_done = self.probe is not None and self.probe.is_done
+        return self.is_spent or self._is_stopped or is_done or self._is_good_enough
 
     @property
     def _is_good_enough(self) -> bool:
@@ -332,10 +359,11 @@ class Run(Stateful):
         )
         is_best = all(evaluation.mean_return > earlier.mean_return for earlier in self.evaluations)
         self.evaluations.append(evaluation)
-        if folder is not None:
-            folder.log(make_evaluation_row(evaluation))
-            if is_best:
-                folder.save_best(self.state_dict())
+        self._log(make_evaluation_row(evaluation), folder)
+        if folder is not None and is_best:
+            folder.save_best(self.state_dict())
+        stops = [callback.on_evaluation(self.agent, evaluation) for callback in self.callbacks]
+        self._is_stopped = any(stops) and not self.is_over
 
     def make_result(self, settings: Mapping[str, Any]) -> TrainResult:
         """Build the result; the agent is told where it comes from."""

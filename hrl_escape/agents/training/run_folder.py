@@ -24,7 +24,6 @@ from hrl_escape.errors import (
     CheckpointError,
     EscapeError,
     FileWriteError,
-    MissingExtraError,
     RunBusyError,
     RunMismatchError,
     describe_damage,
@@ -60,7 +59,6 @@ class RunFolder:
     Args:
         path: path of the folder; made if missing.
         identity: everything that decides the run's numbers, a JSON value. A folder never holds two runs.
-        tensorboard: also write event files into `path/tensorboard`.
 
     Attributes:
         key: short hash of the identity; checkpoint and result carry it.
@@ -74,7 +72,7 @@ class RunFolder:
         FileWriteError: the folder cannot be made or written.
     """
 
-    def __init__(self, path: str | os.PathLike[str], identity: Mapping[str, Any], tensorboard: bool) -> None:
+    def __init__(self, path: str | os.PathLike[str], identity: Mapping[str, Any]) -> None:
         self.path = Path(path)
         self.key = compute_digest(hash_large_parts(identity))
         self.state: StateTree | None = None
@@ -86,8 +84,6 @@ class RunFolder:
             offset = self._restore()
             self._log = open_for_writing(self.path / "log.jsonl")
             self._log.truncate(offset)
-            step = self.rows[-1]["primitives"] + 1 if self.rows else 0
-            self._events = _open_events(self.path / "tensorboard", step) if tensorboard else None
         except BaseException:
             self._lock.close()
             raise
@@ -102,7 +98,7 @@ class RunFolder:
         return result
 
     def log(self, row: Mapping[str, Any]) -> None:
-        """Append one row; numbers under names with a slash also go to TensorBoard, against primitives."""
+        """Append one row."""
         clean = {
             key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()
         }
@@ -110,10 +106,6 @@ class RunFolder:
             self._log.write(json.dumps(clean, allow_nan=False).encode() + b"\n")
             self._log.flush()
         self.rows.append(clean)
-        if self._events is not None:
-            for key, value in clean.items():
-                if "/" in key and isinstance(value, (int, float)):
-                    self._events.add_scalar(key, value, clean["primitives"])
 
     def save(self, state: StateTree) -> None:
         """Make the log durable, then replace the checkpoint."""
@@ -133,8 +125,6 @@ class RunFolder:
 
     def close(self) -> None:
         """Close the files and release the lock."""
-        if self._events is not None:
-            self._events.close()
         with suppress(OSError):  # a full disk has been told of
             self._log.close()
         self._lock.close()
@@ -250,11 +240,3 @@ def _flatten(value: Any, path: str = "") -> dict[str, Any]:
     parts = (_flatten(part, f"{path}.{name}" if path else str(name)) for name, part in value.items())
     return {name: part for found in parts for name, part in found.items()}
 
-
-def _open_events(path: Path, purge_step: int) -> Any:
-    """Make TensorBoard's writer; `purge_step` drops events from after the checkpoint."""
-    try:
-        from torch.utils.tensorboard import SummaryWriter  # optional
-    except ImportError as error:
-        raise MissingExtraError("tensorboard", "tensorboard", "writing TensorBoard files") from error
-    return SummaryWriter(path, purge_step=purge_step)

@@ -10,6 +10,7 @@ import ctypes
 import sys
 import time
 import warnings
+from collections.abc import Sequence
 from typing import Any, cast
 
 import gymnasium
@@ -20,6 +21,7 @@ from torch import Tensor
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.streams import StreamAgent, Streams, StreamTransitions, gather_decisions
+from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.progress import Reporter
@@ -44,13 +46,14 @@ class StreamRun(Run):
         env: vector environment or streams to train in.
         eval_env: ordinary environment of the same spaces, to evaluate in.
         arguments: arguments of the run; see `train`.
+        callbacks: told of the run, in this order.
     """
 
     agent: StreamAgent
 
-    def __init__(self, agent: StreamAgent, env: VectorEnv | Streams, eval_env: gymnasium.Env, arguments: RunArguments
-                 ) -> None:
-        super().__init__(agent, eval_env, eval_env, arguments)
+    def __init__(self, agent: StreamAgent, env: VectorEnv | Streams, eval_env: gymnasium.Env, arguments: RunArguments,
+                 callbacks: Sequence[Callback] = ()) -> None:
+        super().__init__(agent, eval_env, eval_env, arguments, callbacks=callbacks)
         keep_freed_memory()
         self._source, self._begun = env, 0
         self.streams = streams = make_streams(env, agent.gamma)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from pkgutil import resolve_name
@@ -22,6 +22,7 @@ from gymnasium.vector import VectorEnv
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.registry import get_agent_class, list_stream_agents, make_agent, read_structure
 from hrl_escape.agents.streams import SingleEnvSource, StreamAgent, Streams
+from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed
@@ -50,7 +51,7 @@ def train(
     eval_seed: int = 0,
     out: str | os.PathLike[str] | None = None,
     checkpoint_seconds: float = 30.0,
-    tensorboard: bool = False,
+    callbacks: Sequence[Callback] = (),
     progress: bool | None = None,
     probe: Probe | None = None,
     threads: int = 1,
@@ -83,7 +84,7 @@ def train(
             finished one is returned at once; any other run is refused. Ctrl-C saves the run at the end of the
             episode that is running. The agent of the best evaluation is kept beside the last.
         checkpoint_seconds: least wall time between checkpoints; 0 makes one after every episode.
-        tensorboard: also write event files (needs `out` and the extra `tensorboard`).
+        callbacks: told of rows, evaluations and checkpoints, such as `TensorBoard()`; see `agents.training.callbacks`.
         progress: show a progress line; by default on a terminal only.
         probe: measures the agent on the way, and may end the run before its budget.
         threads: of torch while the run lasts, a part of what decides its numbers. One is quickest for small networks;
@@ -122,8 +123,9 @@ def train(
     if until_return is not None and (not isinstance(until_return, (int, float)) or not eval_episodes):
         raise AgentSettingsError("until_return", until_return, "a return of evaluations, of which eval_episodes are "
                                  "above 0, or None")
-    if tensorboard and out is None:
-        raise AgentSettingsError("tensorboard", True, "False, or give out= for the event files")
+    for callback in callbacks:
+        if not isinstance(callback, Callback):
+            raise AgentSettingsError("callbacks", callback, "objects derived from hrl_escape.agents.Callback")
     if isinstance(agent, str):
         get_agent_class(agent)  # loads torch where it is needed, before its threads are set
     with _using_threads(threads):
@@ -138,7 +140,7 @@ def train(
         arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state,
                                  threads, until_return, eval_trials)
         if isinstance(env, gymnasium.Env):
-            run = Run(learner, env, eval_env or env, arguments, probe)
+            run = Run(learner, env, eval_env or env, arguments, probe, callbacks)
         else:
             if not isinstance(learner, StreamAgent):
                 raise AgentSettingsError("agent", name, "one that learns from many environments at once: "
@@ -147,9 +149,9 @@ def train(
                 raise AgentSettingsError("probe", probe, "None in a run of many environments at once")
             from hrl_escape.agents.training.stream_run import StreamRun  # brings torch in
 
-            run = StreamRun(learner, env, single, arguments)
+            run = StreamRun(learner, env, single, arguments, callbacks)
         if out is not None:
-            run.open(os.fspath(out).replace("{key}", run.key), tensorboard)
+            run.open(os.fspath(out).replace("{key}", run.key))
         try:
             with show_progress(f"{name} seed {seed}", primitives, run.primitives, progress) as report:
                 result = run.finish(checkpoint_seconds, report)

@@ -65,7 +65,7 @@ def test_an_unpacked_run_goes_on_where_it_stopped(tmp_path):
 
 
 def test_a_run_in_training_is_not_packed(folder, tmp_path):
-    running = RunFolder(folder, read_run(folder), tensorboard=False)
+    running = RunFolder(folder, read_run(folder))
     try:
         with pytest.raises(RunBusyError):
             pack_run(folder, tmp_path / "mine.zip")

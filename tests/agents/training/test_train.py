@@ -15,7 +15,7 @@ import pytest
 import torch
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.agents import evaluate, make_agent, play_episode, train
+from hrl_escape.agents import TensorBoard, evaluate, make_agent, play_episode, train
 from hrl_escape.agents.registry import get_agent_class
 from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.agents.training.results import METRICS, load_episode_rows
@@ -335,7 +335,7 @@ def test_every_explained_name_is_logged_by_some_agent(tmp_path):
 def test_tensorboard_files_hold_the_logged_numbers(tmp_path):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    result = run(out=tmp_path, tensorboard=True)
+    result = run(out=tmp_path, callbacks=[TensorBoard()])
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
     points = [(event.step, event.value) for event in events.Scalars("eval/return")]
@@ -445,7 +445,8 @@ def test_a_full_disk_is_one_clear_error_and_spoils_nothing(tmp_path, limit, file
         ({"seed": -1}, "seed = -1"),
         ({"eval_every": -5}, "eval_every = -5"),
         ({"settings": {"gamma": 2.0}}, "gamma = 2.0"),
-        ({"tensorboard": True}, "give out="),
+        ({"callbacks": [TensorBoard()]}, "give out="),
+        ({"callbacks": [print]}, "derived from hrl_escape.agents.Callback"),
     ],
 )
 def test_impossible_arguments_are_named(arguments, message):
