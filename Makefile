@@ -40,6 +40,7 @@ test-slow: $(STAMP) ## the other slow tests, an hour each in six parts: make tes
 docs: $(STAMP) ## the site, into build/docs, read once more by its tests
 	sphinx-build -W --keep-going -q docs build/docs
 	python -m pytest -q tests/docs/test_site.py --site build/docs
+	python docs/contact_sheet.py build/docs
 	@echo "Read it: $(CURDIR)/build/docs/index.html"
 
 dist: $(STAMP) ## wheel and source into dist, built twice to the same bytes and checked for a package index

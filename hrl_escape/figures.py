@@ -6,6 +6,7 @@ Nothing here loads matplotlib before a figure is written, so the endings of file
 from __future__ import annotations
 
 import io
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -16,10 +17,13 @@ from hrl_escape.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "STYLE", "VIDEO_FORMATS", "Pictured", "check_picture_name", "make_svg", "save_figure"]
+__all__ = ["FORMATS", "LINES", "STYLE", "VIDEO_FORMATS", "Pictured", "check_picture_name", "get_figure_class",
+           "make_svg", "save_figure"]
 
 FORMATS = ("png", "svg", "pdf")
 VIDEO_FORMATS = ("gif", "mp4")
+LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Colours of lines: those of Okabe and Ito (2008), which people with any colour vision can tell apart."""
 STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "svg.hashsalt": "hrl-escape", "svg.fonttype": "path",
                          "text.parse_math": False}  # a name may hold a dollar
 """Settings of matplotlib in which figures are drawn and written."""
@@ -51,6 +55,14 @@ def check_picture_name(path: Path, *others: str) -> None:
         UnsupportedError: it is neither of these nor of `FORMATS` nor of `VIDEO_FORMATS`.
     """
     _get_ending(path, *FORMATS, *VIDEO_FORMATS, *others)
+
+
+@cache
+def get_figure_class() -> type[Figure]:
+    """Class of matplotlib figures that a notebook shows without a plotting backend."""
+    from matplotlib.figure import Figure
+
+    return type("ShownFigure", (Figure,), {"_repr_svg_": make_svg})
 
 
 def save_figure(path: str | Path, figure: Figure) -> None:

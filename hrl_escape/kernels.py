@@ -30,6 +30,9 @@ SOURCES = ("agents/factored/search.py", "env/bases/disc.py", "env/bases/rectangl
            "planning/arm/tables.py", "planning/search/a_star.py", "planning/search/joint_a_star.py")
 """Files, relative to the package, that compiled code is made of."""
 
+_PARTS = {"agents": "learners of structure", "env": "the room's geometry", "floor": "ways over the floor",
+          "options": "options in batches", "planning.arm": "the arm", "planning": "the planner's search"}
+"""What the kernels of each part of the package are for."""
 _CONFIG: Any = config  # its names are set when it is imported
 _UNCOUNTED: dict[str, Any] = {"_nrt": False}
 """Numba's option for code without its runtime, which allocates arrays and counts references to them."""
@@ -56,7 +59,8 @@ def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
         compiled = numba.njit(cache=True, **options)(function)
     finally:
         _CONFIG.CACHE_DIR = before
-    _NAMES.add(function.__qualname__)
+    _USES[function.__qualname__] = next(
+        (use for part, use in _PARTS.items() if f"hrl_escape.{part}" in function.__module__), "your own code")
     return compiled
 
 
@@ -127,18 +131,19 @@ class _Stopwatch(event.Listener):
 
 
 class _Announcer(event.Listener):
-    """Says on stderr that kernels are compiled, and which."""
+    """Says on stderr that kernels are compiled, and what for."""
 
     def __init__(self) -> None:
-        self._count = 0
+        self._count, self._uses = 0, set[str]()
 
     def on_start(self, event: Any) -> None:
-        """Announce the first kernel; on a terminal, name each."""
+        """Announce the first kernel of each use; on a terminal, name all."""
         name = _get_name(event)
-        if name not in _NAMES:
+        if name not in _USES:
             return
-        if self._count == 0:
-            print("hrl_escape: compiling kernels, once for this version; each takes a few seconds",
+        if (use := _USES[name]) not in self._uses:
+            self._uses.add(use)
+            print(f"hrl_escape: compiling kernels for {use}, once for this version; each takes a few seconds",
                   file=sys.stderr, flush=True)
         self._count += 1
         if sys.stderr.isatty():
@@ -146,7 +151,7 @@ class _Announcer(event.Listener):
 
     def on_end(self, event: Any) -> None:
         """Clear the line again."""
-        if _get_name(event) in _NAMES and sys.stderr.isatty():
+        if _get_name(event) in _USES and sys.stderr.isatty():
             print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
@@ -155,7 +160,7 @@ def _get_name(happened: event.Event) -> str:
     return dispatcher.py_func.__qualname__ if dispatcher is not None else ""
 
 
-_NAMES: set[str] = set()
+_USES: dict[str, str] = {}
 _FOLDER = find_cache_folder()
 _STOPWATCH = _Stopwatch()
 event.register("numba:compiler_lock", _STOPWATCH)

@@ -1,7 +1,7 @@
 """The gallery: a card for every preset and every rung, with the planner's escape as a moving map.
 
-Rooms are generated and solved while the site is built; how agents do comes from the lines of the studies. `{gallery}
-presets` shows all presets, `{gallery} rungs` all rungs of the ladder, `{play} --preset clutter` one escape.
+Rooms are generated, solved and searched while the site is built; how learners do comes from the lines of the studies.
+`{gallery} presets` shows all presets, `{gallery} rungs` all rungs of the ladder, `{play} --preset clutter` one escape.
 """
 
 from __future__ import annotations
@@ -13,20 +13,24 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import gymnasium
 from docutils import nodes
 from markupsafe import Markup, escape
 from pictures import make_room
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+from hrl_escape.comparison.episodes import record_episode
 from hrl_escape.comparison.references.registry import SEARCHERS
 from hrl_escape.env.drawing.moving_map import PLAYER, PLAYER_COLOURS, describe_room, make_frames
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.kinematics import Kinematics, Rules
+from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError
 from hrl_escape.ladder import load_benchmark
+from hrl_escape.options import OptionsEnv
 from hrl_escape.planning.plan import Plan
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.templates import embed_json
@@ -34,6 +38,9 @@ from hrl_escape.templates import embed_json
 ROOT = Path(__file__).parents[2]
 BENCHMARK = "ladder-1"
 CHANCE, PLANNER = "smdp-random", "planner"
+SEARCHER, SEARCHES = "smdp-untried-nearest", 3
+PLAYED = {CHANCE: "chance", "smdp-r-max": "learner"}
+"""Agents of the study of puzzles, by what they are."""
 
 
 class Card(NamedTuple):
@@ -78,17 +85,43 @@ def read_lines(study: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (ROOT / "studies" / study / "raw.jsonl").read_text("utf-8").splitlines()]
 
 
+def describe_spaces(room: RoomInstance) -> str:
+    """Numbers of actions, and of a vector observation."""
+    numbers = len(make_observer("features", Rules(room)).names)
+    return f"{len(room.robot.actions)} primitives, {len(room.targets) + 1} options; {numbers} features"
+
+
+def search(room: RoomInstance) -> str:
+    """How a searcher that learns nothing does in episodes of its own; empty where it does not apply."""
+    env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", instance=room), include_primitives=False)
+    try:
+        episodes = [record_episode(SEARCHER, env, seed) for seed in range(SEARCHES)]
+    except EscapeError:
+        return ""
+    finally:
+        env.close()
+    return describe_ends([len(episode.states) - 1 if episode.success else None for episode in episodes])
+
+
+def describe_ends(escapes: Sequence[int | None]) -> str:
+    """Share of episodes that escape, and the median of their primitives."""
+    lengths = [count for count in escapes if count is not None]
+    return f"{len(lengths) / len(escapes):.0%}" + (f", {statistics.median(lengths):.0f}" if lengths else "")
+
+
 def list_presets() -> Iterator[Card]:
-    """A card for each preset, with what the study of puzzles measured in it."""
-    played: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    """A card for each preset: escapes and their primitives, of a searcher and of what the study of puzzles has run."""
+    played: dict[str, dict[str, list[int | None]]] = defaultdict(lambda: defaultdict(list))
     for run in read_lines("gallery"):
-        if "agent" in run:
-            played[run["preset"]][run["agent"]] += [0.0 if n is None else 1.0 for n in run["escapes"]]
+        if run.get("agent") in PLAYED:
+            played[run["preset"]][run["agent"]] += run["escapes"]
     for name in PRESETS:
         config = get_preset(name)
         room = generate(config, 0)
-        facts = [("horizon", f"{room.horizon:,} primitives")]
-        facts += [(agent, f"escapes {statistics.fmean(ends):.0%}") for agent, ends in played[name].items()]
+        facts = [("spaces", describe_spaces(room)), ("horizon", f"{room.horizon:,} primitives")]
+        facts += [(PLAYED[agent], describe_ends(ends)) for agent, ends in played[name].items()]
+        found = "" if config.dynamics.kind == "physics" else search(room)
+        facts += [("searcher", found)] if found else []
         yield Card(name, describe_schematic(config), f"hrl_escape/{make_env_name(name)}-v1", room, tuple(facts),
                    f"hrl-escape play --preset {name}")
 

@@ -1,8 +1,8 @@
 """Tutorials: a script becomes a notebook that is run while the site is built, shown as a page and offered to download.
 
 The module's docstring, its title left out, opens the page; comments that stand alone at the left margin are prose
-(Markdown); the rest is code. Below each piece of code stands what it prints, and the picture of its last expression. A
-script that fails fails the build.
+(Markdown); the rest is code. Below each piece of code stands what it prints, and the picture of its last expression;
+the last picture opens the page too. A script that fails fails the build.
 """
 
 from __future__ import annotations
@@ -69,16 +69,24 @@ def make_notebook(script: Path) -> Any:
     return notebook
 
 
+def get_picture(output: Any) -> str:
+    """HTML of the picture that a cell left; empty where it left none."""
+    data = output.get("data", {})
+    svg = "".join(data.get("image/svg+xml", "").partition("<svg")[1:])
+    return data.get("text/html") or svg
+
+
+def show_picture(picture: str, *classes: str) -> nodes.Node:
+    """A picture as it is in the notebook."""
+    return nodes.raw("", f'<div class="{" ".join(("tutorial-picture", *classes))}">{picture}</div>', format="html")
+
+
 def show_output(output: Any) -> list[nodes.Node]:
     """What a cell left: its text, or the richest form of its last value."""
     if output["output_type"] == "stream":
         return [show_text(output["text"])] if output["name"] == "stdout" else []
-    data = output["data"]
-    picture = data.get("text/html") or data.get("image/svg+xml", "").partition("<svg")[2]
-    if picture:
-        picture = picture if "text/html" in data else f"<svg{picture}"
-        return [nodes.raw("", f'<div class="tutorial-picture">{picture}</div>', format="html")]
-    return [show_text(data["text/plain"])]
+    picture = get_picture(output)
+    return [show_picture(picture) if picture else show_text(output["data"]["text/plain"])]
 
 
 def show_text(text: str) -> nodes.Node:
@@ -99,7 +107,9 @@ class Tutorial(SphinxDirective):
         folder = Path(self.env.app.outdir) / "_downloads"
         folder.mkdir(parents=True, exist_ok=True)
         nbformat.write(notebook, folder / f"{script.stem}.ipynb")
-        shown: list[nodes.Node] = []
+        pictures = [found for cell in notebook["cells"] for output in cell.get("outputs", ())
+                    if (found := get_picture(output))]
+        shown = [show_picture(pictures[-1], "opening")] if pictures else []
         for cell in notebook["cells"][2:]:  # the page has the title, and its reader the package
             is_prose = cell["cell_type"] == "markdown"
             shown += self.parse_text_to_nodes(cell["source"] if is_prose else f"```python\n{cell['source']}\n```")

@@ -1,8 +1,8 @@
-r"""MAXQ on Taxi in 80 lines.
+r"""MAXQ on Taxi.
 
 A taxi fetches a passenger and brings him to his destination. MAXQ (Dietterich 2000) splits that into tasks that call
-each other: `drive` calls `get` and `put`, which call `navigate`, which calls moves. The value of a call is what the
-child earns, plus what is still earned to complete the parent:
+each other: `drive` calls `get` and `put`, which call four ways to `navigate`, which call moves. The value of a call is
+what the child earns, plus what is still earned to complete the parent:
 
 $$
 Q(i,s,a) = V(a,s) + C(i,s,a), \qquad V(i,s) = \max_a Q(i,s,a)
@@ -12,115 +12,61 @@ So what `navigate` learns about a depot serves `get` and `put` alike.
 """
 
 import gymnasium
-import numpy as np
 
-from hrl_escape import generate, get_preset
+from hrl_escape import generate, get_preset, make_agent, train
+from hrl_escape.agents import maxq
 from hrl_escape.agents.hierarchy.price import compute_price
 from hrl_escape.agents.hierarchy.tabular_model import read_model
-from hrl_escape.agents.hierarchy.task_graph import maxq
 
-ALPHA, EPSILON, PICK_UP, PUT_DOWN = 0.25, 0.1, 4, 5
-DEPOTS = [(0, 0), (0, 4), (4, 0), (4, 3)]
 env = gymnasium.make("Taxi-v4")
-rng = np.random.default_rng(0)
-states = [tuple(map(int, env.unwrapped.decode(number))) for number in range(500)]  # row, column, passenger, destination
-
-
 generate(get_preset("taxi"), 0)  # the same world as a room of this package
 
+# The task graph names the children of each task, and when it is over. A passenger with number 4 sits in the taxi.
 
-# The task graph: the children of each task, and where it is over. A passenger with number 4 sits in the taxi.
-def at(depot):
-    """The taxi stands at a depot."""
-    return lambda state: state[:2] == DEPOTS[depot]
-
-
-WALKS = [f"navigate {depot}" for depot in range(4)]
-GRAPH = {"drive": ["get", "put"], "get": [PICK_UP, *WALKS], "put": [PUT_DOWN, *WALKS]}
-GRAPH |= {walk: [0, 1, 2, 3] for walk in WALKS}
-OVER = {"drive": lambda state: False, "get": lambda state: state[2] == 4, "put": lambda state: state[2] != 4}
-OVER |= {walk: at(depot) for depot, walk in enumerate(WALKS)}
+PICK_UP, PUT_DOWN, MOVES = 4, 5, range(4)
+DEPOTS = {f"navigate {number}": place for number, place in enumerate([(0, 0), (0, 4), (4, 0), (4, 3)])}
 
 
-# What each completion depends on. Without this abstraction MAXQ has more values to learn than Q-learning.
-def see(task, child, state):
-    """The part of a state that matters to completing a task after a child."""
-    row, column, passenger, destination = state
-    if task.startswith("navigate"):
-        return row, column
-    if task == "drive":
-        return (passenger, destination) if child == "get" else ()
-    return (passenger,) if task == "get" else (destination,)
+def read(number):
+    """Row, column, passenger, destination."""
+    return tuple(map(int, env.unwrapped.decode(int(number))))
 
 
-def see_primitive(action, state):
-    """The part of a state that matters to what a primitive earns: nothing for moves, else if it is allowed."""
-    depot = DEPOTS.index(state[:2]) if state[:2] in DEPOTS else None
-    return {PICK_UP: depot == state[2], PUT_DOWN: state[2] == 4 and depot == state[3]}.get(action)
+def is_riding(seen):
+    """The passenger sits in the taxi."""
+    return seen.state[2] == 4
 
 
-earned, completion = {}, {}
+graph = {"drive": ["get", "put"], "get": [PICK_UP, *DEPOTS], "put": [PUT_DOWN, *DEPOTS]} | {
+    walk: [*MOVES] for walk in DEPOTS}
+until = {"get": is_riding, "put": lambda seen: not is_riding(seen)} | {
+    walk: lambda seen, place=place: seen.state[:2] == place for walk, place in DEPOTS.items()}
 
+# The state abstraction says what each value may depend on. Without it MAXQ has more values to learn than Q-learning:
+# with it, `navigate` sees the cell alone, `get` the passenger, `put` the destination.
 
-def value(task, state):
-    """V: of a primitive from the table, of a task by the graph below it."""
-    if isinstance(task, int):
-        return earned.get((task, see_primitive(task, state)), 0.0)
-    return max(value(child, state) + completion.get((task, child, see(task, child, state)), 0.0)
-               for child in list_legal(task, state))
+depot_of = {place: number for number, place in enumerate(DEPOTS.values())}
+see = {("drive", "get"): lambda seen: seen.state[2:], ("drive", "put"): lambda seen: 0}
+see |= {("get", walk): lambda seen: seen.state[2] for walk in DEPOTS}
+see |= {("put", walk): lambda seen: seen.state[3] for walk in DEPOTS}
+see |= {walk: lambda seen: seen.state[:2] for walk in DEPOTS} | {move: lambda seen: 0 for move in MOVES}
+for pick, key, place in (("get", PICK_UP, 2), ("put", PUT_DOWN, 3)):  # legal where the depot is the one asked for
+    see[key] = see[pick, key] = lambda seen, place=place: (
+        is_riding(seen) == (place == 3) and depot_of.get(seen.state[:2]) == seen.state[place])
+tasks = maxq(graph, until, see, read=read)
 
+# What can the best policy of this graph reach, and the best of all? Both are computed exactly: nothing is lost.
 
-def list_legal(task, state):
-    """Primitives, and the tasks that are not over; a call of zero length would loop for ever."""
-    return [child for child in GRAPH[task] if isinstance(child, int) or not OVER[child](state)]
-
-
-def choose(task, state, epsilon):
-    """Epsilon-greedy by V + C."""
-    legal = list_legal(task, state)
-    if rng.random() < epsilon:
-        return legal[rng.integers(len(legal))]
-    return max(legal, key=lambda a: value(a, state) + completion.get((task, a, see(task, a, state)), 0.0))
-
-
-def learn(table, key, target):
-    """One step of the running average."""
-    table[key] = table.get(key, 0.0) + ALPHA * (target - table.get(key, 0.0))
-
-
-def run(task, state, epsilon):
-    """Run a call to its end; returns states on the way, the state reached, the sum of rewards, and how it ended."""
-    if isinstance(task, int):
-        number, reward, terminated, truncated, _ = env.step(task)
-        if epsilon:
-            learn(earned, (task, see_primitive(task, state)), float(reward))
-        return [state], states[number], reward, terminated, truncated
-    way, total, terminated, truncated = [], 0.0, False, False
-    while not (OVER[task](state) or terminated or truncated):
-        child = choose(task, state, epsilon)
-        inner, state, reward, terminated, truncated = run(child, state, epsilon)
-        way, total = way + inner, total + reward
-        if epsilon and not truncated:  # a call that was cut short never ended, so there is nothing to learn from it
-            # Over means over for this task, not for the episode: what comes then is its caller's to complete.
-            after = 0.0 if terminated or OVER[task](state) else value(task, state)
-            for seen in inner:  # from every state on the child's way (undiscounted, so its length does not matter)
-                learn(completion, (task, child, see(task, child, seen)), after)
-    return way, state, total, terminated, truncated
-
-
-def drive(seed, epsilon):
-    """One episode; returns its return."""
-    return run("drive", states[env.reset(seed=seed)[0]], epsilon)[2]
-
-
-checks = (0, 100, 300, 1_000, 3_000)
-for done, target in zip((0, *checks), checks, strict=False):
-    for seed in range(done, target):
-        drive(seed, EPSILON)
-    greedy = np.mean([drive(seed, 0.0) for seed in range(10_000, 10_300)])
-    print(f"after {target:5,} episodes: greedy return {greedy:7.2f} over 300 starts, {len(completion)} completions")
-
-# The exact optimum of the graph, and that of all policies: this graph costs nothing.
-until = {name: lambda seen, over=over: over(states[seen.observation]) for name, over in OVER.items()}
-price = compute_price(read_model(env), maxq(GRAPH, until))
+price = compute_price(read_model(env), tasks)
 print(f"optimum of the graph {price.recursive:.2f}, of all policies {price.flat:.2f}")
+
+# Now learn, and let Q-learning have the same primitives, rates and evaluation episodes.
+
+settings = {"gamma": 1.0, "learning_rate": 0.25, "epsilon_start": 0.3, "epsilon_end": 0.1}
+results = []
+for name, structure in (("maxq-q", {"hierarchy": tasks}), ("q-learning", {})):
+    agent = make_agent(name, env.observation_space, env.action_space, 0, structure=structure, **settings)
+    results.append(train(agent, env, primitives=40_000, seed=0, eval_every=4_000, eval_episodes=50, progress=False))
+    print(f"{name}: mean return {results[-1].evaluations[-1].mean_return:.2f} after 40,000 primitives")
+learned, flat = results
+learned.plot(flat)

@@ -8,6 +8,7 @@ import gymnasium
 
 from hrl_escape import OptionsEnv
 from hrl_escape.checks import check_option
+from hrl_escape.comparison.episodes import Episode, StateRecorder
 from hrl_escape.options.option import Option, ScriptedOption
 
 # The simplest option is a fixed list of primitives. Nine left turns make a quarter turn of 90 degrees.
@@ -52,9 +53,11 @@ env.unwrapped.instance
 # `OptionsEnv` offers them beside the primitives. One `step` runs one of them to its end, and `info` holds the SMDP
 # transition: the duration k, the sum of gamma^i r_i, and the discount gamma^k of all that follows.
 
-env = OptionsEnv(env, [north, south, quarter_turn], discount=0.99)
+recorder = StateRecorder(env)  # keeps every state, to play them below
+env = OptionsEnv(recorder, [north, south, quarter_turn], discount=0.99)
 _, info = env.reset(seed=0)
 print(f"{len(env.action_names)} actions; the last: {', '.join(env.action_names[-3:])}")
+decisions, total = [], 0.0
 left, right, turn = "to-the-left-wall", "to-the-right-wall", "quarter-turn"
 for name in (left, left, right, turn, left):
     action = env.action_names.index(name)
@@ -64,6 +67,10 @@ for name in (left, left, right, turn, left):
     _, reward, _, _, info = env.step(action)
     print(f"{name}: {info['duration']} primitives, {info['option']['ended']}, reward {reward:g}, "
           f"discounted {info['discounted_reward']:.2f}, gamma^k {info['discount']:.3f}")
+    decisions.append((name, info["duration"], info["option"]["ended"]))
+    total += reward
 
 # An option that cannot start is masked, not removed: every option keeps its number. Choosing a masked option costs one
-# primitive, so that no agent can wait for free.
+# primitive, so that no agent can wait for free. What happened, from above:
+
+Episode(env.unwrapped.instance, tuple(recorder.states), tuple(decisions), total, success=False)

@@ -8,6 +8,7 @@ import gymnasium
 
 import hrl_escape
 from hrl_escape import OptionsEnv, RoomPlanner
+from hrl_escape.comparison import record_episode
 
 env = OptionsEnv(gymnasium.make("hrl_escape/Clutter-v1", instance_seed=3))
 _, info = env.reset(seed=0)
@@ -50,3 +51,7 @@ for name in ("meta-01", "meta-02", "meta-exit"):
     _, _, terminated, _, info = noisy.step(noisy.action_names.index(name))
     replans += info["option"]["replans"]
 print(f"with noise 0.2 and slip 0.1: escaped {terminated}, planned again: {replans > 0}")
+
+# Such an episode, recorded: the reference `smdp-index-order` presses 1, then 2, and leaves.
+
+record_episode("smdp-index-order", noisy)

@@ -12,6 +12,7 @@ import gymnasium
 import numpy as np
 
 from hrl_escape import OptionsEnv
+from hrl_escape.figures import get_figure_class
 
 GAMMA, ALPHA, EPSILON, EPISODES = 0.99, 0.5, 0.2, 40
 
@@ -55,8 +56,10 @@ def play(seed, learn):
     return total, names
 
 
+returns = []
 for episode in range(EPISODES):
     total, names = play(seed=episode, learn=True)
+    returns.append(total)
     if episode in (0, 1, 2, 5, 10, 20, 39):
         print(f"episode {episode:2}: return {total:5g} in {len(names)} decisions")
 
@@ -64,6 +67,10 @@ for episode in range(EPISODES):
 
 total, names = play(seed=99, learn=False)
 print(f"greedy: return {total:g} by {', then '.join(names)}")
+
+figure = get_figure_class()(figsize=(5.6, 2.6), layout="constrained")
+figure.add_subplot(xlabel="episode", ylabel="return while exploring").plot(returns, marker="o")
+figure
 
 # The packaged `smdp-q-learning` makes the same backup and adds decaying exploration, a seed for every draw,
 # checkpoints and evaluation on fixed episodes.

@@ -13,6 +13,7 @@ from torchrl.data import Categorical, LazyTensorStorage, ReplayBuffer
 from torchrl.modules import MLP, EGreedyModule, QValueActor
 from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
+from hrl_escape.figures import get_figure_class
 from hrl_escape.options import OptionsTorchRLEnv, SMDPTransform
 
 logging.getLogger("torchrl").setLevel(logging.WARNING)
@@ -72,6 +73,14 @@ with torch.no_grad():
 later = ~batch["next", "terminated"]
 print(f"targets of long walks: {right[later].mean():.1f} with durations, "
       f"{wrong[later].mean():.1f} without")
+
+# How long are the decisions of the greedy policy after so little training?
+
+lengths = env.rollout(40, policy=actor, break_when_any_done=False)["next", "duration"]
+figure = get_figure_class()(figsize=(5.6, 2.6), layout="constrained")
+figure.add_subplot(xlabel="primitives of a decision (k)", ylabel="decisions of the greedy policy").hist(
+    lengths.flatten().numpy(), bins=30)
+figure
 
 # The same in this project's training loop, with checkpoints, evaluations and reports, is
 # `hrl-escape train smdp-torchrl-dqn`, and `torchrl-ppo` and `torchrl-sac` beside it.

@@ -1,4 +1,5 @@
 from .comparison import run_grid
+from .episodes import Episode, record_episode
 from .grid import AgentSpec, Grid
 from .places import RoomSpec
 from .reporting.report import write_report
@@ -6,8 +7,10 @@ from .verdict import write_verdict
 
 __all__ = [
     "AgentSpec",
+    "Episode",
     "Grid",
     "RoomSpec",
+    "record_episode",
     "run_grid",
     "write_report",
     "write_verdict",

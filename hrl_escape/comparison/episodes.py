@@ -1,22 +1,25 @@
-"""Recorded episodes of an agent, primitive by primitive, as JSON that a page can play, and progress in a room.
+"""Recorded episodes of an agent, primitive by primitive, which a notebook or a report plays, and progress in a room.
 
-Recording changes nothing in the environment and adds `progress` to its `info`. The report plays the episodes
-as `env/drawing/moving_map.py` does.
+Recording changes nothing in the environment and adds `progress` to its `info`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 
 from hrl_escape.agents.agent import Agent, read_success
 from hrl_escape.agents.training.evaluation import play_episode
-from hrl_escape.env.drawing.moving_map import make_frames
-from hrl_escape.env.kinematics import RoomState
-from hrl_escape.errors import UnsupportedError
+from hrl_escape.env.drawing.moving_map import embed_moving_map, make_frames, make_moving_map
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.errors import UnknownNameError, UnsupportedError
 
-__all__ = ["StateRecorder", "find_recorder", "record_episode"]
+__all__ = ["Episode", "StateRecorder", "find_recorder", "record_episode"]
 
 
 class StateRecorder(gymnasium.Wrapper):
@@ -38,11 +41,11 @@ class StateRecorder(gymnasium.Wrapper):
         self.starts: list[RoomState] = []
         self._progress = 0.0
 
-    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset, and begin a new record."""
-        observation, info = self.env.reset(**arguments)
+        observation, info = self.env.reset(seed=seed, options=options)
         self.states = [self._get_state()]
-        self.starts = [*([] if arguments.get("seed") is not None else self.starts), self.states[0]]
+        self.starts = [*([] if seed is not None else self.starts), self.states[0]]
         self._progress = self._measure_progress()
         return observation, {**info, "progress": self._progress}
 
@@ -64,6 +67,40 @@ class StateRecorder(gymnasium.Wrapper):
         return room.get_state()
 
 
+@dataclass(frozen=True, repr=False)
+class Episode:
+    """A played episode of a room. In a notebook it plays itself.
+
+    Attributes:
+        instance: the room.
+        states: the first one, and one a primitive.
+        decisions: name, number of primitives and how it ended (`reached`, `timeout`, ...) of each, in order.
+        total: undiscounted return.
+        success: the robot escaped.
+    """
+
+    instance: RoomInstance
+    states: tuple[RoomState, ...]
+    decisions: tuple[tuple[str, int, str], ...]
+    total: float
+    success: bool
+
+    def __repr__(self) -> str:
+        end = "escaped" if self.success else "no escape"
+        return (f"<Episode in {self.instance.name}: {end}, {len(self.states) - 1} primitives in {len(self.decisions)} "
+                f"decisions, return {self.total:g}>")
+
+    def _repr_html_(self) -> str:
+        decisions = [(name, count) for name, count, _ in self.decisions]
+        return embed_moving_map(self.instance, make_moving_map(self.instance, self.states, decisions))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return `return`, `primitives`, `success`, `decisions` and `frames` (see `make_frames`) as JSON values."""
+        return {"return": self.total, "primitives": len(self.states) - 1, "success": self.success,
+                "decisions": [list(decision) for decision in self.decisions],
+                "frames": make_frames(Kinematics(self.instance), self.states)}
+
+
 def find_recorder(env: gymnasium.Env) -> StateRecorder:
     """The recorder among the wrappers of a room.
 
@@ -77,32 +114,52 @@ def find_recorder(env: gymnasium.Env) -> StateRecorder:
     raise UnsupportedError(f"nothing records the states of {env}")
 
 
-def record_episode(agent: Agent, env: gymnasium.Env, recorder: StateRecorder, seed: int) -> dict[str, Any]:
-    """Play one greedy episode and return it as a JSON value.
+@contextmanager
+def _recording(env: gymnasium.Env) -> Iterator[tuple[gymnasium.Env, StateRecorder]]:
+    """Put a recorder around the room itself for the time being, unless there is one."""
+    wrappers = []
+    while isinstance(env, gymnasium.Wrapper):
+        wrappers.append(env)
+        env = env.env
+    recorder = next((each for each in wrappers if isinstance(each, StateRecorder)), None)
+    if recorder is not None or not wrappers:
+        recorder = recorder or StateRecorder(env)
+        yield (wrappers or [recorder])[0], recorder
+        return
+    recorder = wrappers[-1].env = StateRecorder(env)
+    try:
+        yield wrappers[0], recorder
+    finally:
+        wrappers[-1].env = env
+
+
+def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> Episode:
+    """Play one greedy episode of a room and keep it.
 
     Args:
-        agent: acts with frozen weights.
-        env: the recorder itself, or what wraps it.
-        recorder: around the flat room.
+        agent: acts with frozen weights; or the name of a reference, such as `smdp-untried-nearest`.
+        env: a room, or what wraps one, such as an `OptionsEnv`; reset with `seed` first.
         seed: the episode's.
 
-    Returns:
-        `return`, `primitives`, `success`; `decisions`: [name, duration, how it ended] each; `frames`, see
-        `make_frames`.
+    Raises:
+        UnsupportedError: the environment is no room.
+        UnknownNameError: no reference has this name.
     """
+    from hrl_escape.comparison.references.registry import REFERENCES, make_reference  # they record what they do
+
+    if isinstance(agent, str) and agent not in REFERENCES:
+        raise UnknownNameError("reference", agent, REFERENCES)
     room: Any = env.unwrapped
-    names = room.instance.robot.actions.names
+    if not isinstance(getattr(room, "instance", None), RoomInstance):
+        raise UnsupportedError(f"{room} is no room: only episodes of rooms are recorded")
     total, success = 0.0, False
-    decisions: list[list[Any]] = []
-    for transition, info in play_episode(agent, env, seed):
-        total += transition.summed_reward
-        option = info.get("option") or {"name": names[transition.action], "ended": "reached"}
-        decisions.append([option["name"], transition.duration, option["ended"]])
-        success = read_success(info, transition.terminated)
-    return {
-        "return": total,
-        "primitives": len(recorder.states) - 1,
-        "success": success,
-        "decisions": decisions,
-        "frames": make_frames(room.rules, recorder.states),
-    }
+    decisions: list[tuple[str, int, str]] = []
+    with _recording(env) as (recorded, recorder):
+        player = make_reference(agent, recorded, recorder) if isinstance(agent, str) else agent
+        for transition, info in play_episode(player, recorded, seed):
+            total += transition.summed_reward
+            option = info.get("option") or {"name": room.instance.robot.actions.names[transition.action],
+                                            "ended": "reached"}
+            decisions.append((option["name"], transition.duration, option["ended"]))
+            success = read_success(info, transition.terminated)
+        return Episode(room.instance, tuple(recorder.states), tuple(decisions), total, success)

@@ -232,7 +232,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
         if grid.trials > 1 and place.split is not None:
             value = _try_several_times(run, out, player, place.split, common, order, value)
         drawn = seeds if place.split is None else seeds[:: len(place.split.test)]  # those in the room in pictures
-        episodes = [] if floors > 1 else [record_episode(player, env, recorder, seed) for seed in drawn]
+        episodes = [] if floors > 1 else [record_episode(player, env, seed).to_json() for seed in drawn]
     finally:
         env.close()
     write_json(folder / "episodes.json", episodes, indent=None)

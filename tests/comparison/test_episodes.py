@@ -10,13 +10,15 @@ import pytest
 
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents.registry import make_agent
-from hrl_escape.comparison.episodes import StateRecorder, make_frames, record_episode
+from hrl_escape.comparison.episodes import StateRecorder, find_recorder, make_frames, record_episode
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import UnknownNameError, UnsupportedError
+from hrl_escape.options import OptionsEnv
 from tests.comparison.small import SCHEMATIC
 
 
@@ -24,7 +26,7 @@ def record(name: str, seed: int = 3):
     instance = generate(SCHEMATIC, 0)
     env, recorder = make_env(AgentSpec(name), instance, "features")
     agent = make_agent(name, env.observation_space, env.action_space, 0)
-    return instance, env, recorder, record_episode(agent, env, recorder, seed)
+    return instance, env, recorder, record_episode(agent, env, seed).to_json()
 
 
 @pytest.mark.parametrize("name", ["random", "smdp-random"])
@@ -41,6 +43,28 @@ def test_frames_replay_to_the_same_states_in_a_fresh_environment(name: str):
         steps = [rules.step(before, action).state for action in range(len(rules.actions))]
         assert after in steps
         assert (frames["x"][number], frames["y"][number]) == (round(before.x, 3), round(before.y, 3))
+
+
+def test_an_episode_plays_itself_and_leaves_no_recorder():
+    """The same states, whether a recorder was there or is put in for the time being, below options or around a room."""
+    instance = generate(SCHEMATIC, 0)
+    for name in ("random", "smdp-random"):
+        flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=instance, observation="features")
+        env = OptionsEnv(flat) if name == "smdp-random" else flat
+        agent = make_agent(name, env.observation_space, env.action_space, 0)
+        episode = record_episode(agent, env, 3)
+        assert episode.to_json() == record(name)[3]
+        with pytest.raises(UnsupportedError):
+            find_recorder(env)
+        assert "\n" not in repr(episode) and f"{len(episode.states) - 1} primitives" in repr(episode)
+        assert "<iframe" in episode._repr_html_()
+    planned = record_episode("planner", flat)
+    assert planned.success and -planned.total + 100 == len(planned.states) - 1
+    assert record_episode("smdp-untried-nearest", env).success
+    with pytest.raises(UnknownNameError, match="smdp-untried-nearest"):
+        record_episode("smdp-untried-nearst", env)
+    with pytest.raises(UnsupportedError, match="no room"):
+        record_episode(agent, gymnasium.make("Taxi-v4"))
 
 
 def test_decisions_carry_the_names_of_primitives_and_options():

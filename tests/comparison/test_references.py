@@ -26,7 +26,7 @@ def play(name: str, instance: RoomInstance, episodes: int = 2) -> tuple[Evaluati
     env, recorder = make_env(AgentSpec(name), instance, "features")
     reference = make_reference(name, env, recorder)
     found = evaluate(reference, env, episodes)
-    episode = record_episode(reference, env, recorder, 0)
+    episode = record_episode(reference, env).to_json()
     env.close()
     return found, episode
 
@@ -45,7 +45,7 @@ def test_a_shuffled_round_presses_every_button_once_in_an_order_of_the_episode_s
     reference = make_reference(SHUFFLED_ROUND, env, recorder)
     buttons, orders = [f"meta-{number:02}" for number in range(1, 11)], []
     for seed in (0, 1, 0):
-        names = [name for name, _, _ in record_episode(reference, env, recorder, seed)["decisions"]]
+        names = [name for name, _, _ in record_episode(reference, env, seed).decisions]
         order = [*names[:10], "meta-exit"]
         assert sorted(order[:10]) == buttons
         assert names == [order[number % 11] for number in range(len(names))], "round after round the same"

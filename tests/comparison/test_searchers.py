@@ -53,7 +53,7 @@ def play(name: str, room: RoomInstance, episodes: int = 1) -> tuple[np.ndarray, 
     env, recorder = make_env(AgentSpec(name), room, "features")
     reference = make_reference(name, env, recorder)
     found = evaluate(reference, env, episodes)
-    decisions = [decision[0] for decision in record_episode(reference, env, recorder, 0)["decisions"]]
+    decisions = [decision[0] for decision in record_episode(reference, env, 0).decisions]
     env.close()
     return np.where(found.successes, found.lengths, np.inf), decisions
 

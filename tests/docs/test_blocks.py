@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from pathlib import Path
 
 import pytest
 import tyro
-from PIL import Image
 
 from hrl_escape.cli import main
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.planning.planner import RoomPlanner
 from studies.running import get_args
 from studies.study import find_study
 from tests.docs.blocks import PAGES, ROOT, Block, parse, parse_options, read_blocks, read_commands
@@ -95,13 +94,18 @@ def test_a_replacement_that_fits_nothing_is_found(tmp_path: Path):
         read_blocks(page)
 
 
-def test_the_picture_of_the_first_page_is_what_its_command_makes():
-    caption = re.search(r"escaped in (\d+) primitives, planned and driven in Bullet: `hrl-escape solve --preset "
-                        r"clutter --seed 3", (ROOT / "README.md").read_text())
-    assert caption is not None
-    room = generate(get_preset("clutter"), 3)
-    planner = RoomPlanner(room)
-    plan = planner.solve(planner.rules.make_state(room.starts[0]))
-    assert plan.cost == int(caption[1])
-    with Image.open(ROOT / "docs/images/escape.gif") as picture:
-        assert picture.n_frames == plan.cost + 1
+def test_the_strip_of_the_first_page_is_what_the_planner_does(monkeypatch: pytest.MonkeyPatch):
+    """Its four cards by the planner, drawn anew; `make docs` draws the whole."""
+    monkeypatch.syspath_prepend(ROOT / "docs/_ext")
+    strip = importlib.import_module("strip")
+    kept = strip.KEPT.read_text(encoding="utf-8")
+    longest = max(map(int, re.findall(r">out in (\d+)<", kept)))
+    planner = strip.Scene("The planner", "knows which button needs which",
+                          (strip.solve(generate(get_preset("clutter"), strip.SEED)),))
+    places = [(2, 0), (0, 1), (1, 1), (2, 1)]  # column, row
+    for scene, (column, row) in zip([planner, *strip.make_others()], places, strict=True):
+        assert strip.draw_card(scene, column, row, longest) in kept, scene.title
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "docs/images/strip.svg" in readme and readme.count("\n|---|") == 1, "one table"
+    shown = [ROOT / path for path in re.findall(r"!\[[^\]]*\]\((docs/\S+)\)", readme)]
+    assert sum(path.stat().st_size for path in shown) < 3e6

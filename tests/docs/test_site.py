@@ -64,6 +64,11 @@ def test_public_names_are_few_and_the_package_offers_only_them():
     assert set(hrl_escape.__all__) <= {name.rpartition(".")[2] for name in names}
 
 
+def test_the_strip_is_what_its_episodes_are(site: Path):
+    """`python docs/_ext/strip.py` writes it anew."""
+    assert (site / "_images/strip.svg").read_bytes() == (ROOT / "docs/images/strip.svg").read_bytes()
+
+
 def test_every_agent_has_a_page_with_equation_settings_and_curve(site: Path):
     for name in list_agents():
         page = site / "agents" / f"{name}.html"
@@ -88,14 +93,16 @@ def test_every_command_is_on_the_page_of_the_command_line(site: Path):
 TUTORIALS = {
     "first_escape": r"escaped: True, return 61 best known return: 66",
     "flat_gets_stuck": r"paper-two-button: random, 5,000 primitives: 0 escapes, "
-                       r".*primitives: returns \[(-1000, )+-1000\].*options: returns \[-?\d+, .* [3-6]\d\] chance",
+                       r".* q-learning: returns \[(-1000, )+-1000\] smdp-q-learning: returns \[-?\d+, .* [3-6]\d\] ",
     "options_by_hand": r"reached, reward -8, discounted -7.73, gamma\^k 0.923 to-the-left-wall: cannot start here",
-    "own_environment": r"fetch: 11 primitives, reached.* q-learning: mean return -200.0 .* smdp-q-learning: mean "
-                       r"return (?:19|2\d)\.\d after .* smdp-random: mean return -?1?\d\.\d",
+    "own_environment": r"fetch: 11 primitives, reached.* smdp-q-learning: mean return (?:19|2\d)\.\d after .* "
+                       r"q-learning: mean return -200.0 .* smdp-random: mean return -?1?\d\.\d",
     "planned_options": r"plan: (\d+) primitives, return \d+ .*by options: escaped True, return \d+ with noise .* True",
     "smdp_q_learning": r"episode 0: return .*greedy: return 64 by meta-01, then meta-02, then meta-exit",
-    "maxq_taxi": r"after 3,000 episodes: greedy return (7\.[6-9]|8\.[0-3]).*optimum of the graph 7.93, of all "
-                 r"policies 7.93",
+    "maxq_taxi": r"optimum of the graph 7.93, of all policies 7.93 maxq-q: mean return (7\.[5-9]|8\.[0-3])",
+    "own_agent": r"own network: return -1000 untrained, [56]\d at the end variant: .* own agent: .*, [56]\d at the end",
+    "generalise": r"learner: [12]\d of 20 escapes, (\d+) primitives .*chance: .*searcher: 20 of 20 .*planner: 20 of 20",
+    "plan_arm": r"[1-9]\d postures, joint margin .* places of the arm tested on the way escape: [12]\d primitives",
     "torchrl_options": r"5,120 decisions: +[1-9]\d+ escapes .* targets of long walks: -?\d+\.\d with durations",
     "new_puzzle": r"combination: button-4, button-3, button-1, button-2 plan: press-button-4, .* return [1-9]\d",
 }
@@ -112,9 +119,27 @@ def test_a_tutorial_shows_what_it_teaches(site: Path, name: str):
     assert kinds & {"image/svg+xml", "text/html"}
     page = (site / "tutorials" / f"{name}.html").read_text(encoding="utf-8")
     assert 'class="tutorial-picture"' in page and f"_downloads/{name}.ipynb" in page
+    last = [output for cell in notebook["cells"] for output in cell.get("outputs", ())][-1]
+    assert {"image/svg+xml", "text/html"} & set(last.get("data", ())), "the last expression is a picture"
 
 
-@pytest.mark.parametrize(("name", "most"), [("new_puzzle", 50), ("smdp_q_learning", 60), ("maxq_taxi", 80)])
+def count_words_before_a_picture(page: str) -> int:
+    """Words of an HTML page's article, its title included, above the first picture; a code block's count too."""
+    article = page.partition('role="main"')[2]
+    found = re.search(r'<img |<svg |<iframe |class="player|class="gallery', article)
+    return len(re.sub(r"<[^>]+>", " ", article[: found.start()]).split()) if found else 10**6
+
+
+def test_no_tutorial_and_no_guide_keeps_its_first_screen_without_a_picture(site: Path):
+    """Some 110 words fill half of a laptop's screen."""
+    guides = ("index", "quickstart", "options", "hierarchies", "planners", "ladder", "schematic", "puzzles", "viewer")
+    pages = [f"tutorials/{name}" for name in TUTORIALS] + list(guides) + ["results/index"]
+    words = {page: count_words_before_a_picture((site / f"{page}.html").read_text("utf-8")) for page in pages}
+    assert {page: count for page, count in words.items() if count > 110} == {}
+    assert count_words_before_a_picture('role="main" ' + "word " * 200 + "<img src>") == 200
+
+
+@pytest.mark.parametrize(("name", "most"), [("new_puzzle", 50), ("smdp_q_learning", 60)])
 def test_a_tutorial_is_as_short_as_its_title_says(name: str, most: int):
     """Lines of code: no blank lines, comments or docstrings."""
     source = (ROOT / f"docs/tutorials/{name}.py").read_text()

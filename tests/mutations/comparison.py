@@ -4,6 +4,22 @@ from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
     Mutation(
+        "what learns nothing gets a band",
+        "comparison/reporting/figures.py",
+        "if not is_level(agent.spec):",
+        "if agent.runs:",
+        "comparison/reporting/test_report.py::test_what_learns_nothing_is_one_thin_line_without_a_band",
+    ),
+    Mutation(
+        "a recorder stays behind after an episode",
+        "comparison/episodes.py",
+        """    finally:
+        wrappers[-1].env = env""",
+        """    finally:
+        pass""",
+        "comparison/test_episodes.py::test_an_episode_plays_itself_and_leaves_no_recorder",
+    ),
+    Mutation(
         "training tells nobody of its evaluations",
         "agents/training/train.py",
         "if observed and result.evaluations",

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.errors import CheckpointError, EscapeError, FileReadError, describe_damage
-from hrl_escape.figures import make_svg
+from hrl_escape.figures import LINES, get_figure_class, make_svg
 from hrl_escape.files import read_json, read_text
 from hrl_escape.settings import read_record
 
@@ -249,24 +249,25 @@ class TrainResult:
             x = [getattr(evaluation, against) for evaluation in self.evaluations]
         return np.array(x, float), np.array([getattr(e, metric) for e in self.evaluations], float)
 
-    def plot(self, metric: str = "mean_return", against: str = "primitives") -> Figure:
+    def plot(self, *others: TrainResult, metric: str = "mean_return", against: str = "primitives") -> Figure:
         """Draw the learning curve from the evaluations.
 
         Args:
+            others: further runs to draw beside this one.
             metric: as for `curve`.
             against: as for `curve`.
 
         Returns:
-            A matplotlib figure that belongs to no window; `figure.savefig(path)` writes it.
+            A matplotlib figure that belongs to no window; it shows itself in a notebook, and `figure.savefig(path)`
+            writes it.
         """
-        from matplotlib.figure import Figure
-
-        x, y = self.curve(metric, against)
-        figure = Figure(figsize=(5.6, 3.0), dpi=120, layout="constrained")
+        figure = get_figure_class()(figsize=(5.6, 3.0), dpi=120, layout="constrained")
         axes = figure.add_subplot()
-        axes.plot(x, y, color="#0072b2", linewidth=1.8, marker="o", markersize=3)
-        axes.set(xlabel=f"{against} of training", ylabel=f"{metric.replace('_', ' ')} of frozen weights",
-                 title=f"{self.agent_name}, seed {self.seed}")
+        for number, run in enumerate((self, *others)):
+            axes.plot(*run.curve(metric, against), color=LINES[number % len(LINES)], linewidth=1.8, marker="o",
+                      markersize=3, label=f"{run.agent_name}, seed {run.seed}")
+        axes.set(xlabel=f"{against} of training", ylabel=f"{metric.replace('_', ' ')} of frozen weights")
+        axes.legend(frameon=False)
         axes.spines[["top", "right"]].set_visible(False)
         return figure
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.env.drawing import palette
 
-__all__ = ["AgentStyle", "choose_styles"]
+__all__ = ["AgentStyle", "choose_styles", "is_level"]
 
 GREYS = ("#8b8f98", "#5a5e67", "#b3b7bd")
 """Greys, for agents that learn nothing."""
@@ -37,6 +37,11 @@ def choose_styles(specs: Sequence[AgentSpec]) -> list[AgentStyle]:
             colours.setdefault(key, colour)
         found.append(AgentStyle(colour, _darken(colour), is_dashed))
     return found
+
+
+def is_level(spec: AgentSpec) -> bool:
+    """Return whether an agent's curve is a level: it learns nothing, and is drawn as a thin line without a band."""
+    return spec.is_reference or not spec.learns
 
 
 def _darken(colour: str) -> str:

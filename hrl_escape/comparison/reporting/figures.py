@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.reporting.agent_style import choose_styles
+from hrl_escape.comparison.reporting.agent_style import choose_styles, is_level
 from hrl_escape.comparison.summary import PROFILE, Summary, summarise
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import make_map
@@ -52,9 +52,10 @@ def draw_curves(summary: Summary, metric: str, against: str) -> Figure:
     for agent, look in zip(summary.agents, choose_styles([a.spec for a in summary.agents]), strict=True):
         x = getattr(agent.curve, against)
         middle, low, high = agent.curve.metrics[metric]
-        axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
-        axes.plot(x, middle, color=look.colour, linestyle="--" if look.is_dashed else "-", linewidth=1.8,
-                  label=agent.label)
+        if not is_level(agent.spec):
+            axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
+        axes.plot(x, middle, color=look.colour, linestyle="--" if look.is_dashed else "-", label=agent.label,
+                  linewidth=0.9 if is_level(agent.spec) else 1.8)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
     _finish(axes)
     return figure
@@ -72,7 +73,7 @@ def draw_profile(summary: Summary) -> Figure:
 
 
 def _make_axes(x: str, y: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(6.4, 3.6), facecolor=palette.BACKGROUND, layout="constrained")
+    figure = Figure(figsize=(7.2, 3.6), facecolor=palette.BACKGROUND, layout="constrained")
     axes = figure.add_subplot()
     axes.set_xlabel(x, color=palette.INK)
     axes.set_ylabel(y, color=palette.INK)

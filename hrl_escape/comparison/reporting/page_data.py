@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.reporting.agent_style import AgentStyle
+from hrl_escape.comparison.reporting.agent_style import AgentStyle, is_level
 from hrl_escape.comparison.runs import read_episodes
 from hrl_escape.comparison.summary import PROFILE, AgentSummary, Curve, Summary
 from hrl_escape.env.drawing.moving_map import PLAYER_COLOURS, describe_room
@@ -73,6 +73,7 @@ def _describe_agent(agent: AgentSummary, look: AgentStyle) -> dict[str, Any]:
         "colour": look.colour,
         "text": look.text,
         "dash": look.is_dashed,
+        "is_level": is_level(agent.spec),
         "curve": _describe_curve(agent.curve),
         "room_curves": [None if curve is None else _describe_curve(curve) for curve in agent.room_curves],
         "profile": _round(agent.profile),

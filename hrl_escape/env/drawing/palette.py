@@ -1,8 +1,7 @@
 """Colours of a room in every picture, of a target in each of its states, of its mark, and of paint on the floor.
 
 Colours are hexadecimal sRGB text, shared by maps, Bullet's cameras and reports; nothing here
-draws. The line colours are those of Okabe and Ito (2008), which people with any colour
-vision can tell apart.
+draws.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.marks import split_mark
 from hrl_escape.env.puzzles.traits import Depicted, Graphed, Marked, get_trait
+from hrl_escape.figures import LINES as LINES
 
 __all__ = ["TargetLook", "choose_tile", "compute_floors", "find_front", "get_inner_colour", "get_inner_share",
            "get_target_look", "list_badge", "list_marks", "name_target", "to_rgb"]
@@ -35,7 +35,6 @@ LOCK = "#d55e00"
 TRAIL = "#0072b2"
 MARKS = ("#d62728", "#2f6db5", "#2ca02c", "#f0d000", "#8e44ad", "#17becf", "#f08c2e", "#22262e")
 """Colours of marks, in the order of their numbers."""
-LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
 class TargetLook(NamedTuple):

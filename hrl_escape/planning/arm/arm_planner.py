@@ -23,6 +23,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.state_checks import check_fields
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
+from hrl_escape.figures import make_svg, save_figure
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
@@ -346,6 +347,12 @@ class ReachMap:
     cell: float
     share: NDArray[np.float64]
 
+    def __repr__(self) -> str:
+        return f"<ReachMap of {self.point}: {self.share.max():.0%} of headings at best, from {self.get_best()}>"
+
+    def _repr_svg_(self) -> str:
+        return make_svg(self.draw())
+
     def get_best(self) -> tuple[float, float]:
         """Place with the largest share, m."""
         i, j = np.unravel_index(int(self.share.argmax()), self.share.shape)
@@ -355,7 +362,6 @@ class ReachMap:
     def draw(self, path: str | Path | None = None) -> Any:
         """Draw the map over the room's; PNG, SVG or PDF if a path is given. Returns the matplotlib figure."""
         from hrl_escape.env.drawing.maps import make_map  # loads matplotlib
-        from hrl_escape.figures import save_figure
 
         figure = make_map(self.instance)
         axes = figure.axes[0]

@@ -21,6 +21,7 @@ from hrl_escape import __version__
 from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.launching.local import Failure
+from hrl_escape.comparison.reporting.figures import draw_curves
 from hrl_escape.comparison.reporting.page_data import choose_replays
 from hrl_escape.comparison.reporting.report import write_report
 from hrl_escape.comparison.statistics import compute_iqm
@@ -285,6 +286,50 @@ def test_the_page_works_in_a_browser_without_network(summary: Summary, source: s
     assert report["cards"] == len(labels)
     for player in report["players"]:
         assert player["moved"] and player["words"].endswith(f"of {player['count']:,}")
+
+
+FRAMED = """
+<iframe id="page" style="width:{width}px;height:900px;border:0"></iframe>
+<script>
+const frame = document.getElementById("page");
+frame.srcdoc = JSON.parse(document.querySelector("pre").textContent);
+frame.onload = () => {{
+  const page = frame.contentDocument, right = (node) => node.getBoundingClientRect().right;
+  const late = (selector, edge) => [...page.querySelectorAll(selector)].filter((node) => right(node) > edge + 1).length;
+  document.querySelector("pre").textContent = JSON.stringify({{
+    scrolls: page.documentElement.scrollWidth - frame.clientWidth,
+    cut_words: late("#curve-chart text", right(page.querySelector("#curve-chart svg"))),
+    cut_cells: late("#results > .scroll th, #results > .scroll td", right(page.querySelector("#results"))),
+    size: parseFloat(frame.contentWindow.getComputedStyle(page.querySelector("#curve-chart text")).fontSize)
+      * page.querySelector("#curve-chart svg").getBoundingClientRect().width
+      / page.querySelector("#curve-chart svg").viewBox.baseVal.width,
+  }});
+}};
+</script>"""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium")
+@pytest.mark.parametrize("width", [1280, 390])
+def test_the_page_fits_a_laptop_and_a_phone(summary: Summary, source: str, tmp_path: Path, width: int):
+    """With a long name, nothing is cut, nothing but tables scrolls, and words in charts are 9 pixels high or more."""
+    longest = "smdp-ppo+objects+memory+no-primitives"
+    content = json.dumps(source.replace(summary.agents[-1].label, longest))
+    (tmp_path / "framed.html").write_text(f"<pre>{html.escape(content)}</pre>{FRAMED.format(width=width)}")
+    found = re.search(r"<pre>(.*?)</pre>", dump_page(tmp_path / "framed.html", tmp_path), re.DOTALL)
+    assert found and len(found[1]) < 1000, "the page was not measured"
+    measured = json.loads(html.unescape(found[1]))
+    assert measured["scrolls"] <= 0 and measured["cut_words"] == 0 and measured["cut_cells"] == 0, measured
+    assert measured["size"] >= 9
+
+
+def test_what_learns_nothing_is_one_thin_line_without_a_band(summary: Summary, page: Page):
+    levels = {agent.label for agent in summary.agents if agent.spec.is_reference or not agent.spec.learns}
+    assert levels and {agent.label for agent in summary.agents} - levels
+    assert {agent["label"] for agent in json.loads(page.data)["agents"] if agent["is_level"]} == levels
+    axes = draw_curves(summary, "efficiency", "primitives").axes[0]
+    assert len(axes.collections) == len(summary.agents) - len(levels), "a band for each that learns"
+    widths = {str(line.get_label()): line.get_linewidth() for line in axes.lines}
+    assert max(widths[label] for label in levels) < min(widths[label] for label in set(widths) - levels)
 
 
 def test_the_page_names_commands_that_show_the_best_run_in_three_dimensions(finished: Comparison, source: str,

@@ -60,13 +60,14 @@ function spread(places, gap, low, high) {
   return result;
 }
 
-// series: [{name, colour, dash, x, y, low, high}]; options: {width, height, xTitle, yTitle, xLog, yLog, xReverse, yReverse,
+// series: [{name, colour, dash, thin, x, y, low, high}], a thin one without band; options: {width, height, xTitle, yTitle, xLog, yLog, xReverse, yReverse,
 // xRange, yRange, step, names, xFormat, yFormat}
 function drawChart(box, series, options) {
   box.replaceChildren();
   const width = options.width, height = options.height;
   const longest = Math.max(0, ...series.map((s) => s.name.length));
-  const left = 62, right = options.names ? Math.min(280, 40 + 7.4 * longest) : 20, top = 18, bottom = 46;
+  const named = options.names && width > 620; // below that the legend has to do
+  const left = 62, right = named ? Math.min(0.42 * width, 40 + 7.4 * longest) : 20, top = 18, bottom = 46;
   const svg = draw("svg", { viewBox: `0 0 ${width} ${height}`, role: "img" }, box);
   const xs = series.flatMap((s) => s.x), ys = series.flatMap((s) => [...s.low, ...s.high, ...s.y]);
   let [xLow, xHigh] = options.xRange || [Math.min(...xs, 0), Math.max(...xs)];
@@ -93,19 +94,19 @@ function drawChart(box, series, options) {
     const point = `${X(v).toFixed(1)},${Y(clampY(y[i])).toFixed(1)}`;
     return i && options.step ? `${X(v).toFixed(1)},${Y(clampY(y[i - 1])).toFixed(1)} ${point}` : point;
   }).join(" ");
-  for (const s of series.filter((s) => s.low !== s.high))
+  for (const s of series.filter((s) => s.low !== s.high && !s.thin))
     draw("polygon", { points: `${trace(s.x, s.high)} ${trace([...s.x].reverse(), [...s.low].reverse())}`, fill: s.colour, "fill-opacity": 0.13 }, svg);
   for (const s of series)
-    draw("polyline", { points: trace(s.x, s.y), fill: "none", stroke: s.colour, "stroke-width": 2.2,
+    draw("polyline", { points: trace(s.x, s.y), fill: "none", stroke: s.colour, "stroke-width": s.thin ? 1.1 : 2.2,
       "stroke-dasharray": s.dash ? "6 4" : "none", "stroke-linejoin": "round", "stroke-linecap": s.dash ? "butt" : "round" }, svg);
 
-  if (options.names) {
+  if (named) {
     const places = spread(series.map((s) => Y(clampY(s.y[s.y.length - 1]))), 17, top, height - bottom);
     series.forEach((s, i) => {
       const endX = X(s.x[s.x.length - 1]), endY = Y(clampY(s.y[s.y.length - 1])), nameX = width - right + 14;
       draw("path", { d: `M${endX + 4},${endY} H${nameX - 12} L${nameX - 4},${places[i]}`, fill: "none", stroke: s.colour,
         "stroke-width": 1, "stroke-opacity": 0.45, "stroke-dasharray": "1 3" }, svg);
-      draw("text", { x: nameX, y: places[i] + 4, fill: s.text || s.colour, class: "name" }, svg).textContent = s.name;
+      draw("text", { x: nameX, y: places[i] + 4, fill: s.text || s.colour, class: s.thin ? "name thin" : "name" }, svg).textContent = s.name;
     });
   }
   if (series.length) read(box, svg, series, X, { left, right, top, bottom, width, height, showX, showY, options });

@@ -20,6 +20,7 @@ function pick(role, then) {
 
 // --- learning curves ---------------------------------------------------------------------
 
+const measure = (box) => Math.max(300, box.clientWidth - 10); // a chart's unit is a pixel, so that words stay legible
 const percent = (v) => `${Number((100 * v).toPrecision(3))} %`;
 const METRICS = {
   efficiency: { title: "efficiency", source: "efficiency", note: "Efficiency is 0 without escape, else the fewest primitives known over those taken." },
@@ -43,13 +44,14 @@ function drawCurves() {
     const curve = room < 0 ? agent.curve : agent.room_curves[room];
     if (!curve) return [];
     const [y, low, high] = curve[metric.source].map((values) => values.map(turn));
-    return [{ name: agent.label, colour: agent.colour, text: agent.text, dash: agent.dash, x: curve[against], y, low, high }];
+    return [{ name: agent.label, colour: agent.colour, text: agent.text, dash: agent.dash, thin: agent.is_level, x: curve[against], y, low, high }];
   });
-  const all = series.flatMap((s) => [...s.low, ...s.high]);
+  const all = series.flatMap((s) => (s.thin ? s.y : [...s.low, ...s.high]));
   const range = metric.yRange || (metric.yLog ? [Math.max(1, Math.min(...all)) * 0.85, Math.max(...all) * 1.15]
     : [Math.min(0, ...all), Math.max(1, ...all)]);
-  drawChart(document.getElementById("curve-chart"), series, {
-    width: 1080, height: 400, xTitle: AXES[against], xUnit: against, yTitle: metric.title, yLog: metric.yLog,
+  const box = document.getElementById("curve-chart"), width = measure(box);
+  drawChart(box, series, {
+    width, height: Math.max(width > 620 ? 400 : 300, width > 620 ? 70 + 17 * series.length : 0), xTitle: AXES[against], xUnit: against, yTitle: metric.title, yLog: metric.yLog,
     yReverse: metric.yReverse, yRange: range, names: true, yFormat: metric.format,
     tipFormat: metric.format || ((v) => (["efficiency", "progress", "score"].includes(metric.source) ? v.toFixed(3) : formatNumber(v))),
     xFormat: (v) => (v >= 1000 ? Math.round(v).toLocaleString("en") : formatNumber(v)),
@@ -57,7 +59,7 @@ function drawCurves() {
   const axis = against === "primitives" ? "" : ` An agent's line ends where its budget of primitives was spent: after ${against === "decisions"
     ? "as many decisions as that took; an option is one decision of many primitives." : "so much training, evaluations left out."}`;
   document.getElementById("curve-note").textContent = `${metric.note} Lines are interquartile means over runs${
-    ["progress", "success"].includes(metric.source) ? " (here means)" : ""}, bands 95 % intervals; dashes act without options.${axis}`;
+    ["progress", "success"].includes(metric.source) ? " (here means)" : ""}, bands 95 % intervals; dashes act without options; thin lines without a band learn nothing.${axis}`;
 }
 
 const legend = document.querySelector(".legend");
@@ -90,10 +92,11 @@ function drawProfile() {
     const y = kept.map((i) => agent.profile[i]);
     const order = close ? [...kept.keys()].reverse() : [...kept.keys()];
     const ys = order.map((i) => y[i]);
-    return { name: agent.label, colour: agent.colour, text: agent.text, dash: agent.dash, x: order.map((i) => x[i]), y: ys, low: ys, high: ys };
+    return { name: agent.label, colour: agent.colour, text: agent.text, dash: agent.dash, thin: agent.is_level, x: order.map((i) => x[i]), y: ys, low: ys, high: ys };
   });
-  drawChart(document.getElementById("profile-chart"), series, {
-    width: 540, height: 330, step: true, yRange: [0, 1.02], yTitle: "share of runs above", yFormat: percent,
+  const box = document.getElementById("profile-chart");
+  drawChart(box, series, {
+    width: measure(box), height: 330, step: true, yRange: [0, 1.02], yTitle: "share of runs above", yFormat: percent,
     xTitle: close ? "efficiency (logarithmic towards 1)" : "efficiency", xUnit: "", xLog: close, xReverse: close,
     xRange: close ? [9e-4, 1] : [Math.min(0, data.thresholds[0]), 1], tipFormat: percent,
     xFormat: (v) => (close ? String(Number((1 - v).toPrecision(4))) : formatNumber(v)),
@@ -160,3 +163,10 @@ for (const box of document.querySelectorAll("[data-replay]")) {
 drawCurves();
 drawProfile();
 showCards();
+let drawnAt = window.innerWidth;
+window.addEventListener("resize", () => {
+  if (window.innerWidth === drawnAt) return;
+  drawnAt = window.innerWidth;
+  drawCurves();
+  drawProfile();
+});
