@@ -15,6 +15,7 @@ from hrl_escape import EscapeRoomEnv, OptionsEnv, RoomInstance, RoomPlanner, gen
 from hrl_escape.comparison.comparison import read_comparison, run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid, RoomSpec
 from hrl_escape.ladder import load_benchmark
+from hrl_escape.planning import ArmPlanner
 from hrl_escape.planning.plan import Plan
 
 
@@ -85,6 +86,15 @@ def test_a_result_draws_its_curve():
     line = result.plot("success_rate", "decisions").axes[0].lines[0]
     assert line.get_xydata().tolist() == [[e.decisions, e.success_rate] for e in result.evaluations]
     assert count_shapes(result._repr_svg_()) > 5
+    together = result.plot(beside=[result])
+    assert len(together.axes[0].lines) == 2 and count_shapes(together._repr_svg_()) > 5  # type: ignore[attr-defined]
+
+
+def test_a_reach_map_draws_itself():
+    small = generate(get_preset("arm-two-button"), 1)
+    arm = ArmPlanner(small)
+    reach = arm.map_reach(arm.rules.get_hand(arm.rules.make_state(small.starts[0])))
+    assert is_line(reach, f"{reach.share.max():.0%}") and count_shapes(reach._repr_svg_()) > len(small.solids)
 
 
 def test_a_comparison_draws_its_agents_curves(tmp_path: Path):

@@ -19,6 +19,7 @@ from markupsafe import Markup, escape
 from pictures import make_room
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from strip import Strip
 
 from hrl_escape.comparison.episodes import record_episode
 from hrl_escape.comparison.references.registry import SEARCHERS
@@ -209,4 +210,5 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     app.add_directive("gallery", Gallery)
     app.add_directive("play", Play)
+    app.add_directive("strip", Strip)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import gymnasium
 from docutils import nodes
 from markupsafe import escape
-from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from hrl_escape.agents import train
@@ -316,12 +315,6 @@ class Strip(SphinxDirective):
         words = escape(" ".join(self.content))
         return [nodes.raw("", f'<figure class="strip"><img src="_images/{KEPT.name}" alt="{words}">'
                           f"<figcaption>{words}</figcaption></figure>", format="html")]
-
-
-def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the directive."""
-    app.add_directive("strip", Strip)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 if __name__ == "__main__":

@@ -52,4 +52,4 @@ chance = learn("smdp-random", env)
 # Random choice over options escapes too. (Its five numbers are the same fixed episode: it learns nothing.) Learning
 # adds the difference between the last two lines. Read every comparison in this project that way.
 
-with_options.plot(chance, flat)
+with_options.plot(beside=[chance, flat])

@@ -69,4 +69,4 @@ for name, structure in (("maxq-q", {"hierarchy": tasks}), ("q-learning", {})):
     results.append(train(agent, env, primitives=40_000, seed=0, eval_every=4_000, eval_episodes=50, progress=False))
     print(f"{name}: mean return {results[-1].evaluations[-1].mean_return:.2f} after 40,000 primitives")
 learned, flat = results
-learned.plot(flat)
+learned.plot(beside=[flat])

@@ -102,4 +102,4 @@ runs = [train(agent, env, primitives=6_000, seed=0, eval_every=500, progress=Fal
 for name, run in zip(("own network", "variant", "own agent"), runs, strict=True):
     first, last = run.evaluations[0], run.evaluations[-1]
     print(f"{name}: return {first.mean_return:g} untrained, {last.mean_return:g} at the end")
-runs[0].plot(*runs[1:])
+runs[0].plot(beside=runs[1:])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -249,13 +249,14 @@ class TrainResult:
             x = [getattr(evaluation, against) for evaluation in self.evaluations]
         return np.array(x, float), np.array([getattr(e, metric) for e in self.evaluations], float)
 
-    def plot(self, *others: TrainResult, metric: str = "mean_return", against: str = "primitives") -> Figure:
+    def plot(self, metric: str = "mean_return", against: str = "primitives", beside: Sequence[TrainResult] = ()
+             ) -> Figure:
         """Draw the learning curve from the evaluations.
 
         Args:
-            others: further runs to draw beside this one.
             metric: as for `curve`.
             against: as for `curve`.
+            beside: further runs to draw in the same axes.
 
         Returns:
             A matplotlib figure that belongs to no window; it shows itself in a notebook, and `figure.savefig(path)`
@@ -263,7 +264,7 @@ class TrainResult:
         """
         figure = get_figure_class()(figsize=(5.6, 3.0), dpi=120, layout="constrained")
         axes = figure.add_subplot()
-        for number, run in enumerate((self, *others)):
+        for number, run in enumerate((self, *beside)):
             axes.plot(*run.curve(metric, against), color=LINES[number % len(LINES)], linewidth=1.8, marker="o",
                       markersize=3, label=f"{run.agent_name}, seed {run.seed}")
         axes.set(xlabel=f"{against} of training", ylabel=f"{metric.replace('_', ' ')} of frozen weights")
