@@ -1,7 +1,6 @@
 """Colours of a room in every picture, of a target in each of its states, of its mark, and of paint on the floor.
 
-Colours are hexadecimal sRGB text, shared by maps, Bullet's cameras and reports; nothing here
-draws.
+Colours are hexadecimal sRGB text, shared by maps, Bullet's cameras and reports; nothing here draws.
 """
 
 from __future__ import annotations
