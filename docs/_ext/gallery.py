@@ -7,6 +7,7 @@ Rooms are generated, solved and searched while the site is built; how learners d
 from __future__ import annotations
 
 import json
+import re
 import statistics
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -201,8 +202,8 @@ class Play(SphinxDirective):
         plan = solve(make_room(self.arguments[0]))
         if plan is None:
             raise self.error(f"no plan to play: {self.arguments[0]}")
-        words = escape(" ".join(self.content))
-        return [nodes.raw("", f'<figure class="played">{plan.play(560)}<figcaption>{words} <code>hrl-escape solve '
+        words = re.sub(r"`([^`]*)`", r"<code>\1</code>", escape(" ".join(self.content)))
+        return [nodes.raw("", f'<figure class="played">{plan.play(420)}<figcaption>{words} <code>hrl-escape solve '
                           f"{escape(self.arguments[0])}</code></figcaption></figure>", format="html")]
 
 

@@ -116,21 +116,24 @@ def find_recorder(env: gymnasium.Env) -> StateRecorder:
 
 @contextmanager
 def _recording(env: gymnasium.Env) -> Iterator[tuple[gymnasium.Env, StateRecorder]]:
-    """Put a recorder around the room itself for the time being, unless there is one."""
-    wrappers = []
-    while isinstance(env, gymnasium.Wrapper):
-        wrappers.append(env)
-        env = env.env
-    recorder = next((each for each in wrappers if isinstance(each, StateRecorder)), None)
-    if recorder is not None or not wrappers:
-        recorder = recorder or StateRecorder(env)
-        yield (wrappers or [recorder])[0], recorder
+    """Put a recorder below all wrappers but Gymnasium's own for the time being, unless there is one."""
+    lowest, inner = None, env
+    while isinstance(inner, gymnasium.Wrapper):
+        if isinstance(inner, StateRecorder):
+            yield env, inner
+            return
+        lowest = lowest if type(inner).__module__.startswith("gymnasium.") else inner
+        inner = inner.env
+    if lowest is None:
+        recorder = StateRecorder(env)
+        yield recorder, recorder
         return
-    recorder = wrappers[-1].env = StateRecorder(env)
+    below = lowest.env
+    recorder = lowest.env = StateRecorder(below)
     try:
-        yield wrappers[0], recorder
+        yield env, recorder
     finally:
-        wrappers[-1].env = env
+        lowest.env = below
 
 
 def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> Episode:

@@ -14,7 +14,7 @@ MUTATIONS = [
         "a recorder stays behind after an episode",
         "comparison/episodes.py",
         """    finally:
-        wrappers[-1].env = env""",
+        lowest.env = below""",
         """    finally:
         pass""",
         "comparison/test_episodes.py::test_an_episode_plays_itself_and_leaves_no_recorder",
