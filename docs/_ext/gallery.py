@@ -22,7 +22,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from strip import Strip
 
-from hrl_escape.comparison.episodes import record_episode
+from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.references.registry import SEARCHERS
 from hrl_escape.env.drawing.moving_map import PLAYER, PLAYER_COLOURS, describe_room, make_frames
 from hrl_escape.env.instance import RoomInstance

@@ -8,7 +8,8 @@ import gymnasium
 
 from hrl_escape import OptionsEnv
 from hrl_escape.checks import check_option
-from hrl_escape.comparison.episodes import Episode, StateRecorder
+from hrl_escape.comparison import Episode
+from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.options.option import Option, ScriptedOption
 
 # The simplest option is a fixed list of primitives. Nine left turns make a quarter turn of 90 degrees.

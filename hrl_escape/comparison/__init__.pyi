@@ -1,7 +1,7 @@
 from .comparison import run_grid
-from .episodes import Episode, record_episode
 from .grid import AgentSpec, Grid
 from .places import RoomSpec
+from .recording import Episode, record_episode
 from .reporting.report import write_report
 from .verdict import write_verdict
 

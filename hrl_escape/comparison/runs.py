@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.agents.training.results import TrainResult
-from hrl_escape.comparison.episodes import StateRecorder, find_recorder, record_episode
+from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.grid import AgentSpec, GridRun
 from hrl_escape.comparison.places import RoomSchedule, RunPlace, Split
+from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.score_range import ScoreRange, compute_score_range

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
-from hrl_escape.comparison.episodes import record_episode
 from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.references.registry import INDEX_ORDER, PLANNER, SHUFFLED_ROUND, make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.summary import summarise

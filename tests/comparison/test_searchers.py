@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.training.evaluation import evaluate
-from hrl_escape.comparison.episodes import record_episode
 from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.references.bayes import measure_ways
 from hrl_escape.comparison.references.belief_graph import BeliefGraph, Ways
 from hrl_escape.comparison.references.graph_family import (

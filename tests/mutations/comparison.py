@@ -12,7 +12,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a recorder stays behind after an episode",
-        "comparison/episodes.py",
+        "comparison/recording.py",
         """    finally:
         lowest.env = below""",
         """    finally:
