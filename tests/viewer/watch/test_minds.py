@@ -43,15 +43,17 @@ def list_choices(name: str, room) -> list[ObservedChoice]:
     return choices
 
 
-def test_a_searcher_shows_its_list_and_takes_the_nearest_untried(clutter):
-    choices = list_choices("smdp-untried-nearest", clutter)
+def test_a_searcher_shows_its_list_and_takes_the_nearest_untried():
+    room = generate(get_preset("four-button-chain"), 0)
+    choices = list_choices("smdp-untried-nearest", room)
     *presses, leave = choices
     for choice in presses:
         untried = {action: float(re.search(r"[\d.]+", words)[0]) for action, words in choice.notes.items()
                    if words.startswith("untried") and choice.mask[action]}
         assert choice.meaning == "note" and choice.notes[choice.action] in choice.notes.values()
         assert choice.action == min(untried, key=untried.__getitem__)
-    lit = clutter.puzzle.get_lit(leave.state.puzzle)
+    assert "tried in vain" in {words for choice in presses for words in choice.notes.values()}
+    lit = room.puzzle.get_lit(leave.state.puzzle)
     assert [words == "lit" for words in leave.notes.values()] == list(lit)
 
 
