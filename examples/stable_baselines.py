@@ -1,7 +1,7 @@
 """Stable-Baselines3 and sb3-contrib, unmodified, on primitives and on options; and a model of theirs as an option.
 
 They count and discount an option as one step, where an SMDP agent discounts by its duration, and only MaskablePPO
-knows which options are legal. Needs the extra `bench`: pip install 'hrl-escape[bench]'.
+knows which options are legal. Needs the extra `bench`: pip install -c constraints.txt '.[bench]' in a checkout.
 """
 
 import gymnasium
