@@ -296,15 +296,18 @@ def test_the_door_is_shut_until_solved_but_never_on_the_robot():
 # --- compilation -----------------------------------------------------------------------
 
 
-def test_compiled_rooms_do_what_eager_ones_do_and_never_recompile(monkeypatch):
-    seeds, config = list(range(33)), dataclasses.replace(NOISY, obstacles=ObstaclesConfig(count=1))
-    eager = play(make_rooms(33, config=config, observation="features"), seeds)
-    compiled = make_rooms(33, config=config, observation="features", compile=True)
+@pytest.mark.parametrize(("config", "instances"), [
+    (dataclasses.replace(NOISY, obstacles=ObstaclesConfig(), dynamics=DynamicsConfig()), 1),
+    pytest.param(dataclasses.replace(NOISY, obstacles=ObstaclesConfig(count=1)), 3, marks=pytest.mark.slow)])
+def test_compiled_rooms_do_what_eager_ones_do_and_never_recompile(config, instances, monkeypatch):
+    seeds, rooms = list(range(33)), {"config": config, "instances": instances, "observation": "features"}
+    eager = play(make_rooms(33, **rooms), seeds)
+    compiled = make_rooms(33, **rooms, compile=True)
     compiled.reset(torch.tensor(seeds))
     compiled.step(torch.zeros(33, dtype=torch.int64))
     monkeypatch.delattr(compilation, "standalone_compile")
     found = play(compiled, seeds)
-    play(make_rooms(33, config=config, observation="features", compile=True), seeds)  # another batch of the same shape
+    play(make_rooms(33, **rooms, compile=True), seeds)  # another batch of the same shape
     assert (found - eager).abs().max() < 1e-5
     assert torch.equal(found[:, :, -3:], eager[:, :, -3:])
     compiled.state = compiled.state._replace(x=compiled.state.x.to(torch.float32))
