@@ -33,6 +33,9 @@ LESSONS = [
     ("own_robot.py", [], [r"flange within (0e\+00|\de-1\d) m", r"[1-9]\d* postures reach", r"through \d+ postures"]),
     ("narrow_passage.py", [], [r"escape in \d\d primitives; at [1-9]\d* of", r"escaped True.*as predicted: True"]),
     ("smallest_puzzle.py", [], [r"press-b ", r"total +\d+ .*return [1-9]\d"]),
+    ("tools_trl.py", [], [r"You drive a robot", r"over: escaped", r"reward (0\.[5-9]\d|1\.00)"]),
+    ("tools_balrog.py", [], [r"The puzzle: ", r"over: escaped", r"'progression': 1\.0, 'failed_candidates': \['ask"]),
+    ("tools_openenv.py", [], [r"OpenEnv is not installed|escaped\. \d+\.0 True"]),
     ("own_comparison.py", ["--primitives", "8", "--runs", "1", "--out", "out"],
      [r"headline: ", r"caution: One run a room", r"report: out/report.html"]),
 ]

@@ -8,6 +8,7 @@
     hrl-escape train maxq-q --leaves planned
     hrl-escape train ppo --batch 1024 --primitives 5000000
     hrl-escape train dac --batch 64 --primitives 500000
+    hrl-escape train smdp-tools --settings model=untried told=names --primitives 2000
 
 `hrl-escape list agents` names the agents; with smdp- in front they choose options beside primitives.
 """
@@ -25,6 +26,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.registry import get_recipe, list_given_agents
 from hrl_escape.agents.training.callbacks import TensorBoard
 from hrl_escape.agents.training.evaluation import compute_episode_seed
@@ -35,12 +37,13 @@ from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.records import record_returns
-from hrl_escape.comparison.runs import find_starts, make_env
+from hrl_escape.comparison.runs import find_starts, make_env, make_player
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text, make_file_name
 from hrl_escape.planning.best_known import best_known_return, find_best_known
 from hrl_escape.settings import read_field_documents
+from hrl_escape.text.settings import TOOLS, ToolsSettings
 
 if TYPE_CHECKING:
     from hrl_escape.env.vector_env import EscapeRoomVectorEnv
@@ -138,13 +141,15 @@ def run(args: TrainArgs) -> None:
     name = make_file_name(f"{spec.label}-{RunPlace.of_room(instance).name}-{args.training_seed}")
     out = args.out or Path("runs") / f"{name}-{{key}}"
     recorder: StateRecorder | None = None
+    player: Agent | None = None
     if args.batch is None:
         env, recorder = make_env(spec, instance, args.observation)
+        player = make_player(spec, env, recorder) if spec.name == TOOLS else None
     else:
         env = args.make_batch(spec, instance)
-    result = train(args.agent, env, primitives=args.primitives, seed=args.training_seed, settings=resolved,
-                   eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
-                   callbacks=[TensorBoard()] if args.tensorboard else [],
+    result = train(player or args.agent, env, primitives=args.primitives, seed=args.training_seed,
+                   settings=None if player else resolved, eval_every=args.eval_every, eval_episodes=args.eval_episodes,
+                   out=out, callbacks=[TensorBoard()] if args.tensorboard else [],
                    threads=args.threads, observed=recorder is None)
     if isinstance(env, gymnasium.Env) and recorder is not None:
         _record(env, recorder, result, f"{spec.label}, seed {args.training_seed}")
@@ -165,7 +170,8 @@ def _record(env: gymnasium.Env, recorder: StateRecorder, result: TrainResult, so
 
 
 def _print_settings(args: TrainArgs, resolved: dict[str, Any]) -> None:
-    documents = read_field_documents(type(get_recipe(args.agent, args.recipe)))
+    kind = ToolsSettings if args.agent == TOOLS else type(get_recipe(args.agent, args.recipe))
+    documents = read_field_documents(kind)
     if args.json:
         print(json.dumps({name: {"value": value, "about": documents.get(name, "")} for name, value in resolved.items()},
                          indent=2))

@@ -5,6 +5,7 @@
     hrl-escape watch maxq-q --leaves planned
     hrl-escape watch runs/smdp-dqn-paper-two-button-0-5a1d3f0c
     hrl-escape watch lattice
+    hrl-escape watch smdp-tools --settings model=untried told=names
 
 Without a name the planner drives. An agent's name trains that agent while you watch. The folder of a run (see
 `hrl-escape train`) lets the trained agent drive in its room; the name of a rung (see `hrl-escape ladder list`) that of
@@ -20,7 +21,7 @@ from typing import Annotated, Literal
 import torch
 import tyro
 
-from hrl_escape.commands.room_choice import RoomChoice, VectorObservation
+from hrl_escape.commands.room_choice import RoomChoice, VectorObservation, split_assignment
 from hrl_escape.commands.serving import PageAddress
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
 from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, find_run_room, open_driver
@@ -46,6 +47,8 @@ class WatchArgs(PageAddress, RoomChoice):
     """Let an agent to train choose among options only."""
     leaves: Literal["planned", "learned"] | None = None
     """Train with a hierarchy synthesised from the room, for agents such as maxq-q; the page lists its running calls."""
+    settings: tuple[str, ...] = ()
+    """Settings to change of an agent to train, or of smdp-tools, as name=value."""
     recipe: str = "corrected"
     """Recipe of an agent to train: corrected or paper."""
     episode_seed: int = 0
@@ -61,6 +64,7 @@ def run(args: WatchArgs) -> None:
     instance = (None if args.load else find_run_room(text)) or args.make_instance()
     driver = open_driver(text, instance, observation=args.observation, flavour=args.flavour,
                          include_primitives=not args.options_only, recipe=args.recipe, seed=args.episode_seed,
+                         settings=dict(split_assignment(text, "--settings", "gamma=0.95") for text in args.settings),
                          leaves=args.leaves, trust=args.trust)
     gate = Gate(args.pace or None, args.paused)
     server = args.open_server()

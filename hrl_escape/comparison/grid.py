@@ -23,11 +23,12 @@ from hrl_escape.comparison.places import RoomSpec, RunPlace
 from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.env.observations.base import get_observation
 from hrl_escape.errors import EscapeError, GridError, UnknownNameError
-from hrl_escape.files import read_json, read_toml
+from hrl_escape.files import read_json, read_text, read_toml
 from hrl_escape.ladder.tower import parse_rooms
 from hrl_escape.names import make_file_name
 from hrl_escape.settings import Range, Settings, replace_settings
 from hrl_escape.synthesis.kinds import find_kind, list_privileges
+from hrl_escape.text.settings import TOOLS, ToolsSettings
 from hrl_escape.version import __version__, find_versions
 
 __all__ = ["AgentSpec", "Grid", "GridRun", "OptionsView", "SolvedRule", "load_grid"]
@@ -103,8 +104,8 @@ class AgentSpec(Settings):
 
     @property
     def is_reference(self) -> bool:
-        """Agent follows a rule, without training: one of `REFERENCES`."""
-        return self.name in REFERENCES
+        """Agent follows a rule or calls tools, without training: one of `REFERENCES`, or `smdp-tools`."""
+        return self.name in REFERENCES or self.name == TOOLS
 
     @property
     def learns(self) -> bool:
@@ -112,7 +113,7 @@ class AgentSpec(Settings):
         return not self.is_reference and self.algorithm != "random"
 
     def resolve_settings(self) -> dict[str, Any]:
-        """All its settings, as a JSON value; references have none.
+        """All its settings, as a JSON value; of the references only `smdp-tools` has some.
 
         Raises:
             UnknownNameError: no such agent, recipe or setting.
@@ -121,12 +122,21 @@ class AgentSpec(Settings):
         """
         if self.leaves is not None:
             find_kind(self.name)
+        if self.name == TOOLS:
+            return self._resolve_tools()
         if self.is_reference:
             if self.settings or self.recipe != "corrected":
                 raise GridError(f"{self.label}: a reference has no settings and no recipe")
             return {}
         chosen = replace_settings(get_recipe(self.name, self.recipe), self.settings)
         return json.loads(json.dumps(dataclasses.asdict(chosen)))
+
+    def _resolve_tools(self) -> dict[str, Any]:
+        """Settings of the agent that calls tools; of recorded games the content counts, not the file's name alone."""
+        chosen = dataclasses.asdict(replace_settings(ToolsSettings(), self.settings))
+        recorded = chosen["model"].endswith(".jsonl")
+        content = read_text(chosen["model"], "recorded game") if recorded else ""
+        return chosen | ({"recorded": hashlib.sha256(content.encode()).hexdigest()[:12]} if recorded else {})
 
     @property
     def remembers(self) -> bool:

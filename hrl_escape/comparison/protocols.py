@@ -20,6 +20,7 @@ from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.errors import ConfigError
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.tower import TOWER_HORIZON, join_floors, list_sets
+from hrl_escape.text.settings import TOOLS
 
 __all__ = ["TOWER", "LadderSettings", "Protocol", "RungStanding", "choose_floors", "get_budget", "judge",
            "list_standings", "make_protocol_grid", "make_tower_grid", "name_protocol", "score_standings"]
@@ -165,10 +166,10 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
     records = [bench[rung].record for rung in rungs]
     if len(rungs) < 2 or len(set(rungs)) < len(rungs):
         raise ConfigError("rung", " ".join(rungs), "two or more with the protocol tower, each once")
-    followers = [agent.label for agent in agents if agent.name in BY_NUMBER]
+    followers = [agent.label for agent in agents if agent.name in (*BY_NUMBER, TOOLS)]
     if followers:
-        raise ConfigError("agents", followers[0], "one that does not follow the numbers of one room's options, which "
-                          "the floors of a tower have not in common")
+        raise ConfigError("agents", followers[0], "one that does not follow the options of one room, which the floors "
+                          "of a tower have not in common")
     count = settings.rooms or min(FLOOR_ROOMS, *(record.test.count for record in records))
     for field, role, number in (("rooms", "test", count), *(("train_sizes", "train", n) for n in settings.train_sizes)):
         most = min(getattr(record, role).count for record in records)

@@ -39,10 +39,11 @@ from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
 from hrl_escape.ladder.tower import RoomSets, Tower, list_sets
 from hrl_escape.settings import read_record
 from hrl_escape.synthesis.kinds import find_kind
+from hrl_escape.text.settings import TOOLS
 from hrl_escape.version import __version__, find_versions
 
 __all__ = ["RunResult", "execute_run", "find_starts", "get_room_file", "get_run_folder", "get_training_folder",
-           "load_run_result", "make_env", "read_episodes"]
+           "load_run_result", "make_env", "make_player", "read_episodes"]
 
 
 @dataclass(frozen=True)
@@ -186,8 +187,29 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
 
     arguments = agent.options.to_dict()
     has_memory = arguments.pop("memory")
-    env = _add_trials(OptionsEnv(recorder, trace=agent.needs_trace, **arguments), trials)
+    env: gymnasium.Env = OptionsEnv(recorder, trace=agent.needs_trace, **arguments)
+    if agent.name == TOOLS:
+        from hrl_escape.text.told_env import ToldEnv
+
+        env = ToldEnv(env, agent.resolve_settings()["told"])
+    env = _add_trials(env, trials)
     return DecisionMemory(env) if has_memory else env
+
+
+def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -> Agent:
+    """Make an agent that is not trained: a reference, or the caller of tools.
+
+    Args:
+        agent: its `is_reference` is true.
+        env: where it acts, from `make_env`.
+        recorder: inside it.
+    """
+    if agent.name != TOOLS:
+        return make_reference(agent.name, env, recorder)
+    from hrl_escape.text.agent import ToolsAgent
+    from hrl_escape.text.managers import make_model
+
+    return ToolsAgent(env, make_model(agent.resolve_settings()["model"]))
 
 
 def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> CommonSpaces | None:
@@ -222,7 +244,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
         starts = find_starts(env, recorder, seeds)
         score_range = compute_score_range(starts, agent, out / "references", floors)
         if agent.is_reference:
-            player: Agent = make_reference(agent.name, env, recorder)
+            player: Agent = make_player(agent, env, recorder)
             evaluation = evaluate(player, env, len(seeds), run.eval_seed, grid.primitives, trials=floors)
             value = RunResult.make_reference(grid.primitives, evaluation, score_range)
         elif place.split is None:
@@ -267,7 +289,7 @@ def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, com
     env, recorder = make_env(run.agent, split.test, run.grid.observation, order, common, trials)
     room: Any = env.unwrapped
     if run.agent.is_reference:
-        player = make_reference(run.agent.name, env, recorder)
+        player = make_player(run.agent, env, recorder)
     try:
         found = evaluate_trials(
             player, env, run.grid.eval_episodes, trials, run.eval_seed, value.primitives, value.decisions,

@@ -108,6 +108,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         action_names: names of all actions.
         primitive_count: actions that are primitives; they come first.
         level: environments of options below this one.
+        last_steps: steps of the wrapped environment in the latest decision.
     """
 
     def __init__(
@@ -141,6 +142,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._source: OptionsSource = (
             options if options is not None else self._domain.make_default_options(flavour, planner))
         self._calls = self._hits = 0
+        self.last_steps: tuple[DomainStep, ...] = ()
         self._run: OptionExecution | None = None
         self._observation: Any = None  # of the wrapped environment, at the present state
         self._shown: Any = None  # the same, as the agent saw it
@@ -237,12 +239,30 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             index = -1
         if not 0 <= index < len(self.action_names):
             raise ActionError(action, len(self.action_names))
+        return self._decide(index)
+
+    def idle(self, reason: str) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Run one idle primitive, the price of a masked option, for a choice that names no action.
+
+        `info["option"]` then has the index -1, no name and this reason.
+        """
+        if not self._can_step:
+            raise ResetNeededError("call reset() first: no episode has begun, or it has ended")
+        return self._decide(-1, reason)
+
+    def _stand(self, decision: RunningDecision, reason: str) -> None:
+        decision.do(self._domain.get_idle_action(self._lower_mask))
+        decision.ended, decision.reason = "planning-failed", reason
+
+    def _decide(self, index: int, reason: str = "") -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Carry out an action, or stand for a reason where the index is -1."""
         decision = RunningDecision(self.env, self._domain, self._observation)
-        if index < self.primitive_count:
-            self._run = None
-            decision.do(self._domain.make_action(index))
-        else:
+        if index >= self.primitive_count:
             self._run_option(index, decision)
+        else:
+            self._run = None
+            self._stand(decision, reason) if index < 0 else decision.do(self._domain.make_action(index))
+        self.last_steps = tuple(decision.steps)
         self._can_step, self._observation = not decision.is_over, decision.observation
         self._lower_mask = self._domain.get_mask(decision.info)
         mask = self._compute_mask(decision.state, self._lower_mask)
@@ -256,8 +276,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         run = self._run if self._run is not None and self._run.index == index else None
         self._run = None
         if run is None and not option.initiation(decision.state):
-            decision.do(self._domain.get_idle_action(self._lower_mask))
-            decision.ended, decision.reason = "planning-failed", "the option was masked: it cannot start here"
+            self._stand(decision, "the option was masked: it cannot start here")
             return
         ended = ""
         assert self._rng is not None

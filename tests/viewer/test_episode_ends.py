@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
-import os
 import re
 import sys
 
@@ -20,6 +20,7 @@ from hrl_escape.env.puzzles.base import Puzzle, get_puzzle_kind, list_puzzles
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.batched.vector_env import OptionsVectorEnv
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.text.session import RoomSession
 from hrl_escape.viewer.pages.replay import make_replay
 from hrl_escape.viewer.play.commands import carry_out
 from hrl_escape.viewer.play.controls import Command
@@ -77,9 +78,10 @@ def test_play_its_file_and_the_recorded_page_say_failed(failed, tmp_path, capsys
     assert json.loads(re.search(r'id="r-data">(\{.*?\})</script>', page, re.S)[1])["end"] == "failed"
     assert main(["record", str(tmp_path / "mine.json"), "--out", str(tmp_path / "mine.html")]) == 0
     assert "mine: failed after" in capsys.readouterr().out
-    monkeypatch.setattr(sys, "stdin", open(os.devnull))  # no key: the episode is shown as it is
-    play_in_terminal(episode, tmp_path)
-    assert ": failed" in capsys.readouterr().out
+    lines = "".join(f"{episode.names[step.primitive]}\n" for step in episode.steps)
+    monkeypatch.setattr(sys, "stdin", io.StringIO(lines))
+    play_in_terminal(RoomSession(EscapeRoomEnv(instance=episode.instance)), episode.seed, tmp_path)
+    assert "The game is over: failed." in capsys.readouterr().out
 
 
 def test_watching_says_failed(failed):

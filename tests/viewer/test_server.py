@@ -48,10 +48,10 @@ def test_without_the_extra_one_message_names_it_and_the_terminal_does_without():
             "from hrl_escape.cli import main\n"
             "print([main(line.split()) for line in sys.argv[1:]])")
     lines = ["play --no-open", "watch --no-open", "record",
-             "play --no-browser --preset paper-one-button"]
+             "play --text --preset paper-one-button"]
     done = subprocess.run([sys.executable, "-c", code, *lines], capture_output=True, text=True, timeout=600,
-                          input="w")
+                          input="forward\n")
     assert done.stdout.splitlines()[-1] == "[2, 2, 2, 0]", done.stderr
-    assert "1 primitives" in done.stdout
+    assert "1 primitive in 1 call" in done.stdout
     hint = "pip install -c constraints.txt '.[viewer]' in a checkout of hrl-escape"
     assert done.stderr.strip().splitlines() == 3 * [f"hrl-escape: The viewer needs viser: {hint}"]

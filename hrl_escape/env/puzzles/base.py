@@ -151,9 +151,11 @@ class Puzzle(_OfKind):
     Attributes:
         kind: registered name.
         are_pads: true if all targets are pads on the floor.
+        about: the puzzle in a sentence, for whoever plays it; it says nothing that differs from room to room.
     """
 
     are_pads: ClassVar[bool] = False
+    about: ClassVar[str] = "Its rule is hidden: try things, and see what changes."
 
     @classmethod
     def _get_member(cls, kind: PuzzleKind) -> type[Puzzle]:
@@ -250,6 +252,11 @@ class Puzzle(_OfKind):
     def get_lit(self, state: PuzzleState) -> tuple[bool, ...]:
         """Return for each target whether it is on; by default none is."""
         return (False,) * len(self.target_names)
+
+    def describe(self, state: PuzzleState) -> tuple[str, ...]:
+        """Sentences on what `observe` shows beyond the lights; by default its numbers, unless they are the lights."""
+        numbers = self.observe(state)
+        return () if numbers == self.get_lit(state) else (f"The display reads {' '.join(f'{n:g}' for n in numbers)}.",)
 
     @property
     def symbolic(self) -> Modelled:

@@ -31,6 +31,7 @@ from hrl_escape.env.puzzles.towers import (
 )
 from hrl_escape.env.puzzles.traits import Depicted, Graphed
 from hrl_escape.errors import ConfigError
+from hrl_escape.names import join_words
 from hrl_escape.settings import Range
 
 __all__ = ["BlocksWorldConfig", "BlocksWorldPuzzle"]
@@ -72,6 +73,8 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
     """A concrete problem. The place of block `a` is called `place-a`."""
 
     kind = "blocks-world"
+    about = ("Blocks stand in towers on places. Grip takes the top block of a tower into the hand, release puts it on "
+             "top of another. The exit opens once the blocks stand as wanted.")
     names: tuple[str, ...] = ("a", "b")
     """Names of the blocks."""
     start: tuple[Block, ...] = (0, 1)
@@ -173,6 +176,13 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
         for block in range(count):
             numbers += [*(float(wanted.get(block) == other) for other in range(count)), float(block in self.clear)]
         return tuple(numbers)
+
+    def describe(self, state: int) -> tuple[str, ...]:
+        """The block in the hand, and the goal."""
+        held = [self.names[block] for block, below in enumerate(self.decode(state)) if below == IN_HAND]
+        wanted = [f"{self.names[block]} on {'the table' if below == block else self.names[below]}"
+                  for block, below in self.goal] + [f"nothing on {self.names[block]}" for block in self.clear]
+        return f"In the hand: {held[0] if held else 'nothing'}.", f"Wanted: {join_words(wanted)}."
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
         """Return for each place whether a tower stands on it."""

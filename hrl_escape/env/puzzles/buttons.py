@@ -103,6 +103,7 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
     """A concrete button puzzle. Button i is called `button-<i+1>`."""
 
     kind = "buttons"
+    about = "Every button has a lamp. Some lamps come on only after others; which is hidden. One opens the exit."
     on_violation: ViolationRule = "ignore"
     """Effect of a press with unmet parents, or of a locked button."""
     allow_off: bool = False

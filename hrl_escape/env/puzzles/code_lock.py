@@ -54,6 +54,7 @@ class CodeLockPuzzle(Modelled, CodePuzzle):
     """A concrete lock. Digit i is called `digit-<i+1>`."""
 
     kind = "code-lock"
+    about = "A hidden code, pressed digit by digit, opens the exit."
     digits: Annotated[int, Range(2, 16)] = 2
     """Number of panels, one for each digit that can be entered."""
     code: tuple[Annotated[int, Range(0, 15)], ...] = (0,)
@@ -100,6 +101,10 @@ class CodeLockPuzzle(Modelled, CodePuzzle):
         """One number a digit of the code: 1 once it is entered; all 0 while that is hidden."""
         seen = state if self.shown or self.is_solved(state) else 0
         return tuple(float(i < seen) for i in range(len(self.code)))
+
+    def describe(self, state: int) -> tuple[str, ...]:
+        """Number of the code's digits that are entered, as observations show it."""
+        return (f"{int(sum(self.observe(state)))} of {len(self.code)} digits of the code are entered.",)
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
         """Lit panels: the last one entered, if progress is shown; all once the lock is open."""

@@ -19,6 +19,7 @@ from hrl_escape.env.puzzles.bits import BitPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.errors import ConfigError
+from hrl_escape.names import join_words
 from hrl_escape.settings import Range
 
 __all__ = ["TASKS", "LightsOutConfig", "LightsOutPuzzle", "find_fewest_presses", "list_flips"]
@@ -88,6 +89,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
     """A concrete board. Light i, row by row, is called `light-<i+1>`."""
 
     kind = "lights-out"
+    about = "A press turns several lights of a board over. The exit opens once the lights are as wanted."
     count: Annotated[int, Range(1, 36)] = 1
     """Number of lights on the board, rows times columns."""
     columns: Annotated[int, Range(1, 36)] = 1
@@ -141,6 +143,11 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
     def observe(self, state: int) -> tuple[float, ...]:
         """The lights, then the goal's: 1 on, 0 off."""
         return tuple(float(word >> i & 1) for word in (state, self.goal) for i in range(self.count))
+
+    def describe(self, state: int) -> tuple[str, ...]:
+        """The lights that are on in the goal."""
+        wanted = [self.target_names[i] for i in self.goal_targets]
+        return (f"Wanted on: {join_words(wanted) or 'none'}; the others off.",)
 
     def compute_progress(self, state: int) -> float:
         """Share in [0, 1] of the lights that are as in the goal."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from hrl_escape.errors import EscapeError
 from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.planning.goals import ExitGoal, PressGoal
 from hrl_escape.planning.paths.navigator import Navigator
+from hrl_escape.text.told_env import Turn
 from hrl_escape.viewer.extra import uplot
 from hrl_escape.viewer.pages.panels import KnownEdges, make_bars, make_facts, make_lines, make_table
 from hrl_escape.viewer.pages.room import RoomPage, name_room
@@ -91,6 +93,10 @@ class WatchPage:
             self._speed = gui.add_slider("per second", 1, FASTEST, 1, gate.pace or FASTEST)
             self._fast = gui.add_checkbox("unlimited", gate.pace is None)
         tabs = gui.add_tab_group(order=40.0)
+        self._talk = None
+        if self.watch.driver.told is not None:
+            with tabs.add_tab("Talk"):
+                self._talk = gui.add_html("")
         with tabs.add_tab("Mind"):
             self._calls = gui.add_html("", visible=False)
             self._values = gui.add_html("")
@@ -237,6 +243,8 @@ class WatchPage:
                  for depth, each in enumerate(watch.calls)]
         self._calls.content = make_table(("running call", "primitives", "reward", ""), calls, "calls")
         self._calls.visible = bool(calls)
+        if self._talk is not None and watch.driver.told is not None:
+            self._talk.content = make_lines(_list_turns(watch.driver.told.transcript), "talk")
         self._log.content = make_lines(list(reversed(watch.events))[:24], "log")
         if len(watch.values) > 1:
             xs, ys = zip(*watch.values, strict=True)
@@ -277,6 +285,15 @@ class WatchPage:
             Markup('<div style="height:6px;border-radius:3px;background:#e6e8ec"><div style="height:6px;'
                    'border-radius:3px;background:#d55e00;width:{:.0f}%"></div></div>').format(100 * share),
         ], "now")
+
+
+def _list_turns(turns: Sequence[Turn]) -> Iterator[str]:
+    """The calls of a game with their answers, the latest first, and the text that began it."""
+    for turn in reversed(turns):
+        if turn.call is not None:
+            values = turn.call.arguments.values() if isinstance(turn.call.arguments, dict) else [turn.call.arguments]
+            yield Markup("<b>{}</b> {}").format(turn.call.name, ", ".join(map(str, values)))
+        yield Markup('<span style="color:{}">{}</span>').format("#b3261e", turn.text) if turn.is_error else turn.text
 
 
 def run_in_thread(page: WatchPage) -> threading.Thread:

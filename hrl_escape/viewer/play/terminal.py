@@ -1,110 +1,104 @@
-"""Manual mode without a browser: a map in letters and keys from the terminal; works over ssh.
+"""Manual mode at a prompt: the player calls the tools that a language model would, in words; works over ssh.
 
-If stdin is not a terminal, its characters are taken as keys, so that a game can be piped in.
+If stdin is not a terminal, its lines are taken as commands, so that a game can be piped in.
 """
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
-from rich.text import Text
 
-from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.errors import EscapeError
-from hrl_escape.names import make_console_text
-from hrl_escape.planning.best_known import best_known_return
-from hrl_escape.viewer.play.commands import carry_out
-from hrl_escape.viewer.play.controls import HELP, Controls
-from hrl_escape.viewer.play.episode import Episode
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.names import count_nouns, make_console_text, make_file_name
+from hrl_escape.text.recordings import record_game, save_games
+from hrl_escape.text.session import RoomSession
+from hrl_escape.text.told_env import ToolCall
 from hrl_escape.viewer.play.text_map import draw_map
 
-__all__ = ["play_in_terminal", "read_keys"]
+__all__ = ["play_in_terminal", "read_command"]
 
-_SEQUENCES = {"[A": "up", "[B": "down", "[C": "right", "[D": "left", "OA": "up", "OB": "down", "OC": "right",
-              "OD": "left"}
-MOST_ROWS = 36
+_HELP = ('An option by its name, such as "press button-1" or "leave"; a primitive with how often, such as "forward 3"; '
+        '"look", "map", "save", "quit"')
+MOST_ROWS, LONGEST_LINE = 36, 4000
 
 
-def play_in_terminal(episode: Episode, folder: Path) -> None:
-    """Play until `q` or the end of the input."""
-    console = Console(highlight=False)
+def read_command(line: str, tools: Sequence[Mapping[str, Any]]) -> ToolCall | None:
+    """The call that a line means; None where it means none.
+
+    Args:
+        line: an option, or the beginning of just one; a primitive, with a number of times; or `look`.
+        tools: schemas of the session.
+    """
+    word, _, times = line.partition(" ")
+    if line == "look":
+        return ToolCall("look", {})
+    choices = {tool["name"]: tool["inputSchema"]["properties"] for tool in tools}
+    primitive = _complete(word, choices["move"]["primitive"]["enum"] if "move" in choices else ())
+    option = None if primitive == word else _complete(line, choices["run_option"]["option"]["enum"])
+    if option is not None:
+        return ToolCall("run_option", {"option": option})
+    if primitive is not None and (not times or times.isdecimal()):
+        return ToolCall("move", {"primitive": primitive, "times": int(times[:6] or 1)})
+    return None
+
+
+def _complete(beginning: str, names: Sequence[str]) -> str | None:
+    found = [name for name in names if name.startswith(beginning)]
+    return beginning if beginning in found else found[0] if len(found) == 1 else None
+
+
+def play_in_terminal(session: RoomSession, seed: int, folder: Path) -> None:
+    """Play one game until it is over, `quit` or the end of the input.
+
+    Args:
+        session: about the room.
+        seed: of the episode.
+        folder: for games that are saved.
+    """
+    console = Console(highlight=False, soft_wrap=True)
     live = sys.stdin.isatty() and console.is_terminal
-    controls = Controls(episode.instance.robot.actions, len(episode.option_names))
-    note = "Press the buttons in the order of their graph, then drive into the exit"
-    best = best_known_return(episode.instance)
-    keys = read_keys(sys.stdin.fileno())
-    with _raw(live):
+    states: list[RoomState] = []
+
+    def show_map() -> None:
+        size = shutil.get_terminal_size((80, 30))
+        room = session.env.instance
+        rows = min(size.lines - 6, MOST_ROWS)
+        console.print(draw_map(room, states, Kinematics(room), size.columns - 1, rows), end="")
+
+    def say(text: str) -> None:
+        states.append(session.env.state)
         if live:
-            _show(console, episode, note, best, live)
-        for key in keys:
-            command = controls.press(key)
-            if command is None:
-                continue
-            if command.verb == "quit":
-                break
-            room = episode.instance.id
-            try:
-                note = carry_out(command, episode, folder, best)
-            except EscapeError as error:
-                note = str(error)
-            if episode.instance.id != room:
-                controls = Controls(episode.instance.robot.actions, len(episode.option_names))
-                best = best_known_return(episode.instance)
-            if live:
-                _show(console, episode, note, best, live)
-    if not live:
-        _show(console, episode, note, best, live)
+            show_map()
+        for line in text.splitlines():
+            console.print(make_console_text(line, LONGEST_LINE))
 
-
-def _show(console: Console, episode: Episode, note: str, best: float, live: bool) -> None:
-    size = shutil.get_terminal_size((80, 30))
-    rows = min(size.lines - 6, MOST_ROWS)
-    rules = Kinematics(episode.instance)
-    picture = draw_map(episode.instance, episode.states, rules, size.columns - 1, rows)
-    if live:
-        console.clear()
-    console.print(picture, end="", soft_wrap=True)
-    console.print(f"[bold]{len(episode.steps)}[/bold] primitives, return [bold]{episode.total:g}[/bold], best known "
-                  f"{best:g}: {episode.end.words}", soft_wrap=True)
-    console.print(make_console_text(note, 1000), soft_wrap=True)
-    if live:
-        console.print(Text("  ".join(f"{keys}: {meaning}" for keys, meaning in HELP) + "  Q: quit", "dim"))
-
-
-# --- keys ------------------------------------------------------------------------------------------
-
-
-def read_keys(descriptor: int) -> Iterator[str]:
-    """Keys by their names in `controls.KEYS`, one by one, until the input ends; an arrow is one key."""
-    while (letter := os.read(descriptor, 1)) != b"":
-        if letter == b"\x1b":
-            key = _SEQUENCES.get(os.read(descriptor, 2).decode("ascii", "replace"), "")
-        elif letter == b"\x03":
-            return
+    say(session.reset(seed))
+    console.print(_HELP, style="dim", markup=False)
+    for line in sys.stdin:
+        word = " ".join(line.split())
+        if word == "quit":
+            break
+        if word == "map":
+            show_map()
+        elif word == "save":
+            console.print(f"Saved as {_save(session, folder)}", markup=False)
+        elif (call := read_command(word, session.tools())) is None:
+            console.print(_HELP, style="dim", markup=False)
         else:
-            key = letter.decode("ascii", "replace").lower()
-        if key and not key.isspace():
-            yield key
+            say(session.call(*call).text)
+    score = session.score()
+    console.print(f"{count_nouns(score.primitives, 'primitive')} in {count_nouns(score.decisions, 'call')}, "
+                  f"return {score.reward:g}, efficiency {score.efficiency:.2f}")
 
 
-@contextmanager
-def _raw(live: bool) -> Iterator[None]:
-    """Deliver keys one by one and without echo; the terminal is restored in any case."""
-    if not live:
-        yield
-        return
-    import termios  # not on every system
-    import tty
-
-    before = termios.tcgetattr(sys.stdin)
-    tty.setcbreak(sys.stdin)
-    try:
-        yield
-    finally:
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+def _save(session: RoomSession, folder: Path) -> Path:
+    """Write the game so far; `RecordedModel` plays it again."""
+    game = record_game(session)
+    name = make_file_name(f"{game.room.name}-{game.room.seed}-{game.score.primitives}-primitives")
+    save_games(folder / f"{name}.jsonl", [game])
+    return folder / f"{name}.jsonl"

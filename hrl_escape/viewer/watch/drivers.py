@@ -28,8 +28,13 @@ from hrl_escape.options.meta_actions import make_meta_options
 from hrl_escape.options.option import Option
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.settings import replace_settings
 from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
 from hrl_escape.synthesis.kinds import find_kind
+from hrl_escape.text.agent import ToolsAgent
+from hrl_escape.text.managers import make_model
+from hrl_escape.text.settings import TOOLS, ToolsSettings
+from hrl_escape.text.told_env import ToldEnv
 from hrl_escape.viewer.step_hooks import StepHooks
 from hrl_escape.viewer.watch.planner_agent import EscapePlan, PlannerAgent, make_legs
 
@@ -52,6 +57,7 @@ class Driver:
         flavour: flavour of the meta-actions.
         trains: the agent learns while it drives.
         plan: the plan that the planner follows; None for other drivers.
+        told: environment inside `env` with the transcript, where an agent calls tools.
     """
 
     name: str
@@ -63,6 +69,7 @@ class Driver:
     flavour: str
     trains: bool = False
     plan: EscapePlan | None = None
+    told: ToldEnv | None = None
 
     @property
     def room(self) -> EscapeRoomEnv:
@@ -116,6 +123,9 @@ def open_driver(text: str, instance: RoomInstance, *, observation: str = "featur
     folder = Path(text)
     if folder.exists() or "/" in text:
         return _open_run(folder, instance, trust)
+    if text == TOOLS:
+        return _open_tools(instance, replace_settings(ToolsSettings(), settings or {}), observation, include_primitives,
+                           flavour)
     agent_class = _find_agent_class(text)
     over_options = text.startswith(SMDP_PREFIX)
     trace = over_options and agent_class.needs_trace
@@ -124,6 +134,15 @@ def open_driver(text: str, instance: RoomInstance, *, observation: str = "featur
     agent = make_agent(text, env.observation_space, env.action_space, seed, recipe, read_structure(env),
                        **(settings or {}))
     return _make_driver(f"{text}, learning", agent, env, hooks, flavour, trains=True)
+
+
+def _open_tools(instance: RoomInstance, settings: ToolsSettings, observation: str, primitives: bool, flavour: str
+                ) -> Driver:
+    env, hooks = _make_env(instance, observation, True, primitives, flavour, False)
+    told = ToldEnv(env, settings.told)
+    agent = ToolsAgent(told, make_model(settings.model))
+    driver = _make_driver(f"{TOOLS}, {settings.model}", agent, env, hooks, flavour)
+    return dataclasses.replace(driver, env=told, told=told)
 
 
 def find_driver(text: str) -> str:
@@ -172,7 +191,7 @@ def _find_agent_class(text: str) -> type[Agent]:
         return get_agent_class(text)
     except UnknownNameError as error:
         note = f"; or the folder of a run. Each agent also has {SMDP_PREFIX} in front"
-        raise UnknownNameError("driver", text, [PLANNER_NAME, *SEARCHERS, *error.known], note) from None
+        raise UnknownNameError("driver", text, [PLANNER_NAME, *SEARCHERS, TOOLS, *error.known], note) from None
 
 
 def _find_hooks(env: gymnasium.Env) -> StepHooks:

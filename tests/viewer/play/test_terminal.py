@@ -1,62 +1,74 @@
-"""Manual mode without a browser."""
+"""Manual mode at a prompt: the tools of a session, in words."""
 
 from __future__ import annotations
 
+import io
 import os
 import pty
 import subprocess
 import sys
 import time
+from pathlib import Path
 
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import load_episode
-from hrl_escape.viewer.play.terminal import play_in_terminal, read_keys
+import pytest
 
-COMMAND = [sys.executable, "-m", "hrl_escape.cli", "play", "--no-browser"]
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.text import RoomSession, ToolCall, verify_games
+from hrl_escape.viewer.play.terminal import play_in_terminal, read_command
 
-
-def test_keys_are_read_one_by_one_and_arrows_as_one_key():
-    here, there = os.pipe()
-    os.write(there, b"w\x1b[A\x1b[DM1\n\x1bOCz")
-    os.close(there)
-    assert list(read_keys(here)) == ["w", "up", "left", "m", "1", "right", "z"]
-    os.close(here)
+COMMAND = [sys.executable, "-m", "hrl_escape.cli", "play", "--text"]
 
 
-def test_a_game_that_is_piped_in_escapes_and_is_saved(two_buttons, tmp_path, capfd, monkeypatch):
-    def play(keys: bytes, episode: Episode) -> str:
-        here, there = os.pipe()
-        os.write(there, keys)
-        os.close(there)
-        with open(here) as stdin:
-            monkeypatch.setattr(sys, "stdin", stdin)
-            play_in_terminal(episode, tmp_path)
-        return next(line for line in capfd.readouterr().out.splitlines() if "primitives, return" in line)
+def test_lines_mean_calls(two_buttons):
+    session = RoomSession(EscapeRoomEnv(instance=two_buttons))
+    session.reset(seed=0)
+    meanings = {"look": ToolCall("look", {}), "press button-2": ToolCall("run_option", {"option": "press button-2"}),
+                "le": ToolCall("run_option", {"option": "leave"}), "press": None, "": None, "dance": None,
+                "forward x": None,
+                "forward": ToolCall("move", {"primitive": "forward", "times": 1}),
+                "turn-l 7": ToolCall("move", {"primitive": "turn-left", "times": 7}),
+                "turn-l 99999999999": ToolCall("move", {"primitive": "turn-left", "times": 999999})}
+    assert {line: read_command(line, session.tools()) for line in meanings} == meanings
 
-    tally = play(b"wzm1m2m0f", Episode(two_buttons))
-    assert "escaped" in tally
+
+def test_a_game_that_is_piped_in_escapes_and_its_recording_verifies(two_buttons, tmp_path, capsys, monkeypatch):
+    lines = "look\nnonsense\npress button-1\npress button-2\nmap\nleave\nsave\nquit\nforward\n"
+    monkeypatch.setattr(sys, "stdin", io.StringIO(lines))
+    play_in_terminal(RoomSession(EscapeRoomEnv(instance=two_buttons)), 3, tmp_path)
+    shown = capsys.readouterr().out
+    assert "The game is over: escaped." in shown and "\N{FULL BLOCK}" in shown and "in 3 calls" in shown
     (file,) = tmp_path.iterdir()
-    saved = load_episode(file)
-    again = Episode(saved.instance, seed=saved.seed)
-    again.replay(saved)
-    assert play(b"", again) == tally
+    (game,) = verify_games(file)
+    assert game.seed == 3 and game.score.escaped and game.score.invalid_calls == 0 and file.suffix == ".jsonl"
 
 
-def test_in_a_real_terminal_keys_work_at_once_and_q_leaves_it_as_it_was():
+def test_the_map_is_for_live_terminals_and_words_for_pipes(two_buttons, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO("press button-1\n"))
+    play_in_terminal(RoomSession(EscapeRoomEnv(instance=two_buttons)), 0, tmp_path)
+    assert "\N{FULL BLOCK}" not in capsys.readouterr().out and not list(tmp_path.iterdir())
+
+
+def test_text_goes_alone():
+    from hrl_escape.commands.play import PlayArgs, run
+
+    for args in (PlayArgs(text=True, hidden=True), PlayArgs(text=True, replay=Path("x.json"))):
+        with pytest.raises(UnsupportedError, match="--text"):
+            run(args)
+
+
+def test_in_a_real_terminal_the_map_is_shown_and_quit_ends_it():
     ours, theirs = pty.openpty()
     game = subprocess.Popen([*COMMAND, "--preset", "paper-one-button"], stdin=theirs, stdout=theirs, stderr=theirs,
                             env=os.environ | {"TERM": "xterm", "COLUMNS": "100", "LINES": "40"})
     os.close(theirs)
-    shown = b""
     try:
-        for key, expected in ((b"", b"0\x1b[0m primitives"), (b"w", b"1\x1b[0m primitives"), (b"z", b"taken back"),
-                              (b"q", b"")):
-            os.write(ours, key)
-            end = time.monotonic() + 600
-            while expected and expected not in shown and time.monotonic() < end:
+        for line, expected in ((b"", "\N{FULL BLOCK}"), (b"press b\n", "came on"), (b"quit\n", "in 1 call")):
+            os.write(ours, line)
+            shown, end = b"", time.monotonic() + 600
+            while expected.encode() not in shown and time.monotonic() < end:
                 shown += os.read(ours, 65536)
-            assert expected in shown, shown[-500:].decode(errors="replace")
-            shown = b""
+            assert expected.encode() in shown, shown[-500:].decode(errors="replace")
         assert game.wait(600) == 0
     finally:
         game.kill()

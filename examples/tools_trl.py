@@ -1,0 +1,80 @@
+"""Tools of a room for TRL: a class whose public methods are what a model in training may call.
+
+    trainer = GRPOTrainer(model=..., environment_factory=EscapeRoom, train_dataset=...)
+
+TRL makes an instance per rollout, reads each method's docstring as a tool's schema and calls `get_reward` at the end.
+The class needs no package of TRL's; without it, this script plays one game by hand.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hrl_escape import EscapeRoomEnv, generate, get_preset
+from hrl_escape.text import RoomSession
+
+
+class EscapeRoom:
+    """One room a rollout, drawn by the example's `seed`.
+
+    Args:
+        preset: schematic of the rooms.
+        told: names, places or model.
+    """
+
+    def __init__(self, preset: str = "paper-two-button", told: Any = "places") -> None:
+        self._config, self._told = get_preset(preset), told
+        self._session: RoomSession | None = None
+
+    def reset(self, seed: int = 0, **example: Any) -> str:
+        """Begin a game in the room of this seed; returns the text that begins it."""
+        self._session = RoomSession(EscapeRoomEnv(instance=generate(self._config, seed)), self._told)
+        return self._session.reset(seed=seed)
+
+    def run_option(self, option: str) -> str:
+        """Carry out an option to its end, such as driving to a button and pressing it.
+
+        Args:
+            option: Name of the option, such as `press button-1`, or `leave` for the way out.
+
+        Returns:
+            What happened, what it cost and what can be done next.
+        """
+        return self._call("run_option", {"option": option})
+
+    def look(self) -> str:
+        """Describe the room. This is free.
+
+        Returns:
+            What there is, what is on and where it is.
+        """
+        return self._call("look", {})
+
+    def move(self, primitive: str, times: int = 1) -> str:
+        """Repeat one primitive of the robot until something changes.
+
+        Args:
+            primitive: Name of the primitive, such as `forward` or `turn-left`.
+            times: How often, at most 50.
+
+        Returns:
+            What happened and what it cost.
+        """
+        return self._call("move", {"primitive": primitive, "times": times})
+
+    def get_reward(self) -> float:
+        """Efficiency of the game, from 0 (no escape) to 1 (as quick as the best known plan)."""
+        return 0.0 if self._session is None else self._session.score().efficiency
+
+    def _call(self, name: str, arguments: dict[str, Any]) -> str:
+        if self._session is None:
+            raise ValueError("call reset first")
+        return self._session.call(name, arguments).text
+
+
+if __name__ == "__main__":
+    room = EscapeRoom()
+    print(room.reset(seed=0))
+    for option in ("press button-1", "press button-2", "leave"):
+        print(room.run_option(option))
+    print(f"reward {room.get_reward():.2f}")

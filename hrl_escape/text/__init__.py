@@ -1,0 +1,5 @@
+"""Rooms for agents that speak: tools, transcripts, and what is told in words."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,37 @@
+from .agent import ToolsAgent
+from .managers import MANAGERS, Model, make_model
+from .recordings import (
+    Game,
+    RecordedModel,
+    ScriptedModel,
+    load_games,
+    record_game,
+    replay_game,
+    save_games,
+    verify_games,
+)
+from .session import RoomSession, ToolResult
+from .settings import TOLD_LEVELS
+from .told_env import Score, ToldEnv, ToolCall, Turn
+
+__all__ = [
+    "Game",
+    "TOLD_LEVELS",
+    "MANAGERS",
+    "Model",
+    "RecordedModel",
+    "RoomSession",
+    "Score",
+    "ScriptedModel",
+    "ToldEnv",
+    "ToolCall",
+    "ToolResult",
+    "ToolsAgent",
+    "Turn",
+    "load_games",
+    "make_model",
+    "record_game",
+    "replay_game",
+    "save_games",
+    "verify_games",
+]

@@ -1,0 +1,216 @@
+"""Scripted managers: callers that read nothing but the transcript, as a language model would.
+
+| name | what it does | what it reads |
+|---|---|---|
+| `uniform` | carries out any option that can start, at random | names |
+| `untried` | what is off and untried since something last changed, at random | names, what is on |
+| `untried-nearest` | the same, the nearest first, by places as they are told | names, what is on, places |
+| `planner` | solves the PDDL that it is told, in as few actions as possible, and leaves | the symbolic model |
+
+They show that what is told is enough to play by, and are the rows that a model is held against. `untried` makes the
+choices of the searcher `smdp-untried`, which reads the room itself.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import entry_points
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError
+from hrl_escape.plugins import load_entry_point
+from hrl_escape.text.recordings import RecordedModel
+from hrl_escape.text.told_env import ToolCall, Turn
+from hrl_escape.text.words import LEAVE
+
+__all__ = ["MODELS_GROUP", "MANAGERS", "Model", "make_model"]
+
+Model: TypeAlias = Callable[[Sequence[Turn], Sequence[Mapping[str, Any]]], ToolCall]
+"""Anything that reads a transcript and the tools' schemas and says which tool to call. If it has an attribute `rng`, an
+evaluation gives it the episode's generator."""
+
+MODELS_GROUP = "hrl_escape.models"
+_PRESSED = re.compile(r'Pressed ("[^"]*"(?:(?:, | and )"[^"]*")*): ((?:[^".]|"[^"]*")*)\.')
+_ON, _OUT = (re.compile(rf'("[^"]*"(?:(?:, | and )"[^"]*")*) {word}') for word in ("came on", "went out"))
+_HERE = re.compile(r"You are at \((-?[\d.]+), (-?[\d.]+)\)")
+_THING = re.compile(r'"([^"]*)"(?: at \((-?[\d.]+), (-?[\d.]+)\))?, (on|off)')
+_QUOTED = re.compile(r'"([^"]*)"')
+
+
+class UniformManager:
+    """Carries out any option that can start, at random; leaves once the exit is open."""
+
+    def __init__(self) -> None:
+        self.rng = np.random.default_rng(0)
+
+    def __call__(self, transcript: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) -> ToolCall:
+        """The next call."""
+        schemas = {tool["name"]: tool["inputSchema"]["properties"] for tool in tools}
+        options: list[str] = schemas["run_option"]["option"]["enum"]
+        legal = _read_legal(transcript[-1].text, options)
+        if _is_open(transcript) and LEAVE in legal:
+            return _run(LEAVE)
+        presses = [option for option in legal if option != LEAVE]
+        if not presses and "move" in schemas:
+            return ToolCall("move", {"primitive": schemas["move"]["primitive"]["enum"][0]})
+        return _run(self._choose(presses, transcript, options) if presses else LEAVE)
+
+    def _choose(self, presses: list[str], transcript: Sequence[Turn], options: Sequence[str]) -> str:
+        return presses[int(self.rng.integers(len(presses)))]
+
+
+class UntriedManager(UniformManager):
+    """Takes what is off and untried since something last changed, at random."""
+
+    def _choose(self, presses: list[str], transcript: Sequence[Turn], options: Sequence[str]) -> str:
+        tried, lit, before = set[str](), set[str](), transcript[0].text
+        for turn in transcript:
+            if turn.call is None:
+                tried.clear()
+                lit = {name for name, *_, state in _THING.findall(turn.text) if state == "on"}
+            elif turn.call.name != "look":
+                able = [option for option in _read_legal(before, options) if option != LEAVE]
+                if not set(able) - tried:
+                    tried.clear()
+                _note(turn, options, tried, lit)
+            before = turn.text if turn.call is None or turn.call.name != "look" else before
+        fresh = [option for option in presses if option not in tried] or presses
+        dark = [option for option in fresh if option.partition(" ")[2] not in lit]
+        return self._pick(dark or fresh, transcript)
+
+    def _pick(self, presses: list[str], transcript: Sequence[Turn]) -> str:
+        return presses[int(self.rng.integers(len(presses)))]
+
+
+class NearestManager(UntriedManager):
+    """Takes what is off and untried since something last changed, the nearest first; at random without places."""
+
+    def _pick(self, presses: list[str], transcript: Sequence[Turn]) -> str:
+        places = {name: (float(x), float(y)) for name, x, y, _ in _THING.findall(transcript[0].text) if x}
+        here = next((tuple(map(float, found[-1])) for turn in reversed(transcript)
+                     if (found := _HERE.findall(turn.text))), None)
+        if here is None:
+            return super()._pick(presses, transcript)
+        return min(presses, key=lambda press: math.dist(here, places.get(press.partition(" ")[2], (math.inf, 0.0))))
+
+
+class PDDLPlanner(UniformManager):
+    """Solves the PDDL that it is told by a planner of unified-planning, follows the plan, and leaves.
+
+    Raises:
+        MissingExtraError: unified-planning is not installed.
+        PlanningFailed: the transcript holds no model, or none that can be solved.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._plans: dict[str, list[str]] = {}
+
+    def _choose(self, presses: list[str], transcript: Sequence[Turn], options: Sequence[str]) -> str:
+        begun = transcript[0].text
+        if begun not in self._plans:
+            self._plans = {begun: _solve(begun, options)}  # those of games that are over are not needed again
+        done, plan = 0, self._plans[begun]
+        for turn in transcript:
+            failed = turn.is_error or "No way on" in turn.text
+            done += done < len(plan) and turn.call == _run(plan[done]) and not failed
+        if done < len(plan) and plan[done] in presses:
+            return plan[done]
+        return super()._choose(presses, transcript, options)
+
+
+def _solve(begun: str, options: Sequence[str]) -> list[str]:
+    """Options that a plan for the told model runs, in order."""
+    from hrl_escape.planning.symbolic.pddl import clean_name, read_problem, run_engine
+
+    domain, problem = begun.find("(define (domain"), begun.find("(define (problem")
+    if min(domain, problem) < 0:
+        raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the told model", (0.0, 0.0, 0.0),
+                             nearest="nothing told: let the session tell the level model")
+    text, _, unlike = begun[problem:].partition("Options of actions: ")
+    named = {clean_name(option): option for option in options}
+    named |= dict(re.findall(r'([a-z0-9_-]+): "([^"]*)"', unlike))
+    plan, status = run_engine(read_problem(begun[domain:problem], text), "fast-downward-opt", 60.0)
+    if plan is None:
+        raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the told model", (0.0, 0.0, 0.0),
+                             nearest=f"status {status}")
+    return [named[action.action.name] for action in plan.actions]
+
+
+def _run(option: str) -> ToolCall:
+    return ToolCall("run_option", {"option": option})
+
+
+def _read_legal(text: str, options: Sequence[str]) -> list[str]:
+    """Options that can start after an answer."""
+    for words, wanted in (("Not now: ", False), ("Now only: ", True)):
+        if words in text:
+            named = set(_QUOTED.findall(text.rpartition(words)[2].partition("\n")[0]))
+            return [option for option in options if (option in named) is wanted]
+    return list(options)
+
+
+def _is_open(transcript: Sequence[Turn]) -> bool:
+    for turn in reversed(transcript):
+        last = max((turn.text.rfind(words), words.endswith(("opened", "open")))
+                   for words in ("exit opened", "exit shut", "Exit: open", "Exit: shut"))
+        if last[0] >= 0:
+            return last[1]
+        if turn.call is None:
+            return re.search(r"Exit at \([^)]*\): open", turn.text) is not None
+    return False
+
+
+def _note(turn: Turn, options: Sequence[str], tried: set[str], lit: set[str]) -> None:
+    """Take note of a call's presses, in order, and of the option itself where it pressed nothing of its own."""
+    assert turn.call is not None
+    noted, changed = set[str](), "came on" in turn.text or "went out" in turn.text
+    for names, said in _PRESSED.findall(turn.text):
+        for press in (f"press {name}" for name in _QUOTED.findall(names)):
+            if press in options:
+                noted.add(press)
+                tried.add(press) if said == "nothing changed" else tried.clear()
+    chosen = str(turn.call.arguments.get("option")) if isinstance(turn.call.arguments, dict) else ""
+    if chosen in options and chosen != LEAVE and chosen not in noted:
+        tried.clear() if changed or "now shows" in turn.text else tried.add(chosen)
+    for names, said in _PRESSED.findall(turn.text):
+        pressed = set(_QUOTED.findall(names))
+        lit.update(pressed if "it came on" in said else ())
+        lit.difference_update(pressed if "it went out" in said else ())
+    for found, change in ((_ON, lit.update), (_OUT, lit.difference_update)):
+        for names in found.findall(turn.text):
+            change(_QUOTED.findall(names))
+
+
+MANAGERS: dict[str, type[UniformManager]] = {
+    "uniform": UniformManager, "untried": UntriedManager, "untried-nearest": NearestManager, "planner": PDDLPlanner}
+"""Scripted managers by name."""
+
+
+def make_model(name: str) -> Model:
+    """A manager, the calls of a file of recorded games (`.jsonl`), or a model of another package.
+
+    A package offers a callable under the entry-point group `hrl_escape.models`:
+
+        [project.entry-points."hrl_escape.models"]
+        my-model = "my_package.my_module:choose_call"
+
+    Raises:
+        UnknownNameError: there is none of that name.
+        FileReadError: the file is missing or damaged.
+        PluginError: another package's model cannot be loaded.
+    """
+    if name.endswith(".jsonl"):
+        return RecordedModel(name)
+    if name in MANAGERS:
+        return MANAGERS[name]()
+    others = {point.name: point for point in entry_points(group=MODELS_GROUP)}
+    if name not in others:
+        raise UnknownNameError("model", name, [*MANAGERS, *others, "a file of recorded games (.jsonl)"])
+    loaded: list[Model] = []
+    load_entry_point(others[name], "model", "a callable", loaded.append)
+    return loaded[0]

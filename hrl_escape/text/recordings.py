@@ -1,0 +1,191 @@
+"""Recorded games: JSON Lines that anybody can replay to the same bytes, so that a score from elsewhere is verified.
+
+A game begins with a line that holds the room, the episode's seed and what was told; a line a turn follows, and the
+score ends it. A file may hold several games.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.errors import EscapeError, FileReadError, UnsupportedError, VerificationError
+from hrl_escape.files import parse_json, read_text, write_text
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.text.session import RoomSession
+from hrl_escape.text.settings import Level
+from hrl_escape.text.told_env import Score, ToldEnv, ToolCall, Turn
+
+__all__ = ["Game", "RecordedModel", "ScriptedModel", "load_games", "record_game", "replay_game", "save_games",
+           "verify_games"]
+
+_SCHEMA = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Game:
+    """A game that was played.
+
+    Attributes:
+        room: the room.
+        seed: of the episode.
+        told: what the caller was told.
+        options: arguments of the `OptionsEnv` that differ from the defaults.
+        turns: calls and answers, after the text that began the game.
+        score: at its end.
+    """
+
+    room: RoomInstance
+    seed: int
+    told: Level
+    options: Mapping[str, Any]
+    turns: tuple[Turn, ...]
+    score: Score
+
+    def to_lines(self) -> list[str]:
+        """The lines of its file."""
+        first, *turns = self.turns
+        begun = {"kind": "game", "schema": _SCHEMA, "seed": self.seed, "told": self.told, "options": dict(self.options),
+                 "text": first.text, "room": self.room.to_dict()}
+        said = [{"call": [*turn.call], "text": turn.text, "is_error": turn.is_error} for turn in turns if turn.call]
+        return [json.dumps(line) for line in (begun, *said, {"score": dataclasses.asdict(self.score)})]
+
+    @classmethod
+    def from_lines(cls, lines: Sequence[Any]) -> Game:
+        """Read the lines of one game, each a JSON value; whatever is wrong with them is raised as it comes."""
+        begun, *said, last = lines
+        if begun["kind"] != "game" or begun["schema"] != _SCHEMA:
+            raise ValueError(f"this is no game of schema {_SCHEMA}")
+        turns = (Turn(None, str(begun["text"])),
+                 *(Turn(ToolCall(*line["call"]), str(line["text"]), bool(line["is_error"])) for line in said))
+        return cls(RoomInstance.from_dict(begun["room"]), int(begun["seed"]), begun["told"], dict(begun["options"]),
+                   turns, Score(**last["score"]))
+
+
+def record_game(session: RoomSession | ToldEnv) -> Game:
+    """The game that was played since the last reset.
+
+    Raises:
+        UnsupportedError: it cannot be replayed: it began without a seed, was not the first trial, or had options of its
+            own.
+    """
+    env = session.env if isinstance(session, RoomSession) else session
+    given = env.env._saved_kwargs
+    if env.seed is None or sum(turn.call is None for turn in env.transcript) != 1:
+        raise UnsupportedError("a recording holds one game from reset(seed=...) on; this one was not begun so")
+    if given["options"] is not None or "domain" in given:
+        raise UnsupportedError("a recording holds games with meta-actions, not with options of your own")
+    defaults = OptionsEnv(EscapeRoomEnv(instance=env.instance))._saved_kwargs
+    changed = {name: value for name, value in given.items() if value != defaults[name] and name != "observation"}
+    return Game(env.instance, env.seed, env.told, changed, tuple(env.transcript), env.score())
+
+
+def save_games(path: str | Path, games: Iterable[Game]) -> None:
+    """Write games to a file, in place of what it held; atomic."""
+    write_text(path, "".join(f"{line}\n" for game in games for line in game.to_lines()))
+
+
+def load_games(path: str | Path) -> tuple[Game, ...]:
+    """Read the games of a file; nothing is replayed.
+
+    Raises:
+        FileReadError: the file is missing or damaged; the message says where.
+    """
+    games, lines = [], list[Any]()
+    for number, text in enumerate(read_text(path, "recorded game").splitlines(), 1):
+        lines.append(parse_json(text, f"{path}, line {number}", "recorded game"))
+        if isinstance(lines[-1], dict) and "score" in lines[-1]:
+            try:
+                games.append(Game.from_lines(lines))
+            except (EscapeError, AttributeError, KeyError, TypeError, ValueError) as error:
+                raise FileReadError(f"{path}, game that ends in line {number}: {error}") from error
+            lines = []
+    if lines or not games:
+        raise FileReadError(f"{path}: the last game has no end" if lines else f"{path}: there is no game")
+    return tuple(games)
+
+
+def replay_game(game: Game) -> Game:
+    """Play a game's calls again, in the room that it names."""
+    env = OptionsEnv(EscapeRoomEnv(instance=game.room), **game.options)
+    try:
+        session = RoomSession(env, game.told)
+        session.reset(seed=game.seed)
+        for turn in game.turns[1:]:
+            assert turn.call is not None
+            session.call(*turn.call)
+        return record_game(session)
+    finally:
+        env.close()
+
+
+def verify_games(path: str | Path) -> tuple[Game, ...]:
+    """Read the games of a file, and replay each.
+
+    Raises:
+        FileReadError: the file is missing or damaged.
+        VerificationError: a replay differs; the message says where.
+    """
+    games = load_games(path)
+    for number, game in enumerate(games, 1):
+        again = replay_game(game)
+        for turn, (said, heard) in enumerate(zip(game.to_lines(), again.to_lines(), strict=False)):
+            if said != heard:
+                raise VerificationError(f"{path}: game {number} differs from its replay in line {turn + 1} of it")
+        if len(game.turns) != len(again.turns):
+            raise VerificationError(f"{path}: game {number} goes on after its end")
+    return games
+
+
+class ScriptedModel:
+    """Makes the calls of a list, whatever the room says.
+
+    Args:
+        calls: in order; after the last one the model looks.
+    """
+
+    def __init__(self, calls: Iterable[ToolCall]) -> None:
+        self._calls = tuple(calls)
+
+    def __call__(self, transcript: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) -> ToolCall:
+        """The call whose turn it is."""
+        done = sum(turn.call is not None for turn in transcript)
+        return self._calls[done] if done < len(self._calls) else ToolCall("look", {})
+
+
+class RecordedModel:
+    """Makes the calls of recorded games; it knows a game by all that was said so far, so every answer is verified.
+
+    Args:
+        path: a file of games, see `save_games`.
+
+    Attributes:
+        name: the file's, and a hash of its content.
+
+    Raises:
+        FileReadError: the file is missing or damaged.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path, self._games = path, [game.turns for game in load_games(path)]
+        self.name = f"{path}, {hashlib.sha256(read_text(path).encode()).hexdigest()[:12]}"
+
+    def __call__(self, transcript: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) -> ToolCall:
+        """The call that was made here.
+
+        Raises:
+            VerificationError: no recorded game came here, or it ended here.
+        """
+        done, said = len(transcript), tuple(transcript)
+        for turns in self._games:
+            if turns[:done] == said and len(turns) > done:
+                call = turns[done].call
+                assert call is not None
+                return call
+        raise VerificationError(f"{self.path}: no recorded game goes on like this one, after {done - 1} calls")

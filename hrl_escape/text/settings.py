@@ -1,0 +1,32 @@
+"""Levels of what is told, and the settings of the agent `smdp-tools`; light, for whoever only needs the names."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Literal, TypeAlias, get_args
+
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.settings import Range
+
+__all__ = ["TOLD_LEVELS", "TOOLS", "Level", "ToolsSettings"]
+
+TOOLS = "smdp-tools"
+"""Name of the agent that calls tools."""
+Level: TypeAlias = Literal["names", "places", "model"]
+"""Level of what is told: the names of options and objects and what is lit; where they are as well; and the puzzle's
+symbolic model, which no other agent sees."""
+TOLD_LEVELS: tuple[Level, ...] = get_args(Level)
+
+
+@dataclasses.dataclass(frozen=True)
+class ToolsSettings(AgentSettings):
+    """Settings of the agent `smdp-tools`."""
+
+    _section = "ToolsSettings"
+    model: str = "untried-nearest"
+    """Caller: a scripted manager (uniform, untried, untried-nearest, planner), a file of recorded games (.jsonl), or a
+    model of another package."""
+    told: Level = "places"
+    """Names of things and what is lit (names), where they are too (places), or the symbolic model as well (model)."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive of what is logged; nothing is learned."""

@@ -1,0 +1,141 @@
+"""Plain English for a room: what stands in it, what its options do, and what a decision changed.
+
+Nothing here says more than an agent's observation: what is lit, what the puzzle shows, whether the exit is open and,
+where places are told, where things are, to half a metre. Names may come from files, so each is quoted, without markup.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.poses import list_touched
+from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
+from hrl_escape.names import join_words
+from hrl_escape.options.meta_actions import AbsentOption
+from hrl_escape.options.option import Option
+from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal, PushGoal
+from hrl_escape.planning.props import get_prop_poses
+
+__all__ = ["LEAVE", "clean", "tell_changes", "tell_goal", "tell_room", "phrase_options", "place", "quote"]
+
+LEAVE = "leave"
+"""Name of the option that drives out through the exit."""
+LONGEST, LONGEST_SENTENCE = 60, 400
+"""Characters of a name and of a puzzle's sentence, whatever a file says."""
+
+
+def clean(name: str, longest: int = LONGEST) -> str:
+    """A name without quotation marks, line breaks, markup or letters that look like others, and not long."""
+    shown = name if len(name) <= longest else f"{name[:longest - 3]}..."
+    return re.sub(r"[^A-Za-z0-9 .,:;+#@()/_-]", lambda letter: letter[0].encode("ascii", "backslashreplace").decode()
+                  if ord(letter[0]) > 127 else f"\\x{ord(letter[0]):02x}", shown)
+
+
+def quote(name: str) -> str:
+    """A name in quotation marks."""
+    return f'"{clean(name)}"'
+
+
+def phrase_options(options: Sequence[Option], instance: RoomInstance) -> dict[str, int]:
+    """Name in plain English -> number of the option; options of targets that the room lacks are left out."""
+    named: dict[str, int] = {}
+    for number, option in enumerate(options):
+        if isinstance(option, AbsentOption):
+            continue
+        name = clean(tell_goal(getattr(option, "goal", None), instance) or option.name)
+        named[f"{name} ({number})" if name in named else name] = number
+    return named
+
+
+def tell_goal(goal: Any, instance: RoomInstance) -> str:
+    """Words for reaching a goal, such as `press button-1`; empty for a mere place, and for no goal."""
+    if isinstance(goal, ExitGoal):
+        return LEAVE
+    if isinstance(goal, PressGoal):
+        return f"press {instance.targets[goal.target].name}"
+    if isinstance(goal, GripGoal):
+        return f"{goal.action} {instance.targets[goal.target].name}"
+    if isinstance(goal, PushGoal):
+        return f"push {instance.props[goal.prop].prop.name} onto {instance.props[goal.destination].prop.name}"
+    return ""
+
+
+def place(x: float, y: float) -> str:
+    """A place to half a metre."""
+    return f"({round(2 * x) / 2 + 0.0:.1f}, {round(2 * y) / 2 + 0.0:.1f})"
+
+
+def tell_room(instance: RoomInstance, state: RoomState, has_places: bool,
+                  get_heading: Callable[[RoomState], float]) -> str:
+    """Describe what there is, what is lit and what the puzzle shows, in one line each.
+
+    Args:
+        instance: the room.
+        state: its present state.
+        has_places: say where things are.
+        get_heading: heading of a state, rad.
+    """
+    puzzle = instance.puzzle
+
+    def locate(x: float, y: float) -> str:
+        return f" at {place(x, y)}" if has_places else ""
+
+    lit, depicted = puzzle.get_lit(state.puzzle), get_trait(puzzle, Depicted)
+    things = []
+    for index, target in enumerate(instance.targets):
+        sign = depicted.get_sign(state.puzzle, index)
+        things.append(f"{quote(target.name)}{locate(target.x, target.y)}, {'on' if lit[index] else 'off'}"
+                      + (f", showing {quote(sign)}" if sign else ""))
+    things += [f"{quote(placed.prop.name)}{locate(x, y)}"
+               for placed, (x, y, _) in zip(instance.props, get_prop_poses(state, instance), strict=True)]
+    shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
+    things += [f"door {number + 1}{locate(door.x, door.y)}, {'shut' if shut >> number & 1 else 'open'}"
+               for number, door in enumerate(instance.inner_doors)]
+    lines = [f"Exit{locate(*instance.exit.centre)}: {'open' if puzzle.is_solved(state.puzzle) else 'shut'}.",
+             f"Here are {'; '.join(things)}.", *_list_said(puzzle, state.puzzle)]
+    if has_places:
+        degrees = round(get_heading(state) * 57.29577951308232) % 360
+        lines.insert(0, f"You are at {place(state.x, state.y)}, facing {degrees} degrees (x east, y north, m).")
+    return "\n".join(lines)
+
+
+def _list_said(puzzle: Puzzle, state: Any) -> list[str]:
+    """Sentences of the puzzle's own, in which there may be names from files."""
+    return [clean(said, LONGEST_SENTENCE) for said in puzzle.describe(state)]
+
+
+def tell_changes(instance: RoomInstance, states: Sequence[RoomState]) -> list[str]:
+    """Sentences on every press and every change of what can be seen, primitive by primitive, in order."""
+    return [said for before, after in zip(states, states[1:], strict=False)
+            for said in _describe_primitive(instance, before, after)]
+
+
+def _describe_primitive(instance: RoomInstance, before: RoomState, after: RoomState) -> Iterable[str]:
+    pressed = [quote(instance.targets[i].name) for i in list_touched(after.touching & ~before.touching)]
+    if before.puzzle == after.puzzle:
+        return [f"Pressed {join_words(pressed)}: nothing changed."] if pressed else []
+    puzzle, was, now = instance.puzzle, before.puzzle, after.puzzle
+    names = [quote(target.name) for target in instance.targets]
+    lit = list(zip(names, puzzle.get_lit(was), puzzle.get_lit(now), strict=True))
+    on, off = ([name for name, old, new in lit if (old, new) == pair] for pair in ((False, True), (True, False)))
+    changes = ["it " + word if each == pressed else f"{join_words(each)} {word}"
+               for each, word in ((on, "came on"), (off, "went out")) if each]
+    changes += ["all lights are out"] if len(off) > 1 and not any(puzzle.get_lit(now)) else []
+    sign = get_trait(puzzle, Depicted).get_sign
+    changes += [f"{name} now shows {quote(sign(now, i) or 'nothing')}" for i, name in enumerate(names)
+                if sign(was, i) != sign(now, i)]
+    changes += [said[0].lower() + said[1:].rstrip(".") for said in _list_said(puzzle, now)
+                if said not in _list_said(puzzle, was)]
+    get_shut = get_trait(puzzle, Barring).get_shut
+    for number in range(len(instance.inner_doors)):
+        shut = get_shut(now) >> number & 1
+        changes += [f"door {number + 1} {'shut' if shut else 'opened'}"] if shut != get_shut(was) >> number & 1 else []
+    if puzzle.is_solved(was) != puzzle.is_solved(now):
+        changes.append("the exit opened" if puzzle.is_solved(now) else "the exit shut")
+    said = "; ".join(changes) or "nothing changed"
+    return [f"Pressed {join_words(pressed)}: {said}." if pressed else f"{said[0].upper()}{said[1:]}."]

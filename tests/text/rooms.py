@@ -1,0 +1,54 @@
+"""Rooms of the ladder, and ways to play them, for the tests of the tools."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from hrl_escape.agents.training.evaluation import play_episode
+from hrl_escape.comparison.episodes import StateRecorder
+from hrl_escape.comparison.references.registry import make_reference
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.text import RoomSession, ToldEnv, ToolsAgent, make_model
+
+RUNGS = ("doormat", "pair", "chain-3", "doors", "lattice-5", "drift", "code", "freight", "clutter", "switchboard",
+         "lattice")
+
+
+@lru_cache
+def get_room(rung: str, number: int = 0) -> RoomInstance:
+    return parse_room_set(f"ladder-1/{rung}/test[{number}]")[0]
+
+
+def make_env(room: RoomInstance, **options: Any) -> tuple[OptionsEnv, StateRecorder]:
+    recorder = StateRecorder(EscapeRoomEnv(instance=room))
+    return OptionsEnv(recorder, **options), recorder
+
+
+def make_session(room: RoomInstance, told: Any = "places", seed: int = 0, **options: Any) -> RoomSession:
+    session = RoomSession(make_env(room, **options)[0], told)
+    session.reset(seed=seed)
+    return session
+
+
+def play_reference(name: str, room: RoomInstance, seed: int, told: Any = None
+                   ) -> tuple[list[RoomState], ToldEnv | None]:
+    """States of a reference's episode, with its transcript where something is told."""
+    env, recorder = make_env(room)
+    outer = env if told is None else ToldEnv(env, told)
+    for _ in play_episode(make_reference(name, env, recorder), outer, seed):
+        pass
+    return recorder.states, None if told is None else outer  # type: ignore[return-value]
+
+
+def play_manager(name: str, room: RoomInstance, seed: int, told: Any) -> tuple[list[RoomState], ToldEnv]:
+    """States and transcript of an episode in which a manager calls the tools."""
+    env, recorder = make_env(room)
+    outer = ToldEnv(env, told)
+    for _ in play_episode(ToolsAgent(outer, make_model(name)), outer, seed):
+        pass
+    return recorder.states, outer

@@ -1,0 +1,77 @@
+"""The server for language models: its tools are the session's; without the extra one message says what is missing."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.cli import main
+from hrl_escape.text import verify_games
+from tests.text.rooms import get_room, make_session
+
+HAS_MCP = importlib.util.find_spec("mcp") is not None
+
+
+@pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
+def test_a_client_sees_the_session():
+    import anyio
+    from mcp import Client
+
+    from hrl_escape.text.mcp_server import make_server
+
+    room, heard = get_room("pair", 3), []
+    session, twin = make_session(room), make_session(room)
+    calls = [("run_option", {"option": "press button-1"}), ("fly", {"x": 1}), ("move", {"primitive": "forward"}),
+             ("look", {}), ("run_option", {"option": "leave"})]
+
+    async def talk() -> None:
+        async with Client(make_server(session)) as client:
+            assert client.instructions == twin.transcript[0].text
+            tools = (await client.list_tools()).tools
+            assert [(tool.name, tool.input_schema) for tool in tools] == [
+                (tool["name"], tool["inputSchema"]) for tool in twin.tools()]
+            for name, arguments in calls:
+                result = await client.call_tool(name, arguments)
+                heard.append((result.content[0].text, result.is_error))
+
+    anyio.run(talk)
+    assert heard == [tuple(twin.call(*call)) for call in calls] and session.transcript == twin.transcript
+
+
+@pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
+def test_the_command_serves_a_rung_on_standard_input_and_records_the_game(tmp_path: Path):
+    import anyio
+    from mcp import Client, StdioServerParameters, stdio_client
+
+    words = ["mcp", "--rung", "pair", "--room", "test#3", "--told", "names", "--record", str(tmp_path / "game.jsonl")]
+
+    async def talk() -> None:
+        server = StdioServerParameters(command=sys.executable, args=["-m", "hrl_escape.cli", *words])
+        async with Client(stdio_client(server)) as client:
+            for option in ("press button-1", "press button-2", "press button-1", "leave"):
+                await client.call_tool("run_option", {"option": option})
+
+    anyio.run(talk)
+    (game,) = verify_games(tmp_path / "game.jsonl")
+    assert game.room == get_room("pair", 3) and game.told == "names" and game.score.escaped
+
+
+@pytest.mark.skipif(HAS_MCP, reason="the extra mcp is installed")
+def test_without_the_extra_one_line_names_it(capsys: pytest.CaptureFixture[str]):
+    assert main(["mcp"]) == 2
+    assert capsys.readouterr().err.startswith("hrl-escape: The server for language models needs mcp: ")
+
+
+@pytest.mark.parametrize(("words", "problem"), [
+    (["--rung", "lattices"], "lattices"), (["--rung", "pair", "--room", "3"], "test#3"),
+    (["--rung", "pair", "--room", "test#1000"], "100 rooms"), (["--rung", "pair", "--load", "x"], "leave out")])
+def test_an_impossible_room_is_one_line(words: list[str], problem: str):
+    from hrl_escape.commands.mcp import McpArgs
+    from hrl_escape.errors import EscapeError
+
+    given = dict(zip((word.removeprefix("--") for word in words[::2]), words[1::2], strict=True))
+    with pytest.raises(EscapeError, match=problem):
+        McpArgs(**{name: Path(value) if name == "load" else value for name, value in given.items()}).make_instance()

@@ -1,0 +1,124 @@
+"""Recorded games replay to the same bytes, and a change in one is found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.agents.training.evaluation import evaluate
+from hrl_escape.errors import FileReadError, UnsupportedError, VerificationError
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.text import (
+    RecordedModel,
+    RoomSession,
+    ScriptedModel,
+    ToldEnv,
+    ToolCall,
+    ToolsAgent,
+    load_games,
+    record_game,
+    save_games,
+    verify_games,
+)
+from tests.text.rooms import get_room, make_env, make_session, play_manager
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Games on four rungs at three levels, one of them with wrong calls and moves."""
+    games = [record_game(play_manager(name, get_room(rung), seed, told)[1])
+             for name, rung, seed, told in (("untried", "pair", 1, "names"), ("untried-nearest", "drift", 2, "places"),
+                                            ("uniform", "freight", 4, "model"))]
+    session = make_session(get_room("code"), seed=5, include_primitives=True, flavour="press-with-ancestors")
+    for call in (("fly", [1, {"x": "\ud800"}]), ("look", {}), ("move", {"primitive": "forward", "times": 3}),
+                 ("run_option", {"option": "press digit-1"})):
+        session.call(*call)
+    path = tmp_path_factory.mktemp("games") / "games.jsonl"
+    save_games(path, [*games, record_game(session)])
+    return path
+
+
+def test_games_replay_to_the_same_bytes(file: Path, tmp_path: Path):
+    games = verify_games(file)
+    assert games == load_games(file) and len(games) == 4 and games[3].options == {"flavour": "press-with-ancestors"}
+    save_games(tmp_path / "again.jsonl", games)
+    assert (tmp_path / "again.jsonl").read_bytes() == file.read_bytes()
+    assert [game.score.escaped for game in games[:2]] == [True, True]
+
+
+@pytest.mark.parametrize(("change", "problem"), [
+    (lambda lines: lines[:1] + [lines[1].replace("Took ", "Took 1")] + lines[2:], "differs"),
+    (lambda lines: [lines[0].replace("a closed room", "an open room", 1), *lines[1:]], "differs"),
+    (lambda lines: [lines[0].replace('"told": "names"', '"told": "places"', 1), *lines[1:]], "differs"),
+    (lambda lines: [*lines[:1], *lines[2:]], "differs"),
+    (lambda lines: [line.replace('"efficiency": 0', '"efficiency": 1') for line in lines], "differs"),
+])
+def test_a_changed_game_is_found(change, problem: str, file: Path, tmp_path: Path):
+    lines = file.read_text().splitlines()
+    first = lines[:1 + next(n for n, line in enumerate(lines) if "score" in json.loads(line))]
+    changed = change(first)
+    assert changed != first
+    (tmp_path / "changed.jsonl").write_text("\n".join(changed) + "\n")
+    with pytest.raises(VerificationError, match=problem):
+        verify_games(tmp_path / "changed.jsonl")
+
+
+@pytest.mark.parametrize("content", ["", "{}\n", "[1]\n", '{"score": {}}\n', '{"kind": "game"}\n', "nonsense\n", "\x00",
+                                     '{"kind": "game", "schema": 1}\n{"score": 3}\n'])
+def test_a_damaged_file_is_one_error_that_names_it(content: str, tmp_path: Path):
+    (tmp_path / "bad.jsonl").write_text(content)
+    for read in (load_games, RecordedModel):
+        with pytest.raises(FileReadError, match="bad.jsonl"):
+            read(tmp_path / "bad.jsonl")
+
+
+def test_a_file_cut_in_the_middle_is_refused(file: Path, tmp_path: Path):
+    lines = file.read_text().splitlines()
+    (tmp_path / "cut.jsonl").write_text("\n".join(lines[:-2]) + "\n")
+    with pytest.raises(FileReadError, match="no end"):
+        load_games(tmp_path / "cut.jsonl")
+
+
+def test_a_recorded_model_plays_the_game_again_and_no_other(file: Path):
+    game = load_games(file)[1]
+    env, recorder = make_env(game.room)
+    told = ToldEnv(env, game.told)
+    told.reset(seed=game.seed)
+    agent = ToolsAgent(told, RecordedModel(file))
+    while not told.is_over:
+        told.step(agent.act(None, told._mask))
+    assert record_game(told) == game
+    told.reset(seed=99)
+    with pytest.raises(VerificationError, match="after"):
+        while not told.is_over:
+            told.step(agent.act(None, told._mask))
+
+
+def test_a_script_scores_the_same_through_either_door():
+    room = get_room("pair", 3)
+    names = "press button-2", "press button-1", "press button-2"
+    calls = [ToolCall("run_option", {"option": name}) for name in names]
+    calls += [ToolCall("fly", {}), ToolCall("look", {}), ToolCall("run_option", {"option": "leave"})]
+    session = make_session(room, "names", include_primitives=False)
+    for call in calls:
+        session.call(*call)
+    env, _ = make_env(room, include_primitives=False)
+    told = ToldEnv(env, "names")
+    found = evaluate(ToolsAgent(told, ScriptedModel(calls)), told, episodes=1)
+    assert found.returns[0] == session.score().reward and found.lengths[0] == session.score().primitives
+    assert found.decision_counts[0] == session.score().decisions == 5 and found.successes[0]
+    assert told.score().invalid_calls == 1
+
+
+def test_what_cannot_be_replayed_is_not_recorded():
+    session = RoomSession(OptionsEnv(make_env(get_room("pair"))[1]))
+    session.reset()
+    with pytest.raises(UnsupportedError, match="seed"):
+        record_game(session)
+    inner, recorder = make_env(get_room("pair"))
+    own = RoomSession(OptionsEnv(recorder, list(inner.options)))
+    own.reset(seed=0)
+    with pytest.raises(UnsupportedError, match="of your own"):
+        record_game(own)
