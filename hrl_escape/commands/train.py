@@ -126,7 +126,7 @@ class TrainArgs(RoomChoice):
 def run(args: TrainArgs) -> None:
     """Train an agent, evaluate it as the options say, and print its learning curve."""
     spec = args.make_spec()
-    if spec.is_reference:
+    if spec.is_reference and spec.name != TOOLS:
         raise UnsupportedError(f"{spec.name} learns nothing: `hrl-escape watch {spec.name}` shows it, and `hrl-escape "
                                "compare` holds learners against it")
     resolved = spec.resolve_settings()
