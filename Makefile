@@ -34,7 +34,7 @@ test: $(STAMP) ## every test but those marked slow or gpu
 test-planted: $(STAMP) ## every planted bug is seen by a test
 	python -m pytest tests/test_mutations.py -n $(JOBS) -m slow
 
-test-slow: $(STAMP) ## the other slow tests, an hour each in six parts: make test-slow SHARD=1/6
+test-slow: $(STAMP) ## the other slow tests, some 40 minutes on two idle cores; a sixth: make test-slow SHARD=1/6
 	python -m pytest tests --ignore tests/test_mutations.py -n $(JOBS) --dist loadfile -m slow --shard $(SHARD)
 
 docs: $(STAMP) ## the site, into build/docs, read once more by its tests

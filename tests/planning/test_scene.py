@@ -85,8 +85,8 @@ def test_fifty_edits_plan_as_a_new_planner_would_and_come_true():
 
 
 @pytest.mark.slow
-def test_a_thousand_edits_plan_as_a_new_planner_would_and_come_true():
-    assert check_edits("clutter", 1000, executed_every=10, compared_every=10) >= 50
+def test_three_hundred_edits_plan_as_a_new_planner_would_and_come_true():
+    assert check_edits("clutter", 300, executed_every=10, compared_every=10) >= 15
 
 
 def test_fields_are_kept_where_an_edit_changes_no_cell_and_only_there():

@@ -61,7 +61,7 @@ def test_a_run_whose_worker_is_killed_is_made_again(tmp_path: Path):
                 killed.append(worker)
             time.sleep(0.01)
 
-    killer = threading.Thread(target=kill)
+    killer = threading.Thread(target=kill, daemon=True)  # Ray may not start at all
     killer.start()
     comparison = run_quietly(change(runs=1, agents=["q-learning"]), tmp_path, RayLauncher(1))
     killer.join()
