@@ -191,7 +191,7 @@ def test_a_commitment_binds_seeds_salt_and_version():
 
 
 def test_the_first_ladder_has_its_rungs_in_a_few_kilobytes():
-    assert list_benchmarks() == ("ladder-1",)
+    assert list_benchmarks() == ("ladder-1", "marks-1")
     bench = load_benchmark("ladder-1")
     assert [rung.name for rung in bench] == [
         "doormat", "pair", "reach", "chain-3", "chain-4", "doors", "chain", "lattice-5", "drift", "code", "freight",
@@ -204,9 +204,10 @@ def test_the_first_ladder_has_its_rungs_in_a_few_kilobytes():
         load_benchmark("ladder-0")
 
 
-@pytest.mark.parametrize("name", [rung.name for rung in load_benchmark("ladder-1")])
-def test_every_rung_gives_relabelled_rooms_of_one_shape(name):
-    rung = load_benchmark("ladder-1")[name]
+@pytest.mark.parametrize(("source", "name"), [(source, rung.name) for source in list_benchmarks()
+                                              for rung in load_benchmark(source)])
+def test_every_rung_gives_relabelled_rooms_of_one_shape(source, name):
+    rung = load_benchmark(source)[name]
     rooms = [rung.train[0], rung.test[0], rung.valid[0], *([rung.test_task[0]] if rung.test_task else [])]
     assert len({room.frame for room in rooms}) == 1
     assert not isinstance(rung.config.puzzle, ButtonsConfig) or rung.config.puzzle.graph.relabel
@@ -230,6 +231,7 @@ def test_the_easiest_rungs_verify():
 def test_rungs_of_every_kind_verify():
     """All rungs, seven minutes of a core: `hrl-escape ladder verify`."""
     load_benchmark("ladder-1").verify(["reach", "doors", "freight", "lattice"])
+    load_benchmark("marks-1").verify()
 
 
 SCRIPT = """

@@ -20,6 +20,20 @@ MUTATIONS = [
         "comparison/test_episodes.py::test_an_episode_plays_itself_and_leaves_no_recorder",
     ),
     Mutation(
+        "the ceiling does not read marks",
+        "comparison/references/graph_family.py",
+        "if not marks or rules.shuffled:",
+        "if True:",
+        "comparison/test_searchers.py::test_marks_are_worth_what_follows_by_hand",
+    ),
+    Mutation(
+        "the learned share is a share of the way to the planner",
+        "comparison/ladder_score.py",
+        "return (efficiency - searcher) / (ceiling - searcher) if",
+        "return (efficiency - searcher) / (1.0 - searcher) if",
+        "comparison/test_ladder_score.py",
+    ),
+    Mutation(
         "training tells nobody of its evaluations",
         "agents/training/train.py",
         "if observed and result.evaluations",

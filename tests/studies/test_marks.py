@@ -1,0 +1,92 @@
+"""What marks teach: sentences from data of other truths, and real runs."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hrl_escape.errors import ComparisonError
+from studies.marks.analysis import Args, MarksRun, gather, measure, run_once, tell
+from studies.running import open_store
+from studies.study import find_study
+from tests.studies.pages import tell as write_page
+
+STUDY = find_study("marks")
+DATA = STUDY.data
+SIZES = DATA["sizes"]
+
+
+def make_lines(told: Sequence[float], control: float, searcher: float = 0.7, ceiling: float = 0.98,
+               spread: float = 0.02) -> list[MarksRun]:
+    """Ten runs a cell around these efficiencies, by numbers of training rooms; who does not learn has one."""
+    rng = np.random.default_rng(4)
+
+    def make(agent: str, rung: str, rooms: int, seed: int, value: float) -> MarksRun:
+        return MarksRun(agent, rung, rooms, seed, 0, 64, value, 1.0)
+
+    lines = [make(agent, rung, 0, 0, value) for rung in (DATA["told"], DATA["control"])
+             for agent, value in ((DATA["searchers"][0], searcher), (DATA["searchers"][1], 0.5),
+                                  (DATA["ceiling"], ceiling if rung == DATA["told"] else searcher + 0.03))]
+    for size, value in zip(SIZES, told, strict=True):
+        lines += [make(DATA["learner"], DATA["told"], size, seed, value + spread * rng.normal()) for seed in range(10)]
+    return lines + [make(DATA["learner"], DATA["control"], SIZES[-1], seed, control + spread * rng.normal())
+                    for seed in range(10)]
+
+
+def say(*args, **changes) -> list[str]:
+    return tell(gather(STUDY, make_lines(*args, **changes)))
+
+
+def test_a_learner_above_the_searcher_has_learned_and_its_share_is_told():
+    headline, *rest = say((0.6, 0.75, 0.91), 0.68)
+    assert headline.startswith("What marks mean is learned across rooms. Trained in 1,000 rooms")
+    assert "the best searcher that learns nothing (0.70); the ceiling is 0.98, so its learned share is 7" in headline
+    assert rest[0].startswith("From 1 to 1,000 training rooms efficiency rises by +0.3")
+    assert rest[1].startswith("From 16 to 1,000 training rooms efficiency rises by +0.1")
+    assert rest[-1].endswith("learner has 0.68, where the searcher has 0.70: at the searcher's level.")
+
+
+def test_other_truths_give_other_sentences():
+    assert say((0.5, 0.5, 0.5), 0.5)[0].startswith("What marks mean is not learned.")
+    assert "as good" in say((0.5, 0.6, 0.7), 0.6, spread=0.1)[0]
+    assert "From 16 to 1,000 training rooms no change is shown" in say((0.6, 0.9, 0.9), 0.7)[2]
+    assert "From 16 to 1,000 training rooms efficiency falls by -0.1" in say((0.6, 0.9, 0.8), 0.7)[2]
+    assert "something else carries over" in say((0.6, 0.8, 0.9), 0.85)[-1]
+    assert say((0.6, 0.8, 0.9), 0.4)[-1].endswith("below the searcher.")
+    assert "reaches above the ceiling" in say((0.6, 0.8, 0.99), 0.7, ceiling=0.9)[-2]
+    assert "learned share" not in say((0.6, 0.8, 0.9), 0.7, ceiling=0.72)[0], "nothing lies between the two"
+
+
+def test_missing_cells_are_refused():
+    lines = make_lines((0.6, 0.8, 0.9), 0.7)
+    for field, value in (("rooms", 16), ("agent", DATA["ceiling"]), ("rung", DATA["control"])):
+        kept = [line for line in lines if getattr(line, field) != value]
+        with pytest.raises(ComparisonError, match="are needed"):
+            gather(STUDY, kept)
+
+
+def test_a_page_of_another_truth_says_another_thing(tmp_path: Path):
+    page = write_page("marks", make_lines((0.5, 0.5, 0.5), 0.5), tmp_path)
+    assert "**What marks mean is not learned." in page and (tmp_path / "figures/marks.svg").stat().st_size > 10_000
+
+
+def test_a_searcher_is_no_better_than_the_ceiling():
+    searcher, ceiling = (run_once("marks-1", agent, "told", 0, 0, 0, 3)
+                         for agent in (DATA["searchers"][0], DATA["ceiling"]))
+    assert 0 < searcher.efficiency < ceiling.efficiency <= 1 and searcher.escapes == 1
+
+
+@pytest.mark.slow
+def test_runs_are_made_once_and_to_the_bit(tmp_path: Path):
+    small = dataclasses.replace(STUDY, data={**DATA, "sizes": [2], "primitives": 300, "tested": 3, "runs": 1})
+    store = open_store(small, tmp_path)
+    for _ in range(2):
+        measure(small, Args(), store)
+        runs = {run.place: run for run in store.load()}
+        assert len(runs) == 8 and store.path.read_text().count("\n") == 8
+    learner = runs[DATA["learner"], "told", 2, 0]
+    assert learner == run_once("marks-1", DATA["learner"], "told", 2, 0, 300, 3)
