@@ -21,7 +21,7 @@ from studies.factorial.effects import (
     Screening,
     compute_effects,
     find_sufficient,
-    measure_area,
+    measure_change,
 )
 from studies.factorial.mediation import compute_paths
 from studies.factorial.words import Findings, tell_fresh_runs
@@ -41,7 +41,7 @@ from studies.scaling.results import ScalingRun
 from studies.scaling.rounds import AGENTS, BAR, BAR_AGENT, RULES, TOLD, TOLD_TASKS
 from studies.scaling.told import compute_told_costs
 from studies.study import find_study
-from studies.twins import compare_twins
+from studies.twins import compare_twins, group, list_questions
 
 __all__ = ["PAGES", "Draw"]
 
@@ -55,7 +55,7 @@ RUNGS = tuple(f"rung-{number}" for number in range(8))
 
 
 def make_run(agent: str, room: str, seed: int, value: float) -> RawRun:
-    """A run that scores the same from beginning to end."""
+    """A run whose score stays, and whose efficiency in training rises from half of it to one and a half."""
     evaluations = 11
     return RawRun(
         agent=agent, room=room, seed=seed, worst=-1000.0, best=0.0, axis="primitives", budget=BUDGET,
@@ -64,7 +64,7 @@ def make_run(agent: str, room: str, seed: int, value: float) -> RawRun:
         episodes=(1,) * BINS, training_returns=(1000 * (value - 1),) * BINS,
         training_successes=(int(value > 0.5),) * BINS, training_optimal=(int(value >= OPTIMAL_SCORE),) * BINS,
         first_escape=50 if value > 0.5 else None, efficiencies=(value,) * evaluations,
-        training_efficiencies=(value,) * BINS)
+        training_efficiencies=tuple((value * np.linspace(0.5, 1.5, BINS)).tolist()))
 
 
 def is_wrong_of_claims(draw: Draw, rng: np.random.Generator) -> bool:
@@ -95,7 +95,7 @@ def make_screening(draw: Draw, rng: np.random.Generator, rooms: str, seeds: int,
 
 def is_wrong_of_screening(draw: Draw, rng: np.random.Generator) -> bool:
     """The page on why SARSA worsens shows an effect of a factor, where none has any; 5 rooms, 2 seeds."""
-    return any(effect.is_shown for effect in compute_effects(make_screening(draw, rng, "abcde", 2), measure_area))
+    return any(effect.is_shown for effect in compute_effects(make_screening(draw, rng, "abcde", 2), measure_change))
 
 
 def is_wrong_of_paths(draw: Draw, rng: np.random.Generator) -> bool:
@@ -106,7 +106,7 @@ def is_wrong_of_paths(draw: Draw, rng: np.random.Generator) -> bool:
             for room in "abcde" for seed in range(5) for label, value, level, noise in
             zip(labels, draw(rng, len(labels)), raised, rng.normal(0, 0.1, len(labels)), strict=True)]
     return any(path.is_shown for path in
-               compute_paths(Screening.make("sarsa", runs), ["exploration"], measure_area, rng, resamples=500))
+               compute_paths(Screening.make("sarsa", runs), ["exploration"], measure_change, rng, resamples=500))
 
 
 def is_wrong_of_sufficiency(draw: Draw, rng: np.random.Generator) -> bool:
@@ -117,14 +117,14 @@ def is_wrong_of_sufficiency(draw: Draw, rng: np.random.Generator) -> bool:
         return (0.0, SHARE, 1.0)[corrected[first] + corrected[second]]
 
     screening = make_screening(draw, rng, "abcde", 5, respond)
-    found = find_sufficient(screening, compute_effects(screening, measure_area), measure_area)
+    found = find_sufficient(screening, compute_effects(screening, measure_change), measure_change)
     return any(found.get(name) is not None for name in (first, second))
 
 
 def is_wrong_of_fresh_effects(draw: Draw, rng: np.random.Generator) -> bool:
     """The same page says that fresh runs, in which no factor does anything, repeat or reverse a published effect."""
     published = make_screening(draw, rng, "abcde", 5, lambda corrected: float(corrected["exploration"]))
-    findings = Findings(published, compute_effects(published, measure_area), [], {}, [])
+    findings = Findings(published, compute_effects(published, measure_change), [], {}, [])
     told = tell_fresh_runs(make_screening(draw, rng, "fghij", 2), findings)
     return "the same conclusion" in told or "the contrary" in told
 
@@ -140,7 +140,9 @@ def is_wrong_of_twins(name: str, draw: Draw, rng: np.random.Generator) -> bool:
                          float(value > 0.5), 1, float(value), round(BUDGET * (1 - float(value))) or None, "")
              for room in grid.rooms for agent in grid.agents if agent.learns
              for seed, value in enumerate(draw(rng, RUNS))]
-    return any(contrast.is_shown for contrast in compare_twins(study, lines))
+    cells, rooms = group(lines), [room.label for room in grid.rooms]
+    return any(contrast.is_better or contrast.is_worse for question in list_questions(study)
+               for contrast in compare_twins(question, cells, rooms))
 
 
 def tell_rungs(draw: Draw, rng: np.random.Generator) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from hrl_escape.comparison.comparison import Comparison, run_grid
 from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.errors import ComparisonError, ConfigError
+from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
 from hrl_escape.files import claim_folder
 from hrl_escape.processes import taking_turns
 from studies.baseline import BaselineRun, collect_baselines
@@ -16,9 +16,11 @@ from studies.page import write_page
 from studies.store import Line, Store
 from studies.study import Page, Study
 
-__all__ = ["GridArgs", "StudyArgs", "analyse", "get_args", "open_store", "refuse_failures", "run_study"]
+__all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "analyse", "get_args", "open_store", "refuse_failures", "run_study"]
 
 PAGES = Path("docs/results")
+NO_TRAINING = 100
+"""Training budget of references: only their evaluations count."""
 COUNTS = ("runs", "primitives", "minutes", "rooms", "replicates", "episodes")
 
 
@@ -47,6 +49,8 @@ class GridArgs(StudyArgs):
     """Training seeds of each agent in each room; the grid's by default."""
     primitives: int | None = None
     """Training budget of a run; the grid's by default."""
+    agents: tuple[str, ...] = ()
+    """Agents to run, by label; all of the grid by default."""
 
 
 def get_args(study: Study) -> type[Any]:
@@ -97,14 +101,26 @@ def analyse(study: Study, lines: list[Any]) -> Page:
 
 
 def measure_grids(study: Study, args: GridArgs, store: Store) -> None:
-    """Run the grids of a study one after another, and keep the lines of each."""
+    """Run the grids of a study one after another, and keep the lines of each.
+
+    References, of which only evaluations count, are run apart and train for `NO_TRAINING`.
+    """
     changes: dict[str, Any] = {name: value for name in ("runs", "primitives")
                                if (value := getattr(args, name)) is not None}
     for grid in study.grids:
-        changed = dataclasses.replace(grid, first_seed=args.first_seed, **changes)
-        comparison = run_grid(changed, args.out / grid.name, LocalLauncher(args.workers))
-        refuse_failures(comparison)
-        store.add(getattr(study.analysis, "collect", _collect)(comparison))
+        known = {agent.label: agent for agent in grid.agents}
+        if unknown := [label for label in args.agents if label not in known]:
+            raise UnknownNameError(f"agent of {grid.name}", unknown[0], known)
+        chosen = [agent for label, agent in known.items() if not args.agents or label in args.agents]
+        for part, agents, budget in (("learners", [agent for agent in chosen if not agent.is_reference], {}),
+                                     ("references", [agent for agent in chosen if agent.is_reference],
+                                      {"primitives": NO_TRAINING, "eval_every": NO_TRAINING})):
+            if agents:
+                changed = dataclasses.replace(grid, agents=tuple(agents), first_seed=args.first_seed,
+                                              **changes | budget)
+                comparison = run_grid(changed, args.out / grid.name / part, LocalLauncher(args.workers))
+                refuse_failures(comparison)
+                store.add(getattr(study.analysis, "collect", _collect)(comparison))
 
 
 def _collect(comparison: Comparison) -> list[Line]:

@@ -9,12 +9,13 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy import special, stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.comparison.statistics import Floats
 
 __all__ = ["compute_restricted_mean", "compute_sign_flip_p", "compute_slope", "compute_survival",
-           "correct_by_benjamini_hochberg"]
+           "correct_by_benjamini_hochberg", "find_visible_difference", "list_subset_means"]
 
 MOST_SIGNS = 14
 """Differences whose signs are all tried."""
@@ -66,6 +67,26 @@ def compute_sign_flip_p(differences: ArrayLike, side: Literal["above", "below"])
     return float(np.mean(sums >= sums[0] - 1e-9))
 
 
+def list_subset_means(values: ArrayLike) -> Floats:
+    """Means of all subsets but the empty one, ascending; of more than 14 numbers those of drawn subsets.
+
+    Differences that are symmetric about their centre put it between any two neighbours with equal probability (the
+    typical values of Hartigan 1969), so that these means hold every interval of the centre, and their share below a
+    number is the p-value that `compute_sign_flip_p` gives. Infinite numbers are ends that are not known.
+
+    Args:
+        values: (n,).
+    """
+    numbers = np.asarray(values, dtype=np.float64)
+    chosen = _list_signs(len(numbers)) > 0
+    chosen = chosen[chosen.any(axis=1)]
+    finite = np.isfinite(numbers)
+    means = np.where(chosen[:, finite], numbers[finite], 0.0).sum(axis=1) / chosen.sum(axis=1)
+    for end in (-np.inf, np.inf):
+        means[chosen[:, numbers == end].any(axis=1)] = end
+    return np.sort(means)
+
+
 @lru_cache(maxsize=8)
 def _list_signs(count: int) -> Floats:
     """All signs of so many numbers, (2^count, count), or drawn ones of many; those of the first row are plus."""
@@ -102,3 +123,25 @@ def compute_slope(x: ArrayLike, y: ArrayLike, start: float, end: float) -> float
     away = at[chosen] - at[chosen].mean() if chosen.any() else np.zeros(0)
     spread = float(np.sum(away**2))
     return float(np.sum(away * values[chosen]) / spread) if spread > 0 else 0.0
+
+
+def find_visible_difference(differences: Sequence[NDArray[np.float64]], alpha: float, power: float = 0.8) -> float:
+    """Smallest true mean difference that the paired t test of `compare_pairs` sees with this probability.
+
+    Args:
+        differences: (seeds,) a room, whose spread is taken as known.
+        alpha: level of the two-sided test; its share of a family's, where it is one of several.
+        power: probability of a p-value below alpha, by the noncentral t distribution.
+
+    Returns:
+        The difference; 0 where the differences of every room are equal.
+    """
+    errors = np.array([room.var(ddof=1) / len(room) for room in differences])
+    spread = float(np.sqrt(errors.sum())) / len(errors)
+    if spread <= 1e-12:
+        return 0.0
+    freedom = errors.sum() ** 2 / sum(error**2 / (len(room) - 1)
+                                      for error, room in zip(errors, differences, strict=True))
+    edge = float(stats.t.ppf(1 - alpha / 2, freedom))
+    distance = special.nctdtrinc(freedom, 1 - power, edge)  # the far side of the test counts for nothing here
+    return float(distance) * spread

@@ -1,28 +1,40 @@
 """Studies of twins: agents held against the same agents without one part, in the same rooms with the same seeds.
 
-Such a study is data: its grid, and questions of pairs of agents in `study.toml`. All comparisons of a study are one
-family (Holm). Its page extends `twins.md.j2`.
+Such a study is data: its grid, and questions of pairs of agents in `study.toml`. A pair is one test over all rooms, and
+a question is one family (Holm). Whether learning adds anything is a further question: each learner against the best
+searcher that learns nothing. Its page extends `twins.md.j2`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.inference import compare_pairs, compute_interval, correct_by_holm
+from hrl_escape.comparison.inference import choose_holm_levels, compare_pairs, compute_interval, correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.references.registry import SEARCHERS
 from hrl_escape.comparison.statistics import LEAST_RUNS, compute_iqm
 from hrl_escape.comparison.verdict import count_things, tell_privileges
+from hrl_escape.env.drawing import palette
+from hrl_escape.names import join_words
 from hrl_escape.settings import read_record
 from studies.baseline import BaselineRun
+from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
+from studies.statistics import find_visible_difference
 from studies.study import Page, Study
 
-__all__ = ["Contrast", "Question", "analyse", "compare_twins", "conclude_contrasts", "list_questions"]
+__all__ = ["Contrast", "Question", "analyse", "compare_with_chance", "compare_with_searchers", "compare_twins",
+           "find_forced", "find_repeated_rooms", "group", "list_questions", "tell_beyond", "tell_question",
+           "tell_visible"]
 
 
 @dataclass(frozen=True)
@@ -32,9 +44,10 @@ class Question:
     Attributes:
         heading: in the page.
         words: what is held against what.
-        who: what each of the agents is, after "at least one": `hierarchy`; of a single agent, its name.
+        who: what each of the agents is: `hierarchy`, or of a single agent its name in code.
         agents: labels.
         twins: labels of their twins, in the same order; a single one is the twin of all.
+        many: plural of `who`.
     """
 
     heading: str
@@ -42,44 +55,59 @@ class Question:
     who: str
     agents: tuple[str, ...]
     twins: tuple[str, ...]
+    many: str = ""
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
         """Labels of each agent and its twin."""
         return tuple(zip(self.agents, self.twins * (len(self.agents) if len(self.twins) == 1 else 1), strict=True))
 
-    @property
-    def labels(self) -> set[str]:
-        """Labels of all agents and twins in it."""
-        return {*self.agents, *self.twins}
-
 
 class Contrast(NamedTuple):
-    """An agent against its twin in one room, seed by seed.
+    """An agent against another over all rooms, seed by seed.
 
     Attributes:
-        question: number in the study.
-        room: name.
         agent: label.
-        twin: label.
-        measure: `efficiency`, or `first escape`: primitives by which it comes sooner, runs without one
-            counting with the whole budget.
-        gain: mean difference; above 0 the agent is better.
-        p: two-sided, corrected over the study; 1 where too few runs were made to conclude anything.
+        other: label of the twin, or what it is.
+        rooms: mean difference of efficiency in each room.
+        gain: mean of these; above 0 the agent is better.
+        low: lower end of its interval, which leaves out 0 where the test shows a difference.
+        high: upper end.
+        p: two-sided, corrected over the family.
+        visible: smallest gain that the test would have seen in 80 % of such studies.
+        equal: rooms in which all runs of both are equal, first escape and efficiency, and some run escapes.
     """
 
-    question: int
-    room: str
     agent: str
-    twin: str
-    measure: str
+    other: str
+    rooms: Mapping[str, float]
     gain: float
+    low: float
+    high: float
     p: float
+    visible: float
+    equal: tuple[str, ...]
 
     @property
-    def is_shown(self) -> bool:
-        """The runs show a difference."""
-        return self.p < ALPHA
+    def is_same(self) -> bool:
+        """Both run alike in every room, so that nothing was compared."""
+        return len(self.equal) == len(self.rooms)
+
+    @property
+    def is_better(self) -> bool:
+        """The runs show that the agent gains."""
+        return self.p < ALPHA and self.gain > 0
+
+    @property
+    def is_worse(self) -> bool:
+        """The runs show that the agent loses."""
+        return self.p < ALPHA and self.gain < 0
+
+
+Cell = Mapping[int, BaselineRun]
+"""Runs of an agent in a room by seed."""
+Cells = Mapping[tuple[str, str], Cell]
+"""By room and label."""
 
 
 def list_questions(study: Study) -> list[Question]:
@@ -88,66 +116,224 @@ def list_questions(study: Study) -> list[Question]:
 
 
 def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
-    """Contrasts, conclusions and tables of lines; of several budgets the largest counts."""
+    """Contrasts, conclusions, tables and figure of lines; of several budgets the largest counts."""
     budget = max(line.primitives for line in lines)
     lines = sorted((line for line in lines if line.primitives in (0, budget)), key=lambda line: line.place)
-    contrasts, rooms, agents = compare_twins(study, lines), _list_rooms(study, lines), _list_agents(study, lines)
-    conclusions = conclude_contrasts(study, contrasts, lines)
+    agents = _list_agents(study, lines)
+    shown = _list_rooms(study, lines)
+    repeated = find_repeated_rooms(group(lines), shown)
+    rooms = [room for room in shown if room not in repeated]
+    cells = {place: runs for place, runs in group(lines).items() if place[0] in rooms}
+    questions = [(question, compare_twins(question, cells, rooms)) for question in list_questions(study)]
+    beyond, chance = compare_with_searchers(cells, rooms, agents), compare_with_chance(cells, rooms, agents)
+    headline = tell_beyond(beyond, len(rooms))
+    told = [tell_question(question, contrasts, beyond, chance) for question, contrasts in questions]
     (grid,) = study.grids
-    questions = [{
-        "heading": question.heading, "words": question.words, "findings": _list_findings(number, question, contrasts),
-        "few": [room for room in rooms if room not in _list_settled_rooms(study, question, lines)],
-        "lost": [room for room in rooms if not any(line.escapes > 0.0 for label in question.labels
-                                                   for line in _choose(lines, room, label))],
-    } for number, question in enumerate(list_questions(study))]
+    visible = tell_visible([contrast for _, contrasts in questions for contrast in contrasts])
     return Page({
-        "conclusions": conclusions, "budget": budget, "questions": questions, "contrasts": contrasts,
+        "headline": headline, "budget": budget, "visible": visible, "beyond": list(map(_tell_contrast, beyond)),
+        "questions": [{"heading": question.heading, "words": question.words, "told": sentence,
+                       "pairs": list(map(_tell_contrast, contrasts))}
+                      for (question, contrasts), sentence in zip(questions, told, strict=True)],
         "episodes": count_things(max(line.episodes for line in lines), "episode"),
-        "rooms": {room: _tabulate([_choose(lines, room, agent) for agent in agents]) for room in rooms},
-        "left_out": [room.label for room in grid.rooms if room.label not in rooms],
+        "cases": [*(f"`{room}` and `{first}` are one task: all {count} runs agree in both. It counts once."
+                    for room, (first, count) in repeated.items()), *_tell_lost(cells, rooms, agents),
+                  *_tell_forced(cells, rooms, agents)],
+        "rooms": {room: _tabulate([list(group(lines).get((room, agent), {}).values()) for agent in agents])
+                  for room in shown},
+        "left_out": [room.label for room in grid.rooms if room.label not in shown],
         "privileges": tell_privileges(map(AgentSpec.parse, agents)), "runs": 1 + max(line.seed for line in lines),
-    }, conclusions=conclusions)
+        "figure": study.name, "gist_length": study.data.get("gist", 3),
+    }, {study.name: draw(cells, rooms, agents)}, [headline, *told])
 
 
-def compare_twins(study: Study, lines: Sequence[BaselineRun]) -> list[Contrast]:
-    """All contrasts of a study that have a run on both sides."""
-    found, raw = [], []
-    for number, question in enumerate(list_questions(study)):
-        for room in _list_rooms(study, lines):
-            for agent, twin in question.pairs:
-                runs, others = ({run.seed: run for run in _choose(lines, room, label)} for label in (agent, twin))
-                seeds = [seed for seed in runs if seed in others]
-                if not seeds:
-                    continue
-                gains = {
-                    "efficiency": [runs[seed].efficiency - others[seed].efficiency for seed in seeds],
-                    "first escape": [_compute_wait(others[seed]) - _compute_wait(runs[seed]) for seed in seeds],
-                }
-                for measure, gain in gains.items():
-                    test = compare_pairs([np.round(np.array(gain, np.float64), 9)])
-                    found.append(Contrast(number, room, agent, twin, measure, test.difference, 1.0))
-                    raw.append(test.p if len(seeds) >= LEAST_RUNS else 1.0)
-    return [contrast._replace(p=p) for contrast, p in zip(found, correct_by_holm(raw), strict=True)]
+# --- what is compared ------------------------------------------------------------------------
 
 
-def conclude_contrasts(study: Study, contrasts: Sequence[Contrast], lines: Sequence[BaselineRun]) -> list[str]:
-    """A sentence a question: in how many rooms at least one agent is better than its twin, and in how many worse."""
-    return [f"{question.heading}: {_conclude(number, question, contrasts, _list_settled_rooms(study, question, lines))}"
-            for number, question in enumerate(list_questions(study))]
+def group(lines: Sequence[BaselineRun]) -> dict[tuple[str, str], dict[int, BaselineRun]]:
+    """Runs by room and agent, then by seed."""
+    cells: dict[tuple[str, str], dict[int, BaselineRun]] = {}
+    for line in lines:
+        cells.setdefault((line.rooms, line.agent), {})[line.seed] = line
+    return cells
 
 
-def _conclude(number: int, question: Question, contrasts: Sequence[Contrast], rooms: Sequence[str]) -> str:
-    if not rooms:
-        return f"nothing is concluded, as no room has {LEAST_RUNS} runs of all agents."
-    better, worse = ({contrast.room for contrast in contrasts if contrast.question == number and contrast.room in rooms
-                      and contrast.is_shown and sign * contrast.gain > 0} for sign in (1, -1))
-    of_rooms = f"of {len(rooms)} rooms" if len(rooms) > 1 else f"room, {rooms[0]}"
-    who, are_many = question.who, len(question.pairs) > 1
-    words = [f"{f'at least one {who}' if are_many else who} does better in {len(better)} {of_rooms}" if better else
-             f"{f'no {who} is' if are_many else f'{who} is not'} shown to do better in "
-             f"{'any' if len(rooms) > 1 else 'the one'} {of_rooms}"]
-    words += [f"{'at least one ' if are_many else ''}does worse in {len(worse)}"] if worse else []
-    return f"{', and '.join(words)}."
+def find_repeated_rooms(cells: Cells, rooms: Sequence[str]) -> dict[str, tuple[str, int]]:
+    """Rooms in which every run equals that in an earlier room: one task under two names.
+
+    Returns:
+        Room -> the earlier room, and how many runs of at least two agents agree.
+    """
+    found: dict[str, tuple[str, int]] = {}
+    for first, room in itertools.combinations(rooms, 2):
+        both = [(runs[seed], cells[first, agent][seed]) for (place, agent), runs in cells.items() if place == room
+                for seed in runs.keys() & cells.get((first, agent), {}).keys()]
+        agents = {one.agent for one, _ in both if one.primitives}
+        if len(agents) > 1 and len(both) >= LEAST_RUNS and all(map(_are_equal, *zip(*both, strict=True))) and any(
+                one.first_escape is not None for one, _ in both):
+            found.setdefault(room, (first, len(both)))
+    return found
+
+
+def find_forced(cells: Cells, room: str, agent: str) -> bool:
+    """True if a learner's runs are equal whatever the seed, first escape and efficiency: no choice was left to it."""
+    runs = list(cells.get((room, agent), {}).values())
+    return (len(runs) >= LEAST_RUNS and runs[0].primitives > 0 and runs[0].first_escape is not None
+            and all(_are_equal(run, runs[0]) for run in runs))
+
+
+def _are_equal(one: BaselineRun, other: BaselineRun) -> bool:
+    return (one.efficiency, one.escapes, one.first_escape) == (other.efficiency, other.escapes, other.first_escape)
+
+
+def compare_twins(question: Question, cells: Cells, rooms: Sequence[str]) -> list[Contrast]:
+    """Each agent of a question against its twin; pairs that lack runs somewhere are left out."""
+    return _compare([(agent, twin, {room: twin for room in rooms}) for agent, twin in question.pairs], cells, rooms)
+
+
+def compare_with_searchers(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[Contrast]:
+    """Each learner against the searcher that does best in each room.
+
+    The best of several is taken after a look at them, which favours the searcher: what beats it, beats all.
+    """
+    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCHERS]
+    best = {room: max((agent for agent in searchers if len(cells.get((room, agent), {})) >= LEAST_RUNS),
+                      key=lambda agent, room=room: _average(cells[room, agent]), default="") for room in rooms}
+    return _compare([(agent, "the best searcher", best) for agent in agents if AgentSpec.parse(agent).learns], cells,
+                    rooms)
+
+
+def compare_with_chance(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[Contrast]:
+    """Each learner against random choices among what it chooses among."""
+    chance = {spec.chooses_options: agent for agent in agents if (spec := AgentSpec.parse(agent)).algorithm == "random"}
+    return _compare([(agent, other, dict.fromkeys(rooms, other)) for agent in agents
+                     if (spec := AgentSpec.parse(agent)).learns and (other := chance.get(_decides(spec)))],
+                    cells, rooms)
+
+
+def _decides(spec: AgentSpec) -> bool:
+    return spec.chooses_options or spec.leaves == "planned"
+
+
+def _compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells, rooms: Sequence[str]
+             ) -> list[Contrast]:
+    """Contrasts of one family (Holm), of couples that have `LEAST_RUNS` pairs in every room."""
+    asked: list[tuple[str, str, list[NDArray[np.float64]], tuple[str, ...]]] = []
+    for agent, other, others in couples:
+        pairs = {room: _pair(cells.get((room, agent), {}), cells.get((room, others[room]), {})) for room in rooms}
+        if not pairs or min(map(len, pairs.values())) < LEAST_RUNS:
+            continue
+        gains = [np.round(np.array([one.efficiency - two.efficiency for one, two in pairs[room]]), 9) for room in rooms]
+        asked.append((agent, other, gains, tuple(
+            room for room in rooms if all(_are_equal(one, two) for one, two in pairs[room])
+            and any(one.first_escape is not None for one, _ in pairs[room]))))
+    tests = [compare_pairs(gains) for _, _, gains, _ in asked]
+    levels, corrected = (rule([test.p for test in tests]) for rule in (choose_holm_levels, correct_by_holm))
+    found = []
+    for (agent, other, gains, equal), level, p in zip(asked, levels, corrected, strict=True):
+        test = compare_pairs(gains, level)
+        found.append(Contrast(agent, other, {room: float(own.mean()) for room, own in zip(rooms, gains, strict=True)},
+                              test.difference, test.low, test.high, p,
+                              find_visible_difference(gains, ALPHA / len(asked)), equal))
+    return found
+
+
+def _pair(runs: Cell, others: Cell) -> list[tuple[BaselineRun, BaselineRun]]:
+    return [(runs[seed], others[seed]) for seed in sorted(runs.keys() & others.keys())]
+
+
+def _average(runs: Cell) -> float:
+    return float(np.mean([run.efficiency for run in runs.values()]))
+
+
+# --- words -----------------------------------------------------------------------------------
+
+
+def tell_beyond(beyond: Sequence[Contrast], rooms: int) -> str:
+    """The finding: which learners reach more than the best searcher that learns nothing, over all rooms."""
+    if not beyond:
+        return f"Nothing is concluded, as no learner has {LEAST_RUNS} runs beside a searcher's in every room."
+    better = [contrast for contrast in beyond if contrast.is_better]
+    of = f"in {count_things(rooms, 'room')}"
+    if not better:
+        level = sum(not contrast.is_worse for contrast in beyond)
+        rest = f"{level} of {len(beyond)} are not shown to reach less" if level else f"all {len(beyond)} reach less"
+        return f"No learner is shown to beat the best searcher that learns nothing {of}; {rest}."
+    names = join_words(f"`{contrast.agent}`" for contrast in better)
+    return f"{len(better)} of {len(beyond)} learners beat the best searcher that learns nothing {of}: {names}."
+
+
+def tell_question(question: Question, contrasts: Sequence[Contrast], beyond: Sequence[Contrast],
+                  chance: Sequence[Contrast]) -> str:
+    """One sentence: who gains over its twin, and whether that is more than searching and chance reach."""
+    if not contrasts:
+        return f"{question.heading}: nothing is concluded, as no pair has {LEAST_RUNS} runs in every room."
+    same = [contrast for contrast in contrasts if contrast.is_same]
+    asked = [contrast for contrast in contrasts if contrast not in same]
+    better, worse = ([contrast for contrast in asked if getattr(contrast, name)] for name in ("is_better", "is_worse"))
+    are_many = len(question.pairs) > 1
+    many = question.many or f"{question.who}s"
+    parts = []
+    if better:
+        gains = sorted(contrast.gain for contrast in better)
+        span = f"{gains[0]:+.2f}" + (f" to {gains[-1]:+.2f}" if len(gains) > 1 else "")
+        parts.append(f"{len(better)} of {len(contrasts)} {many} gain ({span})" if are_many
+                     else f"{question.who} gains ({span})")
+        above = {contrast.agent for contrast in beyond if contrast.is_better}
+        beating = sum(contrast.agent in above for contrast in better)
+        parts.append("none of them beats the best searcher" if not beating else
+                     f"{'it beats' if len(better) == 1 else f'{beating} of them beat'} the best searcher too")
+        lucky = [contrast.agent for contrast in chance if contrast.p >= ALPHA]
+        if level := [f"`{contrast.agent}`" for contrast in better if contrast.agent in lucky]:
+            parts.append(f"{join_words(level)} {'is' if len(level) == 1 else 'are'} not shown to beat chance")
+    elif asked:
+        parts.append(f"none of {len(contrasts)} {many} is shown to gain" if are_many
+                     else f"{question.who} is not shown to gain")
+    if worse:
+        losses = join_words(f"`{contrast.agent}` ({contrast.gain:+.2f})" for contrast in worse)
+        parts.append(f"{losses} lose{'s' if len(worse) == 1 else ''}")
+    if same:
+        names = join_words(f"`{contrast.agent}`" for contrast in same)
+        twins = "its twin" if len(same) == 1 else "their twins"
+        parts.append(f"{names} and {twins} run alike in every room, so nothing was compared")
+    return f"{question.heading}: {', '.join(parts)}."
+
+
+def tell_visible(contrasts: Sequence[Contrast]) -> str:
+    """What the tests could have seen, by the spread that the runs have; empty where nothing was compared."""
+    sizes = sorted(contrast.visible for contrast in contrasts if not contrast.is_same)
+    if not sizes:
+        return ""
+    middle = float(np.median(sizes))
+    return (f"Of such studies 80 % would have seen a gain of {middle:.2f} in half of these comparisons, and of "
+            f"{sizes[-1]:.2f} in all of them.")
+
+
+def _tell_contrast(contrast: Contrast) -> str:
+    verdict = "gains" if contrast.is_better else "loses" if contrast.is_worse else "no difference is shown"
+    rooms = ", ".join(f"{room} {gain:+.2f}" for room, gain in contrast.rooms.items())
+    equal = f"; equal run for run in {join_words(contrast.equal)}" if contrast.equal else ""
+    other = contrast.other if " " in contrast.other else f"`{contrast.other}`"
+    return (f"`{contrast.agent}` against {other}: {verdict}, "
+            f"{contrast.gain:+.2f} ({contrast.low:+.2f} to {contrast.high:+.2f}); {rooms}{equal}.")
+
+
+def _tell_lost(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[str]:
+    """Rooms where efficiency tells no learners apart, as none escapes."""
+    learners = [agent for agent in agents if AgentSpec.parse(agent).learns]
+    lost = [room for room in rooms
+            if not any(run.escapes for agent in learners for run in cells.get((room, agent), {}).values())]
+    said = f"In {join_words(lost)} no learner escapes after training: this budget does not tell them apart."
+    return [said] * bool(lost)
+
+
+def _tell_forced(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[str]:
+    told = []
+    for agent in agents:
+        if forced := [room for room in rooms if find_forced(cells, room, agent)]:
+            told.append(f"`{agent}` runs alike with every seed in {join_words(forced)}: what it is told leaves it no "
+                        "choice there.")
+    return told
 
 
 def _list_rooms(study: Study, lines: Sequence[BaselineRun]) -> list[str]:
@@ -162,45 +348,12 @@ def _list_agents(study: Study, lines: Sequence[BaselineRun]) -> list[str]:
     return sorted({line.agent for line in lines}, key=lambda agent: ([*known, agent].index(agent), agent))
 
 
-def _list_settled_rooms(study: Study, question: Question, lines: Sequence[BaselineRun]) -> list[str]:
-    """Rooms with enough runs of all agents of a question."""
-    return [room for room in _list_rooms(study, lines)
-            if all(len(_choose(lines, room, label)) >= LEAST_RUNS for label in question.labels)]
-
-
-def _choose(lines: Sequence[BaselineRun], room: str, agent: str) -> list[BaselineRun]:
-    """Lines about an agent in a room."""
-    return [line for line in lines if (line.rooms, line.agent) == (room, agent)]
+# --- table and figure ------------------------------------------------------------------------
 
 
 def _compute_wait(run: BaselineRun) -> float:
     """Primitives to the first escape in training; the whole budget without one."""
     return float(run.primitives if run.first_escape is None else min(run.first_escape, run.primitives))
-
-
-def _list_findings(number: int, question: Question, contrasts: Sequence[Contrast]) -> dict[str, str]:
-    """Agent -> where it is better, where worse, in which measure; agents without a run are left out."""
-    found = {}
-    for agent, twin in question.pairs:
-        own = [contrast for contrast in contrasts
-               if (contrast.question, contrast.agent, contrast.twin) == (number, agent, twin)]
-        words = [text for measure in ("efficiency", "first escape") for sign in (1, -1)
-                 if (text := _name_rooms(measure, sign, own))]
-        if own:
-            found[agent] = "; ".join(words) or "no difference is shown"
-    return found
-
-
-def _name_rooms(measure: str, sign: int, contrasts: Sequence[Contrast]) -> str:
-    found = [contrast for contrast in contrasts
-             if contrast.is_shown and contrast.measure == measure and sign * contrast.gain > 0]
-    if not found:
-        return ""
-    if measure == "efficiency":
-        rooms = [f"{contrast.room} ({contrast.gain:+.2f})" for contrast in found]
-        return f"{'more' if sign > 0 else 'less'} efficient in {', '.join(rooms)}"
-    rooms = [f"{contrast.room} (by {abs(contrast.gain):,.0f} primitives)" for contrast in found]
-    return f"escapes {'sooner' if sign > 0 else 'later'} in {', '.join(rooms)}"
 
 
 def _tabulate(cells: Sequence[Sequence[BaselineRun]]) -> str:
@@ -216,3 +369,40 @@ def _tabulate(cells: Sequence[Sequence[BaselineRun]]) -> str:
                      f"{np.mean(list(map(_compute_wait, runs))):,.0f} ({escaped} of {len(runs)})"
                      if runs[0].primitives else "no training"])
     return make_table(["agent", "runs", "efficiency", "progress", "escapes", "first escape"], rows)
+
+
+def draw(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> Figure:
+    """Mean efficiency over rooms, a dot a room: learners from the best down, lines for the best searcher and chance."""
+    def average(agent: str) -> list[float]:
+        return [_average(cells[room, agent]) for room in rooms if (room, agent) in cells]
+
+    specs = {agent: AgentSpec.parse(agent) for agent in agents}
+    learners = sorted((agent for agent in agents if specs[agent].learns), key=lambda agent: np.mean(average(agent)))
+    searchers = [agent for agent in agents if specs[agent].name in SEARCHERS]
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(7.6, 1.2 + 0.24 * len(learners)), facecolor=palette.BACKGROUND, layout="constrained")
+        axes = figure.subplots()
+        for at, agent in enumerate(learners):
+            values = average(agent)
+            axes.plot(values, [at] * len(values), "o", markersize=3.5, alpha=0.45, color=palette.LINES[0],
+                      markeredgewidth=0, label=None if at else "a room")
+            axes.plot(np.mean(values), at, "D", markersize=6, color=palette.LINES[0],
+                      label=None if at else "mean over rooms")
+        best = [max((_average(cells[room, agent]) for agent in searchers if (room, agent) in cells), default=0.0)
+                for room in rooms]
+        if any(best):
+            axes.axvline(float(np.mean(best)), color=palette.INK, linewidth=1.4, label="best searcher without learning")
+        for agent in agents:
+            if specs[agent].algorithm == "random" and specs[agent].chooses_options:
+                axes.axvline(float(np.mean(average(agent))), color=palette.MUTED, linestyle="--", linewidth=1.2,
+                             label="random options")
+        axes.set_yticks(range(len(learners)), [agent.removesuffix("+no-primitives") for agent in learners])
+        axes.set_xlabel("efficiency after training", color=palette.INK)
+        finish_axes(axes)
+        axes.set_xlim(-0.03, 1.03)
+        axes.xaxis.set_major_formatter("{x:.1f}")
+        axes.set_xticks(np.linspace(0, 1, 6))
+        axes.grid(visible=False, axis="y")
+        axes.grid(axis="x", color="#e5dfd2", linewidth=0.8)
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure

@@ -83,11 +83,12 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
                          if (runs := [run for run in lines if run.grid == name_factorial(name, is_fresh)])}
                         for is_fresh in (False, True))
     found = {name: analyse_screening(screening) for name, screening in published.items()}
-    conclusions = {name: " ".join(conclude(findings)) for name, findings in found.items()}
+    said = {name: conclude(findings) for name, findings in found.items()}
+    conclusions = {name: " ".join(sentences) for name, sentences in said.items()}
     looks = {name: tell_first_look(findings, study.data["first_look"].get(name)) for name, findings in found.items()}
     return Page({
         "SIGNIFICANT": SIGNIFICANT, "FEWEST_SEEDS": FEWEST_SEEDS, "FEWEST_ROOMS": FEWEST_ROOMS, "FACTORS": FACTORS,
-        "conclusions": conclusions, "first_looks": [look for look in looks.values() if look],
+        "conclusions": conclusions, "said": said, "first_looks": [look for look in looks.values() if look],
         "again": {name: (screening, tell_fresh_runs(screening, found[name])) for name, screening in again.items()
                   if name in found},
         "found": {name: {
@@ -96,15 +97,15 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
             "course": _tabulate_course(findings.screening),
         } for name, findings in found.items()},
         "missing": [name for name in FACTORS if name not in found],
-    }, {f"why-{name}": draw_effects(findings.effects) for name, findings in found.items()},
+    }, {f"why-{name}": draw_effects(findings.effects, findings.levels) for name, findings in found.items()},
         [f"{name}: {told}" for name, told in conclusions.items()])
 
 
 def _tabulate_effects(findings: Findings) -> str:
     rows = [[effect.factor, _tell_interval(effect), "< 0.001" if effect.p < 0.001 else f"{effect.p:.3f}",
-             *(f"{value:+.2f}" for value in effect.rooms), _tell_interval(change)]
-            for effect, change in zip(findings.effects, findings.changes, strict=True)]
-    return make_table(["factor", "on the area", "p", *findings.screening.rooms, "on its change"], rows)
+             *(f"{value:+.2f}" for value in effect.rooms), _tell_interval(level)]
+            for effect, level in zip(findings.effects, findings.levels, strict=True)]
+    return make_table(["factor", "on the slope", "p", *findings.screening.rooms, "on the level"], rows)
 
 
 def _tell_interval(effect: MainEffect) -> str:
@@ -134,24 +135,28 @@ def _average(values: np.ndarray) -> float:
     return float(known.mean()) if len(known) else float("nan")
 
 
-def draw_effects(effects: Sequence[MainEffect]) -> Figure:
-    """Main effects on the area with their intervals over rooms; a dot a room."""
+def draw_effects(effects: Sequence[MainEffect], levels: Sequence[MainEffect]) -> Figure:
+    """Main effects on slope and level with their intervals over rooms, corrected; a dot a room."""
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(6.2, 3.2), facecolor=palette.BACKGROUND, layout="constrained")
-        axes = figure.subplots()
+        figure = Figure(figsize=(7.6, 3.2), facecolor=palette.BACKGROUND, layout="constrained")
+        panels = figure.subplots(1, 2, sharey=True)
         at = np.arange(len(effects))[::-1]
-        reach = np.array([[effect.test.difference - effect.test.low, effect.test.high - effect.test.difference]
-                          for effect in effects]).T
-        axes.errorbar([effect.test.difference for effect in effects], at, xerr=reach, fmt="o", markersize=5,
-                      color=palette.LINES[0], ecolor=palette.INK, capsize=2, label="mean over rooms, 95 % interval")
-        for number, (place, effect) in enumerate(zip(at, effects, strict=True)):
-            axes.plot(effect.rooms, [place - 0.25] * len(effect.rooms), ".", markersize=4, color=palette.LINES[4],
-                      label=None if number else "a room")
-        axes.axvline(0, color=palette.MUTED, linewidth=0.8)
-        axes.set_yticks(at, [effect.factor for effect in effects])
-        axes.set_xlabel("effect on the area under the efficiency curve", color=palette.INK)
-        finish_axes(axes)
-        axes.xaxis.set_major_formatter("{x:+.1f}")
-        axes.grid(visible=False, axis="y")
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+        for axes, own, title in zip(panels, (effects, levels), ("slope", "level"), strict=True):
+            middle = [effect.test.difference for effect in own]
+            reach = np.array([[effect.test.difference - effect.test.low, effect.test.high - effect.test.difference]
+                              for effect in own]).T
+            for shown, colour in ((True, palette.LINES[0]), (False, palette.MUTED)):
+                chosen = [n for n, effect in enumerate(own) if effect.is_shown == shown]
+                axes.errorbar([middle[n] for n in chosen], at[chosen], xerr=reach[:, chosen], fmt="o", markersize=5,
+                              color=colour, ecolor=colour, capsize=2, label="shown" if shown else "not shown")
+            for number, (place, effect) in enumerate(zip(at, own, strict=True)):
+                axes.plot(effect.rooms, [place - 0.25] * len(effect.rooms), ".", markersize=4, color=palette.LINES[4],
+                          label=None if number else "a room")
+            axes.axvline(0, color=palette.MUTED, linewidth=0.8)
+            axes.set_yticks(at, [effect.factor for effect in effects])
+            axes.set_xlabel(f"effect on the {title}", color=palette.INK)
+            finish_axes(axes)
+            axes.xaxis.set_major_formatter("{x:+.1f}")
+            axes.grid(visible=False, axis="y")
+        panels[1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.inference import PairedTest, compare_pairs, correct_by_holm
+from hrl_escape.comparison.inference import PairedTest, choose_holm_levels, compare_pairs, correct_by_holm
 from hrl_escape.comparison.statistics import Floats, compute_area
 from hrl_escape.errors import ComparisonError
 from studies.factorial.design import get_factors, make_label, make_screening_design
 from studies.raw import RawRun
-from studies.statistics import compute_slope
+from studies.statistics import compute_slope, find_visible_difference
 
 __all__ = ["SIGNIFICANT", "MainEffect", "Screening", "compute_contrasts", "compute_effects", "mark_gaps",
            "find_sufficient", "measure_area", "measure_change"]
@@ -37,15 +37,17 @@ class MainEffect:
 
     Attributes:
         factor: name.
-        test: over rooms; `pairs` counts rooms.
+        test: over rooms; `pairs` counts rooms. Its interval leaves 0 out where the effect is shown.
         p: of the test, corrected over the factors (Holm).
         rooms: effect in each room.
+        visible: smallest effect that the test would have seen in 80 % of such studies.
     """
 
     factor: str
     test: PairedTest
     p: float
     rooms: tuple[float, ...]
+    visible: float = 0.0
 
     @property
     def is_shown(self) -> bool:
@@ -128,10 +130,11 @@ def compute_contrasts(values: Floats, design: NDArray[np.int64]) -> Floats:
 def compute_effects(screening: Screening, compute: Callable[[RawRun], float]) -> list[MainEffect]:
     """Main effects on a number of each run, in the order of the factors, corrected as one family."""
     by_room = compute_contrasts(screening.measure(compute), screening.design).mean(axis=1)
-    tests = [compare_pairs([column]) for column in by_room.T]
-    corrected = correct_by_holm([test.p for test in tests])
-    return [MainEffect(factor, test, p, tuple(column.tolist()))
-            for factor, test, p, column in zip(screening.factors, tests, corrected, by_room.T, strict=True)]
+    raw = [compare_pairs([column]).p for column in by_room.T]
+    return [MainEffect(factor, compare_pairs([column], level), p, tuple(column.tolist()),
+                       find_visible_difference([column], SIGNIFICANT / len(raw)) if len(column) > 1 else np.inf)
+            for factor, level, p, column in zip(screening.factors, choose_holm_levels(raw, SIGNIFICANT),
+                                                correct_by_holm(raw), by_room.T, strict=True)]
 
 
 def find_sufficient(screening: Screening, effects: Sequence[MainEffect], compute: Callable[[RawRun], float]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hrl_escape.comparison.inference import correct_by_holm
+from hrl_escape.comparison.inference import choose_holm_levels, compare_pairs, correct_by_holm
 from hrl_escape.names import count_nouns, join_words
 from studies.factorial.effects import (
     SIGNIFICANT,
@@ -35,15 +35,15 @@ class Findings:
 
     Attributes:
         screening: the runs.
-        effects: on the area under the efficiency curve of training.
-        changes: effects on the slope of that curve, which nothing is concluded from.
+        effects: on the slope of the efficiency of training episodes, which is what the study asks about.
+        levels: effects on the area under that curve, which stand beside them.
         sufficient: see `find_sufficient`.
         paths: of the factors whose effect is shown, through quantities of the logs.
     """
 
     screening: Screening
     effects: Sequence[MainEffect]
-    changes: Sequence[MainEffect]
+    levels: Sequence[MainEffect]
     sufficient: Mapping[str, bool | None]
     paths: Sequence[Path]
 
@@ -61,28 +61,26 @@ class Findings:
 
 def analyse_screening(screening: Screening) -> Findings:
     """Compute effects, sufficient corrections and paths."""
-    effects = compute_effects(screening, measure_area)
+    effects = compute_effects(screening, measure_change)
     shown = [effect.factor for effect in effects if effect.is_shown]
-    return Findings(screening, effects, compute_effects(screening, measure_change),
-                    find_sufficient(screening, effects, measure_area),
-                    compute_paths(screening, shown, measure_area, np.random.default_rng(0)))
+    return Findings(screening, effects, compute_effects(screening, measure_area),
+                    find_sufficient(screening, effects, measure_change),
+                    compute_paths(screening, shown, measure_change, np.random.default_rng(0)))
 
 
 def conclude(findings: Findings) -> list[str]:
-    """Sentences on one algorithm: what moves the area, whether one correction suffices, what carries it."""
+    """Sentences on one algorithm: what moves slope and level, whether one correction suffices, what carries it."""
     if not findings.is_enough:
         return [f"{len(findings.screening.seeds)} training seeds a cell in {len(findings.screening.rooms)} rooms: with "
                 f"fewer than {FEWEST_SEEDS} seeds or {FEWEST_ROOMS} rooms nothing is concluded."]
-    raising = [effect for effect in findings.shown if effect.test.difference > 0]
-    lowering = [effect for effect in findings.shown if effect.test.difference < 0]
-    sentences = [_tell_raising(raising)]
-    if lowering:
-        sentences.append(f"The area is lowered by {join_words(map(_describe, lowering))}.")
+    sentences = _tell_moving("slope", findings.effects)
+    sentences += _tell_moving("level", findings.levels)
     sentences += _tell_sufficient(findings.sufficient)
     unshown = [effect for effect in findings.effects if not effect.is_shown]
-    sentences += _tell_hints(unshown, len(findings.screening.rooms))
-    if unshown and findings.shown:
-        sentences.append(f"Nothing is shown of {join_words(effect.factor for effect in unshown)}.")
+    if unshown:
+        middle = float(np.median([effect.visible for effect in unshown]))
+        sentences.append(f"On the slope nothing is shown of {join_words(effect.factor for effect in unshown)}; of such "
+                         f"studies 80 % would have seen an effect of {middle:.2f} of half of these.")
     return [*sentences, *(_tell_paths(effect, findings.paths) for effect in findings.shown)]
 
 
@@ -98,7 +96,7 @@ def tell_first_look(findings: Findings, looked: int | None) -> str:
     if rooms == screening.rooms:
         return ""
     first = {effect.factor: effect for effect in
-             compute_effects(dataclasses.replace(screening, rooms=rooms), measure_area)}
+             compute_effects(dataclasses.replace(screening, rooms=rooms), measure_change)}
     chosen = [first[effect.factor] for effect in findings.shown] or sorted(first.values(), key=lambda own: own.p)[:1]
     told = join_words(f"{effect.factor} had {_tell_p(effect.p)}" for effect in chosen)
     return (f"Rooms of {screening.algorithm} after the first {len(rooms)} were added once these had been looked at, "
@@ -114,15 +112,17 @@ def tell_fresh_runs(fresh: Screening, published: Findings) -> str:
     if not published.is_enough or len(fresh.rooms) < FEWEST_ROOMS:
         rooms, seeds = count_nouns(len(fresh.rooms), "room"), count_nouns(len(fresh.seeds), "training seed")
         return f"{rooms} and {seeds}: too few to conclude anything."
-    effects = {effect.factor: effect for effect in compute_effects(fresh, measure_area)}
+    effects = {effect.factor: effect for effect in compute_effects(fresh, measure_change)}
     if not published.shown:
         found = [effect for effect in effects.values() if effect.is_shown]
         return (f"Another conclusion: {join_words(map(_describe, found))} is shown." if found else
                 "The same conclusion: no effect is shown.")
     chosen = [effects[effect.factor] for effect in published.shown]
-    corrected = correct_by_holm([effect.test.p for effect in chosen])
+    raw = [effect.test.p for effect in chosen]
     told = []
-    for before, now, p in zip(published.shown, chosen, corrected, strict=True):
+    for before, effect, level, p in zip(published.shown, chosen, choose_holm_levels(raw, SIGNIFICANT),
+                                        correct_by_holm(raw), strict=True):
+        now = dataclasses.replace(effect, test=compare_pairs([np.array(effect.rooms)], level))
         is_alike = before.test.difference * now.test.difference > 0
         verdict = ("the same conclusion" if is_alike else "the contrary") if p < SIGNIFICANT else "not shown again"
         told.append(f"{_describe(now)}, {verdict} ({_tell_p(p)})")
@@ -133,21 +133,17 @@ def _tell_p(p: float) -> str:
     return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
 
 
-def _tell_raising(raising: Sequence[MainEffect]) -> str:
+def _tell_moving(response: str, effects: Sequence[MainEffect]) -> list[str]:
+    """Corrections that raise a response, and those that lower it, largest first."""
+    shown = sorted((effect for effect in effects if effect.is_shown), key=lambda own: -abs(own.test.difference))
+    raising, lowering = ([effect for effect in shown if effect.test.difference * sign > 0] for sign in (1, -1))
     if not raising:
-        return "No correction is shown to raise the area."
-    if len(raising) == 1:
-        return f"One correction is shown to raise the area: {_describe(raising[0])}."
-    return f"The area is raised by {join_words(map(_describe, raising))}."
-
-
-def _tell_hints(effects: Sequence[MainEffect], rooms: int) -> list[str]:
-    """Effects whose interval leaves 0 out, as long as it is not corrected."""
-    hints = [effect for effect in effects if effect.test.low > 0 or effect.test.high < 0]
-    if not hints:
-        return []
-    return [f"Before correction the interval of {join_words(map(_describe, hints))} leaves 0 out; a test over {rooms} "
-            "rooms has little power."]
+        told = [f"No correction is shown to raise the {response}."]
+    elif len(raising) == 1:
+        told = [f"One correction is shown to raise the {response}: {_describe(raising[0])}."]
+    else:
+        told = [f"The {response} is raised by {join_words(map(_describe, raising))}."]
+    return told + [f"The {response} is lowered by {join_words(map(_describe, lowering))}."] * bool(lowering)
 
 
 def _tell_sufficient(sufficient: Mapping[str, bool | None]) -> list[str]:

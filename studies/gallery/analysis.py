@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
 
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
+from hrl_escape.env.drawing import palette
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
@@ -19,6 +24,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
 from hrl_escape.settings import read_record
+from studies.figures import FIGURE_STYLE
 from studies.page import make_table
 from studies.running import StudyArgs
 from studies.store import Store
@@ -192,14 +198,30 @@ def analyse(study: Study, lines: Sequence[SolvedRoom | PlayedRun]) -> Page:
     return Page({
         "always": {agent: [name for name, lengths in own.items() if None not in lengths]
                    for agent, own in played.items()},
+        "beyond": [name for name, lengths in played[learner].items()
+                   if None not in lengths and None in played[players[2]].get(name, [None])],
         "never": [name for name, lengths in played[learner].items() if set(lengths) == {None}],
         "table_of_puzzles": make_table(
-            ["puzzle", "exact", "fewest operators", "planner", "random", "in order", "learning"], rows),
+            ["puzzle", "exact", "fewest operators", "planner", "random", "in order", "searching", "learning"], rows),
         "entries": [(entry, _tell_optimum(entry, rooms[entry.preset])) for entry in shown],
         "seeds": len({run.seed for run in learned}), "runs": 1 + max((run.seed for run in learned), default=0),
         "budget": max((run.primitives for run in learned), default=0),
         "episodes": max((len(run.escapes) for run in runs), default=0),
-    })
+    }, {"gallery": draw(played, [entry.name for entry in shown])})
+
+
+def draw(played: Mapping[str, Mapping[str, Sequence[int | None]]], names: Sequence[str]) -> Figure:
+    """Share of episodes that escape: a row an agent, a column a puzzle; white where nothing was played."""
+    shares = np.array([[np.mean([length is not None for length in own[name]]) if name in own else np.nan
+                        for name in names] for own in played.values()])
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(9.2, 3.2), facecolor=palette.BACKGROUND, layout="constrained")
+        axes = figure.subplots()
+        image = axes.imshow(shares, cmap="YlGn", vmin=0, vmax=1, aspect="auto")
+        axes.set_yticks(range(len(played)), [agent.removeprefix("smdp-") for agent in played])
+        axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7.5)
+        figure.colorbar(image, label="episodes that escape", format="{x:.0%}")
+    return figure
 
 
 def _select(runs: Sequence[PlayedRun], preset: str, agent: str) -> list[int | None]:

@@ -6,18 +6,27 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 
 from hrl_escape.agents.registry import SMDP_PREFIX
-from hrl_escape.comparison.inference import compute_wilson_interval
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.inference import compare_pairs, compute_wilson_interval, correct_by_holm
 from hrl_escape.comparison.ladder_score import compute_ladder_score
+from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, TOWER, get_budget
+from hrl_escape.comparison.references.registry import SEARCHERS
+from hrl_escape.comparison.reporting.agent_style import SPARE
 from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.env.drawing import palette
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.tower import TOWER_HORIZON
+from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun, compute_run_efficiency
+from studies.figures import FIGURE_STYLE
 from studies.ladder.baselines import (
     GENERALISTS,
     LEARNERS,
@@ -27,16 +36,18 @@ from studies.ladder.baselines import (
     run_baselines,
     ship_agents,
 )
-from studies.ladder.calibration import KNOWN, tell_calibration
+from studies.ladder.calibration import KNOWN, average_rooms, tell_calibration
 from studies.page import make_table
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["Args", "analyse", "describe", "measure"]
+__all__ = ["Args", "analyse", "describe", "measure", "tell_beyond_searching"]
 
 Args = BaselineArgs
 _Cells: TypeAlias = Mapping[tuple[str, str], Sequence[BaselineRun]]
 """Runs of one protocol by rung and agent."""
+NOTHING_BEYOND = (f"Nothing is concluded, as no learner has {LEAST_RUNS} rooms on a rung beside a searcher that learns "
+                  "nothing.")
 MOST_TO_PASS = 35
 """Runs without a failure that passing takes at least."""
 
@@ -77,13 +88,77 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
     return Page({
         "PASSED_ESCAPES": PASSED_ESCAPES, "PASSED_EFFICIENCY": PASSED_EFFICIENCY, "MOST_TO_PASS": MOST_TO_PASS,
         "TOWER_HORIZON": TOWER_HORIZON,
+        "beyond": tell_beyond_searching(_group(lines_alone), rungs) if (lines_alone := alone.get("Over options")) else
+        NOTHING_BEYOND,
         "lines": lines, "rungs": {line.rung for line in lines}, "mastery": _find_mastery(lines, rungs),
         "has_three_parents": any("+three-parents" in line.agent for line in lines),
         "protocols": {name: _describe_protocol(own, rungs) for name in ("per-instance", "generalise")
                       if (own := [line for line in lines if line.protocol == name])},
         "calibration": tell_calibration(_group(next(iter(alone.values()))), rungs, noisy) if alone else [],
         "tower": _describe_tower(tower, max(map(get_budget, rungs))), "commands": _list_options(lines, rungs),
-    })
+    }, {"ladder": draw(_group(alone["Over options"]), rungs)} if "Over options" in alone else {})
+
+
+def tell_beyond_searching(cells: _Cells, rungs: Sequence[str]) -> str:
+    """The finding: which learners are more efficient than the best searcher that learns nothing, over their rungs.
+
+    On each rung the searcher that does best there counts; a learner is one test, with rungs as strata and rooms as
+    pairs, and all learners are one family (Holm).
+    """
+    searchers = {agent for _, agent in cells if AgentSpec.parse(agent).name in SEARCHERS}
+    best = {rung: max((agent for agent in searchers if len(cells.get((rung, agent), ())) >= LEAST_RUNS),
+                      key=lambda agent, rung=rung: compute_run_efficiency(cells[rung, agent]), default=None)
+            for rung in rungs}
+    tests = {}
+    for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives):
+        gains = [gain for rung in rungs if (other := best[rung]) is not None
+                 and len(gain := _subtract(cells.get((rung, agent), ()), cells[rung, other])) >= LEAST_RUNS]
+        if gains:
+            tests[agent] = compare_pairs(gains), len(gains)
+    if not tests:
+        return NOTHING_BEYOND
+    p = correct_by_holm([test.p for test, _ in tests.values()])
+    better = [f"`{agent}` ({test.difference:+.2f} over {count_nouns(count, 'rung')})"
+              for (agent, (test, count)), corrected in zip(tests.items(), p, strict=True)
+              if corrected < ALPHA and test.difference > 0]
+    if not better:
+        return "No learner is shown to beat the best searcher that learns nothing over the rungs that it was run on."
+    return (f"{len(better)} of {len(tests)} learners beat the best searcher that learns nothing: {join_words(better)}.")
+
+
+def _subtract(runs: Sequence[BaselineRun], others: Sequence[BaselineRun]) -> NDArray[np.float64]:
+    """Differences of mean efficiency in the rooms that both have."""
+    ours, theirs = map(average_rooms, (runs, others))
+    return np.array([ours[room] - theirs[room] for room in sorted(ours.keys() & theirs.keys())])
+
+
+def draw(cells: _Cells, rungs: Sequence[str]) -> Figure:
+    """Efficiency of agents over options rung by rung; the best searcher black, chance and rounds grey."""
+    agents = _sort_agents(agent for _, agent in cells)
+    shown = [rung for rung in rungs if any(place == rung for place, _ in cells)]
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(9.2, 4.0), facecolor=palette.BACKGROUND, layout="constrained")
+        axes = figure.subplots()
+        colours = iter((*palette.LINES, *SPARE))
+        searched = np.full(len(shown), np.nan)
+        for agent in agents:
+            spec = AgentSpec.parse(agent)
+            values = np.array([compute_run_efficiency(cells[rung, agent]) if (rung, agent) in cells else np.nan
+                               for rung in shown])
+            if spec.name in SEARCHERS:
+                searched = np.fmax(searched, values)
+            elif spec.learns:
+                axes.plot(shown, values, "o-", markersize=4, linewidth=1.3, color=next(colours),
+                          label=agent.removesuffix("+no-primitives"))
+            elif spec.algorithm == "random":
+                axes.plot(shown, values, "--", color=palette.MUTED, linewidth=1.3, label="random options")
+        axes.plot(shown, searched, color=palette.INK, linewidth=2.2, label="best searcher without learning")
+        axes.set_ylim(-0.03, 1.03)
+        axes.set_ylabel("efficiency", color=palette.INK)
+        axes.grid(axis="y", color="#e5dfd2", linewidth=0.8)
+        axes.tick_params(axis="x", rotation=60)
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure
 
 
 def _describe_protocol(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> dict[str, Any]:

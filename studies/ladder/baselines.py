@@ -29,7 +29,7 @@ from hrl_escape.files import claim_folder, read_toml
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.trained import CHECKPOINT
 from studies.baseline import BaselineRun, collect_baselines
-from studies.running import GridArgs
+from studies.running import NO_TRAINING, GridArgs
 
 __all__ = ["CLIMBERS", "GENERALISTS", "LEARNERS", "BaselineArgs", "collect_lines", "list_missing",
            "make_baseline_grids", "run_baselines", "ship_agents"]
@@ -41,8 +41,6 @@ GENERALISTS = (*_DATA["references"], *_DATA["agents"]["generalise"])
 """Agents that learn in some rooms and act in others, and references."""
 CLIMBERS = (*_DATA["tower"]["references"], *_DATA["agents"]["generalise"])
 """Agents in a tower, and references."""
-NO_TRAINING = 100
-"""Training budget of agents that learn nothing: only their evaluations count."""
 
 
 class BaselinePlace(NamedTuple):

@@ -19,7 +19,8 @@ from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun, compute_run_efficiency
 
-__all__ = ["CHANCE", "IN_ORDER", "KNOWN", "ROUND", "find_miscalibration", "find_steps", "tell_calibration"]
+__all__ = ["CHANCE", "IN_ORDER", "KNOWN", "ROUND", "average_rooms", "find_miscalibration", "find_steps",
+           "tell_calibration"]
 
 CHANCE, ROUND = "smdp-random+no-primitives", "smdp-shuffled-round+no-primitives"
 PERMUTATIONS = 2_000
@@ -51,7 +52,7 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
         told.append(f"Random choices among the options stay below an efficiency of {MOST_CHANCE:g} "
                     f"{_count(above, chance)}.")
     if len(chance) > 1:
-        told.append(_tell_chance_order({rung: _average_rooms(enough[rung, CHANCE]) for rung in chance}))
+        told.append(_tell_chance_order({rung: average_rooms(enough[rung, CHANCE]) for rung in chance}))
     if known := curves.get(KNOWN):
         below = [rung for rung, value in known.items() if find_miscalibration(0.0, value, rung in noisy)]
         told.append(f"The planner, which knows the graph, is as efficient as possible {_count(below, known)}.")
@@ -75,7 +76,7 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
     return told
 
 
-def _average_rooms(runs: Sequence[BaselineRun]) -> dict[str, float]:
+def average_rooms(runs: Sequence[BaselineRun]) -> dict[str, float]:
     """Mean efficiency in each room."""
     rooms: dict[str, list[float]] = {}
     for run in runs:
@@ -121,7 +122,7 @@ def _tell_order(enough: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: 
     """Sentence on whether rounds in the order of the numbers beat rounds in an order drawn for the episode."""
     tests = {}
     for rung in (rung for rung in rungs if (rung, IN_ORDER) in enough and (rung, ROUND) in enough):
-        ours, theirs = (_average_rooms(enough[rung, agent]) for agent in (IN_ORDER, ROUND))
+        ours, theirs = (average_rooms(enough[rung, agent]) for agent in (IN_ORDER, ROUND))
         differences = [ours[place] - theirs[place] for place in ours.keys() & theirs.keys()]
         tests[rung] = compare_pairs([np.array(sorted(differences))])
     if not tests:

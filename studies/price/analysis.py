@@ -16,6 +16,7 @@ from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 from hrl_escape.agents.registry import get_recipe
 from hrl_escape.comparison.reporting.agent_style import GREYS, SPARE
 from hrl_escape.env.drawing import palette
+from hrl_escape.errors import UnknownNameError
 from hrl_escape.names import count_nouns, join_words
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
@@ -30,6 +31,7 @@ from studies.price.words import (
     tell_factor,
     tell_longest,
     tell_number,
+    tell_ready,
 )
 from studies.running import StudyArgs
 from studies.statistics import compute_restricted_mean, compute_survival
@@ -47,27 +49,44 @@ _HEADLINE = next(iter(PAIRS.items()))
 class Args(StudyArgs):
     """Options of the price of flatness."""
 
-    replicates: int = 10
+    replicates: int = 20
     """Rooms of each size, each with a training seed of its own."""
     first_replicate: int = 0
     """Lowest replicate; those from 200 on are fresh. Give another `--docs` too, or the page tells of both."""
     minutes: float | None = None
     """Minutes after which no further run is begun."""
+    agents: tuple[str, ...] = ()
+    """Labels of the learners to run; all by default."""
+    sizes: tuple[int, ...] = BUTTON_COUNTS
+    """Numbers of buttons to run."""
 
 
 def measure(study: Study, args: Args, store: Store) -> None:
     """Make the runs that are missing."""
-    for made in measure_price_runs(store, args.first_replicate, args.replicates, args.minutes):
-        print(made)
+    known = {contestant.label for contestant in CONTESTANTS}
+    for label in args.agents:
+        if label not in known:
+            raise UnknownNameError("learner of this study", label, known)
+    chosen = [dataclasses.replace(contestant, sizes=tuple(size for size in contestant.sizes if size in args.sizes))
+              for contestant in CONTESTANTS if contestant.label in (args.agents or known)]
+    for made in measure_price_runs(store, args.first_replicate, args.replicates, args.minutes, chosen):
+        print(f"{made.agent}, {made.buttons} buttons, replicate {made.replicate}: efficient at {made.efficient_at}")
 
 
 def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
     """Factors, conclusions, tables and the figure of lines."""
     runs = sorted(lines, key=lambda run: run.place)
-    claims = [(*pair, cost) for pair in PAIRS.items() for cost in COSTS[: 2 if pair == _HEADLINE else 1]]
-    conclusions = [*conclude_prices(runs, claims), tell_longest(runs)]
+    flat, options = _HEADLINE
+    claims = [(flat, options, cost) for cost in COSTS[:2]]
+    conclusions = conclude_prices(runs, claims)
+    others = [conclude_prices(runs, [(*pair, cost) for cost in COSTS[:2]]) for pair in PAIRS.items()
+              if pair != _HEADLINE]
+    walk = conclude_variants(runs, flat, _CHANCE, COSTS[1:2])
+    ready = tell_ready(runs, flat, options, COSTS[0])
     return Page({
-        "conclusions": conclusions, "EFFICIENT": EFFICIENT, "factors": _tabulate_factors(runs),
+        "conclusions": conclusions, "others": [told for own in others for told in own], "walk": walk[0], "ready": ready,
+        "longest": tell_longest(runs), "EFFICIENT": EFFICIENT, "factors": _tabulate_factors(runs),
+        "curves": sum(bool(run.curve) for run in runs), "count": len(runs),
         "to_efficiency": _tabulate(runs, "Primitives to efficiency", lambda own: _tell_cost(own, COSTS[0])),
         "to_escape": _tabulate(runs, "Primitives to the first escape in training",
                                lambda own: _tell_cost(own, COSTS[1])),
@@ -76,7 +95,7 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
         "variants": {label: " ".join(conclude_variants(runs, label, _HEADLINE[0], COSTS[:2])) for label in VARIANTS
                      if _choose(runs, label)},
         "untuned": _compare_untuned(runs), "trials": describe_trials(),
-    }, {"price": draw_price(runs)}, conclusions)
+    }, {"price": draw_price(runs)}, [*conclusions, walk[0], *filter(None, [ready])])
 
 
 def _choose(runs: Sequence[PriceRun], label: str, buttons: int | None = None) -> list[PriceRun]:
@@ -88,13 +107,13 @@ def _tabulate_factors(runs: Sequence[PriceRun]) -> str:
     for flat, options in PAIRS.items():
         for cost in COSTS:
             ratios = compare_costs(_choose(runs, flat), _choose(runs, options), cost)
-            known = {ratio.buttons: tell_factor(ratio.median) for ratio in ratios}
-            if all(ratio.median.knowledge == "unknown" for ratio in ratios):
+            known = {ratio.buttons: tell_factor(ratio.middle) for ratio in ratios}
+            if all(ratio.middle.knowledge == "unknown" for ratio in ratios):
                 continue
             growth = measure_growth(ratios)
-            span = "" if growth.median.knowledge == "unknown" else f", {growth.smallest} to {growth.largest}"
+            span = "" if growth.middle.knowledge == "unknown" else f", {growth.smallest} to {growth.largest}"
             rows.append([flat, cost.name, *(known.get(size, "-") for size in BUTTON_COUNTS),
-                         tell_factor(growth.median) + span])
+                         tell_factor(growth.middle) + span])
     return make_table(["flat learner", "cost", *BUTTON_COUNTS, "with each button"], rows)
 
 
@@ -111,7 +130,7 @@ def _tell_end(runs: Sequence[PriceRun]) -> str:
 
 
 def _tell_cost(runs: Sequence[PriceRun], cost: RunCost) -> str:
-    times, observed = zip(*(cost.read(run) for run in runs), strict=True)
+    times, observed = zip(*filter(None, map(cost.read, runs)), strict=True)
     mean = compute_restricted_mean(times, observed, max(run.budget for run in runs))
     return f"{sum(observed)} of {len(runs)}; {tell_number(mean / 1000)}"
 
@@ -178,7 +197,7 @@ def _draw_share(axes: Axes, runs: Sequence[PriceRun], cost: RunCost, colour: str
     """Kaplan-Meier's curve of the runs that got there, a cross where one was given up; none of a single run."""
     if len(runs) < 2:
         return
-    times, observed = (np.array(column) for column in zip(*(cost.read(run) for run in runs), strict=True))
+    times, observed = (np.array(column) for column in zip(*filter(None, map(cost.read, runs)), strict=True))
     ends, waiting = compute_survival(times, observed)
     share = 100 * (1 - waiting)
     axes.step([10, *ends], [0, *share], dash, where="post", linewidth=1.6, color=colour)

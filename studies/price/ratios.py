@@ -1,25 +1,26 @@
 """Ratios of two learners' costs, replicate by replicate, where some are known from one side only.
 
 A run that did not get there within its budget cost more than it had spent. So the ratio of a flat run's cost to that of
-a run over options lies between two ends, which are one where both got there. Of these ratios the median is taken, and
-its interval by signs: from the second smallest of ten lower ends to the second largest of ten upper ends, whatever the
-ratios' distribution.
+a run over options lies between two ends, which are one where both got there. Of these ratios the geometric mean is
+taken; its interval and its test are those of flipped signs, so that one leaves out 1 just where the other says so.
+Rooms in which the untrained options are efficient already say nothing of learning: they are told apart.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import correct_by_holm
+from hrl_escape.comparison.inference import LEVEL, choose_holm_levels, correct_by_holm
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from studies.price.runs import PriceRun
+from studies.statistics import list_subset_means
 
-__all__ = ["COSTS", "RunCost", "CostRatio", "LogRange", "Growth", "compare_costs", "correct_prices", "find_median",
-           "measure_growth"]
+__all__ = ["COSTS", "CostRatio", "Growth", "LogRange", "RunCost", "compare_costs", "correct_prices", "find_middle",
+           "is_ready", "measure_growth"]
 
 Knowledge: TypeAlias = Literal["measured", "bound", "unknown"]
 LogRange: TypeAlias = tuple[float, float]
@@ -33,22 +34,36 @@ class RunCost(NamedTuple):
         name: in tables.
         event: that ends it, as the end of "until ...".
         unit: in sentences.
-        read: of a run, the cost, and True if it got there; False if it had only spent this much.
+        read: of a run, the cost, and True if it got there; False if it had only spent this much. None where the run's
+            line does not hold it.
+        is_of_learning: an untrained policy that is efficient already spoils it.
     """
 
     name: str
     event: str
     unit: str
-    read: Callable[[PriceRun], tuple[float, bool]]
+    read: Callable[[PriceRun], tuple[float, bool] | None]
+    is_of_learning: bool = True
 
 
 def _wait_for_efficiency(run: PriceRun) -> tuple[float, bool]:
-    """At least one escape, where the untrained policy was efficient by luck."""
     return (run.primitives, False) if run.efficient_at is None else (max(run.efficient_at, run.fewest), True)
 
 
 def _wait_for_escape(run: PriceRun) -> tuple[float, bool]:
-    return (run.primitives, False) if run.first_escape is None else (run.first_escape, True)
+    return (run.primitives, False) if run.first_escape is None else (max(run.first_escape, 1), True)
+
+
+def _wait_for(least: float) -> Callable[[PriceRun], tuple[float, bool] | None]:
+    """Wait for the first of two evaluations in a row of at least this efficiency."""
+    def read(run: PriceRun) -> tuple[float, bool] | None:
+        if not run.curve:
+            return None
+        at = next((place for (place, value), (_, after) in itertools.pairwise(run.curve)
+                   if min(value, after) >= least - 1e-9), None)
+        return (run.primitives, False) if at is None else (max(at, run.fewest), True)
+
+    return read
 
 
 def _spend_seconds(run: PriceRun) -> tuple[float, bool]:
@@ -57,21 +72,23 @@ def _spend_seconds(run: PriceRun) -> tuple[float, bool]:
 
 COSTS = (
     RunCost("primitives to efficiency", "it is efficient", "primitives", _wait_for_efficiency),
-    RunCost("primitives to the first escape", "its first escape", "primitives", _wait_for_escape),
+    RunCost("primitives to the first escape", "its first escape", "primitives", _wait_for_escape, False),
+    *(RunCost(f"primitives to an efficiency of {least:g}", f"an efficiency of {least:g}", "primitives",
+              _wait_for(least)) for least in (0.7, 0.5)),
     RunCost("processor seconds to efficiency", "it is efficient", "processor seconds", _spend_seconds),
 )
 
 
-class Median(NamedTuple):
-    """Median of ratios over replicates.
+class Middle(NamedTuple):
+    """Geometric mean of ratios over replicates.
 
     Attributes:
         knowledge: `measured` if the interval has both ends; `bound` if the upper one is infinite; `unknown` with fewer
             than `LEAST_RUNS` replicates, or if the lower one is 0.
-        factor: the median; of a bound, the median of the lower ends.
-        low: lower end of the 95 % interval.
+        factor: the geometric mean; of a bound, that of the lower ends.
+        low: lower end of its interval, of 95 % by itself and of a corrected level once it is one of a family.
         high: its upper end.
-        p: of a median of 1, two-sided, by the test of signs; corrected once it is one of a family.
+        p: of a mean of 1, two-sided, by flipped signs; corrected likewise.
     """
 
     knowledge: Knowledge
@@ -87,12 +104,16 @@ class CostRatio(NamedTuple):
     Attributes:
         buttons: of the rooms.
         logs: logarithm of the ratio, by replicate.
-        median: over replicates.
+        middle: over replicates.
+        ready: replicates told apart, as the untrained options are efficient there.
+        is_short: the flat runs had a smaller budget here than in other sizes, so that nothing is concluded.
     """
 
     buttons: int
     logs: Mapping[int, LogRange]
-    median: Median
+    middle: Middle
+    ready: int = 0
+    is_short: bool = False
 
 
 class Growth(NamedTuple):
@@ -101,58 +122,76 @@ class Growth(NamedTuple):
     Attributes:
         smallest: buttons at the one end.
         largest: buttons at the other.
-        median: over replicates, of the factor by which each button multiplies the ratio.
+        middle: over replicates, of the factor by which each button multiplies the ratio.
+        logs: logarithm of that factor, by replicate.
     """
 
     smallest: int
     largest: int
-    median: Median
+    middle: Middle
+    logs: Mapping[int, LogRange] = {}
 
 
 def compare_costs(flat: Sequence[PriceRun], options: Sequence[PriceRun], cost: RunCost) -> list[CostRatio]:
     """Ratios of two learners' costs in all sizes of rooms in which both were run, the fewest buttons first."""
     sizes = sorted({run.buttons for run in flat} & {run.buttons for run in options})
+    budgets = {size: max(run.budget for run in flat if run.buttons == size) for size in sizes}
     ratios = []
     for size in sizes:
-        paid, others = ({run.replicate: _find_ends(run, cost) for run in runs if run.buttons == size}
-                        for runs in (flat, options))
+        chosen = [run for run in options if run.buttons == size]
+        ready = {run.replicate for run in chosen if cost.is_of_learning and is_ready(run)}
+        paid, others = ({run.replicate: ends for run in runs if run.buttons == size and run.replicate not in ready
+                         and (ends := _find_ends(run, cost)) is not None} for runs in (flat, chosen))
         logs = {replicate: (paid[replicate][0] - others[replicate][1], paid[replicate][1] - others[replicate][0])
                 for replicate in sorted(paid.keys() & others.keys())}
-        ratios.append(CostRatio(size, logs, find_median(list(logs.values()))))
+        is_short = budgets[size] < max(budgets.values())
+        ratios.append(CostRatio(size, logs, Middle("unknown") if is_short else find_middle(list(logs.values())),
+                                len(ready), is_short))
     return ratios
 
 
-def _find_ends(run: PriceRun, cost: RunCost) -> LogRange:
-    spent, has_arrived = cost.read(run)
+def is_ready(run: PriceRun) -> bool:
+    """True if the untrained policy was efficient already: in such rooms chance over options is all it takes."""
+    return run.efficient_at == 0
+
+
+def _find_ends(run: PriceRun, cost: RunCost) -> LogRange | None:
+    read = cost.read(run)
+    if read is None:
+        return None
+    spent, has_arrived = read
     return float(np.log(spent)), float(np.log(spent)) if has_arrived else np.inf
 
 
-def find_median(logs: Sequence[LogRange]) -> Median:
-    """Median of numbers that are known up to two ends each, with an interval by signs of 95 % or more."""
+def find_middle(logs: Sequence[LogRange], level: float = LEVEL) -> Middle:
+    """Geometric mean of numbers that are known up to two ends each, with its interval and test by flipped signs.
+
+    Ends that are not known widen the interval on their own side, and never make a p-value smaller.
+    """
     if len(logs) < LEAST_RUNS:
-        return Median("unknown")
-    lower, upper = (np.sort(np.array(ends, dtype=np.float64)) for ends in zip(*logs, strict=True))
-    outside = _count_outside(len(logs))
-    low, high = float(np.exp(lower[outside])), float(np.exp(upper[-1 - outside]))
-    agreeing = max(int(np.sum(lower > 0)), int(np.sum(upper < 0)))
-    p = min(1.0, 2 * float(stats.binom.cdf(len(logs) - agreeing, len(logs), 0.5)))
-    if low == 0:
-        return Median("unknown", high=high, p=p)
-    return Median("measured" if np.isfinite(high) else "bound", float(np.exp(np.median(lower))), low, high, p)
+        return Middle("unknown")
+    lower, upper = (np.array(ends, dtype=np.float64) for ends in zip(*logs, strict=True))
+    below, above = list_subset_means(lower), list_subset_means(upper)
+    outside = int((1 - level) / 2 * (len(below) + 1))  # p is at most 1 - level beyond so many of either
+    low, high = ((float(np.exp(below[outside - 1])), float(np.exp(above[-outside]))) if outside else (0.0, np.inf))
+    p = 2 * min(1 + int(np.sum(below <= 0)), 1 + int(np.sum(above >= 0))) / (len(below) + 1)
+    found = Middle("measured" if np.isfinite(high) else "bound", float(np.exp(lower.mean())), low, high, min(1.0, p))
+    return found if low > 0 else Middle("unknown", high=high, p=min(1.0, p))
 
 
 def correct_prices(ratios: Sequence[Sequence[CostRatio]], growths: Sequence[Growth] = ()
                    ) -> tuple[list[list[CostRatio]], list[Growth]]:
-    """Correct the p-values of ratios, cost by cost, and of their growths as one family (Holm)."""
-    p = iter(correct_by_holm([*(ratio.median.p for own in ratios for ratio in own),
-                              *(growth.median.p for growth in growths)]))
-    return ([[ratio._replace(median=ratio.median._replace(p=next(p))) for ratio in own] for own in ratios],
-            [growth._replace(median=growth.median._replace(p=next(p))) for growth in growths])
+    """Correct p-values and intervals of ratios, cost by cost, and of their growths as one family (Holm).
 
-
-def _count_outside(count: int) -> int:
-    """Numbers of so many that the interval leaves out at either end: a fair coin falls so rarely in 2.5 % at most."""
-    return max(int(stats.binom.ppf(0.025, count, 0.5)) - 1, 0)
+    What has too few replicates, or was left out, is no part of the family.
+    """
+    asked = [part for part in (*(ratio for own in ratios for ratio in own if not ratio.is_short), *growths)
+             if len(part.logs) >= LEAST_RUNS]
+    p = [part.middle.p for part in asked]
+    found = {id(part): find_middle(list(part.logs.values()), level)._replace(p=corrected)
+             for part, level, corrected in zip(asked, choose_holm_levels(p), correct_by_holm(p), strict=True)}
+    return ([[ratio._replace(middle=found.get(id(ratio), ratio.middle)) for ratio in own] for own in ratios],
+            [growth._replace(middle=found.get(id(growth), growth.middle)) for growth in growths])
 
 
 def measure_growth(ratios: Sequence[CostRatio]) -> Growth:
@@ -161,14 +200,15 @@ def measure_growth(ratios: Sequence[CostRatio]) -> Growth:
     It is measured from the smallest size to the largest one with a measured factor, along the line between the two in
     each replicate; where that is one size, to the next one, of which then only a bound is known.
     """
-    measured = [ratio for ratio in ratios if ratio.median.knowledge == "measured"]
+    measured = [ratio for ratio in ratios if ratio.middle.knowledge == "measured"]
     ends = [measured[0], measured[-1]] if len(measured) > 1 else [
-        *measured, *(ratio for ratio in ratios if measured and ratio.buttons > measured[0].buttons)][:2]
+        *measured, *(ratio for ratio in ratios
+                     if measured and not ratio.is_short and ratio.buttons > measured[0].buttons)][:2]
     if len(ends) < 2:
-        return Growth(0, 0, Median("unknown"))
+        return Growth(0, 0, Middle("unknown"))
     first, last = ends
     apart = last.buttons - first.buttons
-    slopes = [((last.logs[replicate][0] - first.logs[replicate][1]) / apart,
-               (last.logs[replicate][1] - first.logs[replicate][0]) / apart)
-              for replicate in sorted(first.logs.keys() & last.logs.keys())]
-    return Growth(first.buttons, last.buttons, find_median(slopes))
+    slopes = {replicate: ((last.logs[replicate][0] - first.logs[replicate][1]) / apart,
+                          (last.logs[replicate][1] - first.logs[replicate][0]) / apart)
+              for replicate in sorted(first.logs.keys() & last.logs.keys())}
+    return Growth(first.buttons, last.buttons, find_middle(list(slopes.values())), slopes)

@@ -58,6 +58,7 @@ class PriceRun:
         escapes: those of them that escaped.
         seconds: of processor time, of training and evaluations; planning included.
         key: hash of everything that decides the numbers.
+        curve: (primitives, efficiency) of each evaluation; empty of runs made before curves were kept.
     """
 
     agent: str
@@ -73,6 +74,7 @@ class PriceRun:
     escapes: int
     seconds: float
     key: str
+    curve: tuple[tuple[int, float], ...] = ()
 
     @property
     def place(self) -> tuple[str, int, int]:
@@ -99,7 +101,7 @@ def list_price_runs(first: int, replicates: int, contestants: Sequence[Contestan
 
 def measure_price_runs(store: Store, first: int, replicates: int, minutes: float | None = None,
                        contestants: Sequence[Contestant] = CONTESTANTS) -> Iterator[PriceRun]:
-    """Make the runs that a store lacks, and keep each there at once.
+    """Make the runs that a store lacks, or has without their curve, and keep each there at once.
 
     Args:
         store: of the lines.
@@ -113,7 +115,7 @@ def measure_price_runs(store: Store, first: int, replicates: int, minutes: float
         FileWriteError: it cannot be written.
         EscapeError: see `train`.
     """
-    keys = {line.place: line.key for line in store.load()}
+    keys = {line.place: line.key for line in store.load() if line.curve}
     end = None if minutes is None else time.monotonic() + 60 * minutes
     for contestant, buttons, replicate in list_price_runs(first, replicates, contestants):
         room = sample_replicate_room(buttons, replicate)
@@ -171,6 +173,8 @@ def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -
         primitives=result.primitives, first_escape=result.first_escape,
         efficient_at=_find_efficient(result.evaluations, found), efficiency=round(found[-1], 4),
         episodes=episodes, escapes=escapes, seconds=round(seconds, 2), key=compute_run_key(contestant, room, replicate),
+        curve=tuple((evaluation.primitives, round(value, 4))
+                    for evaluation, value in zip(result.evaluations, found, strict=True)),
     )
 
 

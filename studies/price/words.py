@@ -8,11 +8,12 @@ import numpy as np
 
 from hrl_escape.comparison.inference import compute_wilson_interval
 from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.price.ratios import (
     CostRatio,
     Growth,
-    Median,
+    Middle,
     RunCost,
     compare_costs,
     correct_prices,
@@ -21,7 +22,7 @@ from studies.price.ratios import (
 from studies.price.runs import PriceRun
 
 __all__ = ["compare_with_chance", "conclude_prices", "conclude_variants", "tell_factor", "tell_longest",
-           "tell_number"]
+           "tell_number", "tell_ready"]
 
 
 def tell_number(value: float) -> str:
@@ -32,13 +33,13 @@ def tell_number(value: float) -> str:
     return f"{rounded:,.0f}" if rounded >= 10 else f"{rounded:.2g}"
 
 
-def tell_factor(median: Median) -> str:
-    """`26 (19 to 36)`, or `> 19 (median at least 26)` of a bound, or `-`."""
-    if median.knowledge == "unknown":
+def tell_factor(middle: Middle) -> str:
+    """Words such as `26 (19 to 36)`, or `> 19 (mean at least 26)` of a bound, or `-`."""
+    if middle.knowledge == "unknown":
         return "-"
-    if median.knowledge == "bound":
-        return f"> {tell_number(median.low)} (median at least {tell_number(median.factor)})"
-    return f"{tell_number(median.factor)} ({tell_number(median.low)} to {tell_number(median.high)})"
+    if middle.knowledge == "bound":
+        return f"> {tell_number(middle.low)} (mean at least {tell_number(middle.factor)})"
+    return f"{tell_number(middle.factor)} ({tell_number(middle.low)} to {tell_number(middle.high)})"
 
 
 def conclude_prices(runs: Sequence[PriceRun], claims: Sequence[tuple[str, str, RunCost]]) -> list[str]:
@@ -77,19 +78,19 @@ def _compare(runs: Sequence[PriceRun], one: str, other: str, costs: Sequence[Run
 
 def _conclude(ratios: Sequence[CostRatio], one: str, other: str, cost: RunCost) -> str:
     groups: dict[str, list[CostRatio]] = {name: [] for name in ("dearer", "beyond", "cheaper", "below", "equal",
-                                                                "unknown")}
+                                                                "unknown", "short")}
     for ratio in ratios:
-        groups[_classify(ratio.median)].append(ratio)
+        groups["short" if ratio.is_short else _classify(ratio.middle)].append(ratio)
     parts, unit = [], f"{cost.unit} of `{other}`"
     if dearer := groups["dearer"]:
         parts.append(f"pays {_list_times(dearer, unit, tell_factor)}")
     if beyond := groups["beyond"]:
-        parts.append(f"pays more than {_list_times(beyond, unit, lambda median: tell_number(median.low))} (too few "
+        parts.append(f"pays more than {_list_times(beyond, unit, lambda middle: tell_number(middle.low))} (too few "
                      "of its runs get there to say how much more)")
     if cheaper := groups["cheaper"]:
         parts.append(f"pays only {_list_times(cheaper, unit, tell_factor)}")
     if below := groups["below"]:
-        parts.append(f"pays less than {_list_times(below, unit, lambda median: tell_number(median.high))} (too few "
+        parts.append(f"pays less than {_list_times(below, unit, lambda middle: tell_number(middle.high))} (too few "
                      f"runs of `{other}` get there to say how much less)")
     if equal := groups["equal"]:
         parts.append(f"is not shown to pay more or fewer {cost.unit} than `{other}` with {_name_sizes(equal)}")
@@ -98,22 +99,24 @@ def _conclude(ratios: Sequence[CostRatio], one: str, other: str, cost: RunCost) 
                 f"of it and of `{other}` were made, or got there.")
     unknown = groups["unknown"]
     left_out = f"; with {_name_sizes(unknown)} the price could not be estimated" if unknown else ""
+    if short := groups["short"]:
+        left_out += f"; with {_name_sizes(short)} its budget was smaller, so no price is told"
     return f"Until {cost.event}, `{one}` {'; it '.join(parts)}{left_out}."
 
 
-def _classify(median: Median) -> str:
-    is_measured = median.knowledge == "measured"
-    if median.p >= ALPHA:
+def _classify(middle: Middle) -> str:
+    is_measured = middle.knowledge == "measured"
+    if middle.p >= ALPHA:
         return "equal" if is_measured else "unknown"
-    if median.low > 1:
+    if middle.low > 1:
         return "dearer" if is_measured else "beyond"
-    if median.high < 1:
+    if middle.high < 1:
         return "cheaper" if is_measured else "below"
     return "unknown"
 
 
-def _list_times(ratios: Sequence[CostRatio], unit: str, tell: Callable[[Median], str]) -> str:
-    words = [f"{tell(ratio.median)} times with {_name_sizes([ratio])}" for ratio in ratios]
+def _list_times(ratios: Sequence[CostRatio], unit: str, tell: Callable[[Middle], str]) -> str:
+    words = [f"{tell(ratio.middle)} times with {_name_sizes([ratio])}" for ratio in ratios]
     return join_words([words[0].replace(" times ", f" times the {unit} ", 1), *words[1:]])
 
 
@@ -123,16 +126,35 @@ def _name_sizes(ratios: Sequence[CostRatio]) -> str:
 
 
 def _tell_growth(growth: Growth) -> str:
-    if growth.median.knowledge == "unknown":
+    if growth.middle.knowledge == "unknown":
         return "How the factor grows with each button could not be estimated."
-    span, factor = f"from {growth.smallest} to {growth.largest}", tell_factor(growth.median)
-    if growth.median.p < ALPHA and growth.median.low > 1:
-        more = factor if growth.median.knowledge == "measured" else f"more than {tell_number(growth.median.low)}"
+    span, factor = f"from {growth.smallest} to {growth.largest}", tell_factor(growth.middle)
+    if growth.middle.p < ALPHA and growth.middle.low > 1:
+        more = factor if growth.middle.knowledge == "measured" else f"more than {tell_number(growth.middle.low)}"
         return f"Each button {span} multiplies the factor by {more}."
-    if growth.median.p < ALPHA and growth.median.high < 1:
+    if growth.middle.p < ALPHA and growth.middle.high < 1:
         return f"Each button {span} multiplies the factor by {factor}, so that it falls."
     return (f"These runs do not show that the factor grows with the number of buttons: {span}, each multiplies it by "
             f"{factor}.")
+
+
+def tell_ready(runs: Sequence[PriceRun], flat: str, options: str, cost: RunCost) -> str:
+    """Sentences on rooms in which the untrained learner over options is efficient; empty where there are none.
+
+    Where too few rooms are left for a test, the median price in them is told as what it is.
+    """
+    parts, rest = [], []
+    for ratio in _compare(runs, flat, options, [cost])[0]:
+        total = ratio.ready + len(ratio.logs)
+        if ratio.ready:
+            buttons = count_nouns(ratio.buttons, "button")
+            parts.append(f"{ratio.ready} of {count_nouns(total, 'room')} with {buttons}")
+            if 0 < len(ratio.logs) < LEAST_RUNS:
+                middle = float(np.exp(np.median([low for low, _ in ratio.logs.values()])))
+                rest.append(f" In the {len(ratio.logs)} others with {buttons} `{flat}` pays {tell_number(middle)} "
+                            "times as much (median; too few rooms for a test).")
+    return (f"In {join_words(parts)} the untrained `{options}` is efficient already: chance over options is all it "
+            f"takes there, so these rooms are left out of every price of learning.{''.join(rest)}") if parts else ""
 
 
 def compare_with_chance(learner: Sequence[PriceRun], chance: Sequence[PriceRun], label: str, horizon: int) -> str:

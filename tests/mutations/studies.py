@@ -18,10 +18,10 @@ MUTATIONS = [
         "studies/test_price.py",
     ),
     Mutation(
-        "the interval of a median leaves out one number too many",
+        "the interval of a price is one subset too narrow",
         "studies/price/ratios.py",
-        "outside = _count_outside(len(logs))",
-        "outside = _count_outside(len(logs)) + 1",
+        "outside = int((1 - level) / 2 * (len(below) + 1))",
+        "outside = int((1 - level) / 2 * (len(below) + 1)) + 1",
         "studies/test_price.py",
     ),
     Mutation(
@@ -55,8 +55,8 @@ MUTATIONS = [
     Mutation(
         "prices of flatness are told size by size, uncorrected",
         "studies/price/ratios.py",
-        "ratio._replace(median=ratio.median._replace(p=next(p)))",
-        "ratio",
+        "zip(asked, choose_holm_levels(p), correct_by_holm(p), strict=True)",
+        "zip(asked, [LEVEL] * len(p), p, strict=True)",
         "studies/test_price.py",
     ),
     Mutation(
@@ -79,5 +79,40 @@ MUTATIONS = [
         "found[type(line), line.place] = line",
         "found.setdefault((type(line), line.place), line)",
         "studies/test_store.py",
+    ),
+    Mutation(
+        "a price of learning counts rooms in which chance over options is efficient",
+        "studies/price/ratios.py",
+        "return run.efficient_at == 0",
+        "return False",
+        "studies/test_price.py",
+    ),
+    Mutation(
+        "a room under two names counts twice",
+        "studies/twins.py",
+        "rooms = [room for room in shown if room not in repeated]",
+        "rooms = shown",
+        "studies/test_twins.py",
+    ),
+    Mutation(
+        "the best of several cells is told as if it were alone",
+        "studies/generalisation/findings.py",
+        "corrected = dict(zip(gains, correct_by_holm(p), strict=True))",
+        "corrected = dict(zip(gains, p, strict=True))",
+        "studies/test_generalisation.py",
+    ),
+    Mutation(
+        "what makes an agent worse is asked of its level",
+        "studies/factorial/words.py",
+        "effects = compute_effects(screening, measure_change)\n    shown",
+        "effects = compute_effects(screening, measure_area)\n    shown",
+        "studies/test_factorial.py",
+    ),
+    Mutation(
+        "a decision of repeated actions discounts every primitive alike",
+        "studies/flat.py",
+        "reward * self.gamma ** self._duration.float()",
+        "reward * self.gamma",
+        "studies/test_flat.py",
     ),
 ]

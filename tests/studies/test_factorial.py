@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hrl_escape.comparison.inference import choose_holm_levels
 from hrl_escape.errors import ComparisonError
 from studies.__main__ import main
 from studies.factorial.design import (
@@ -34,6 +36,8 @@ from studies.raw import BINS, RawRun
 from tests.studies.made_up_runs import make_run
 from tests.studies.pages import save, tell
 
+RISE = np.linspace(0.5, 1.5, BINS)
+"""Efficiency along a run, over its mean; it changes by 20/19 of the mean."""
 Levels = Mapping[str, bool]
 """Factor -> it is corrected."""
 
@@ -41,9 +45,9 @@ Levels = Mapping[str, bool]
 def make_runs(truth: Callable[[Levels], float], *, algorithm: str = "sarsa", rooms: int = 4, seeds: int = 5,
               first_seed: int = 0, noise: float = 0.02,
               repeat: Callable[[Levels], float] = lambda _: 2.0) -> list[RawRun]:
-    """Runs whose efficiency is the truth and noise, and whose longest repeat is 2 to the power that `repeat` says.
+    """Runs whose efficiency rises from half the truth to one and a half, with noise; so level and slope are the truth.
 
-    The repeat's own noise moves efficiency by -0.1 a doubling.
+    The longest repeat is 2 to the power that `repeat` says; its own noise moves efficiency by -0.1 a doubling.
     """
     source, names, runs = np.random.default_rng(3), get_factors(algorithm), []
     for room in range(rooms):
@@ -52,7 +56,8 @@ def make_runs(truth: Callable[[Levels], float], *, algorithm: str = "sarsa", roo
                 corrected = {name: level > 0 for name, level in zip(names, levels, strict=True)}
                 doubling = source.normal(0, 0.3)
                 value = truth(corrected) - 0.1 * doubling + source.normal(0, noise)
-                runs.append(make_run(make_label(algorithm, levels), [value] * 11, seed=seed, room=f"room {room}",
+                runs.append(make_run(make_label(algorithm, levels), [value] * 11, training=value * RISE, seed=seed,
+                                     room=f"room {room}",
                                      grid=name_factorial(algorithm, first_seed > 0),
                                      longest_repeat=(2 ** (repeat(corrected) + doubling),) * BINS))
     return runs
@@ -107,10 +112,11 @@ def test_effects_are_those_of_least_squares_and_their_test_students_over_rooms()
         solution, *_ = np.linalg.lstsq(np.column_stack([np.ones(24), levels]), values, rcond=None)
         expected.append(solution[1:])
     assert np.array([effect.rooms for effect in effects]).T == pytest.approx(np.array(expected))
-    for effect, column in zip(effects, np.array(expected).T, strict=True):
-        reference = stats.ttest_1samp(column, 0)
+    references = [stats.ttest_1samp(column, 0) for column in np.array(expected).T]
+    levels = choose_holm_levels([reference.pvalue for reference in references])
+    for effect, reference, level in zip(effects, references, levels, strict=True):
         assert effect.test.p == pytest.approx(reference.pvalue)
-        assert (effect.test.low, effect.test.high) == pytest.approx(tuple(reference.confidence_interval()))
+        assert (effect.test.low, effect.test.high) == pytest.approx(tuple(reference.confidence_interval(level)))
     assert {effect.factor for effect in effects if effect.is_shown} == {"buffer"}
 
 
@@ -176,17 +182,17 @@ def test_an_effect_that_passes_by_the_logs_has_no_path():
 
 TRUTHS: dict[str, tuple[Callable[[Levels], float], list[str]]] = {
     "exploration causes it": (lambda on: 0.1 + 0.5 * on["exploration"],
-                              ["One correction is shown to raise the area: exploration (+0."]),
+                              ["One correction is shown to raise the slope: exploration (+0."]),
     "replay causes it": (lambda on: 0.1 + 0.5 * on["buffer"],
-                         ["One correction is shown to raise the area: buffer (+0."]),
+                         ["One correction is shown to raise the slope: buffer (+0."]),
     "several suffice": (lambda on: 0.1 + 0.6 * (on["exploration"] or on["buffer"]),
-                        ["The area is raised by ", " alone brings more than three quarters of what",
+                        ["The slope is raised by ", " alone brings more than three quarters of what",
                          "these runs name no single cause"]),
     "both are needed": (lambda on: 0.1 + 0.6 * (on["exploration"] and on["buffer"]),
-                        ["The area is raised by", "alone bring less than three quarters of what"]),
+                        ["The slope is raised by", "alone bring less than three quarters of what"]),
     "a correction harms": (lambda on: 0.6 - 0.3 * on["loss"],
-                           ["No correction is shown to raise the area.", "The area is lowered by loss (-0."]),
-    "nothing matters": (lambda on: 0.5, ["No correction is shown to raise the area."]),
+                           ["No correction is shown to raise the slope.", "The slope is lowered by loss (-0."]),
+    "nothing matters": (lambda on: 0.5, ["No correction is shown to raise the slope."]),
 }
 
 
@@ -198,15 +204,34 @@ def test_different_truths_get_different_conclusions():
         for words in expected:
             assert words in said[name], (name, said[name])
     assert "single cause" not in said["exploration causes it"] + said["both are needed"]
-    assert "Nothing is shown of discount, truncation" in said["replay causes it"]
+    assert "On the slope nothing is shown of discount, truncation" in said["replay causes it"]
     assert "No quantity of the logs is shown to carry the effect of buffer." in said["replay causes it"]
 
 
-def test_an_effect_that_correction_hides_is_told_as_such():
+def test_intervals_leave_0_out_just_where_an_effect_is_shown_and_power_is_told():
     runs = make_runs(lambda on: 0.3 + 0.03 * on["choices"], rooms=3, noise=0.05)
-    said = " ".join(conclude(analyse_screening(Screening.make("sarsa", runs))))
-    assert said.startswith("No correction is shown to raise the area.") and "Before correction" in said
-    assert "choices (+0.0" in said and "a test over 3 rooms has little power." in said
+    findings = analyse_screening(Screening.make("sarsa", runs))
+    said = " ".join(conclude(findings))
+    assert said.startswith("No correction is shown to raise the slope. No correction is shown to raise the level.")
+    assert "of such studies 80 % would have seen an effect of 0." in said
+    strong = analyse_screening(Screening.make("sarsa", make_runs(lambda on: 0.3 + 0.3 * on["choices"])))
+    for effect in (*findings.effects, *findings.levels, *strong.effects, *strong.levels):
+        assert (effect.test.low > 0 or effect.test.high < 0) == effect.is_shown
+    assert strong.effects[0].visible < findings.effects[0].visible, "more rooms see more"
+
+
+def test_the_slope_decides_and_the_level_stands_beside_it():
+    def turn(run: RawRun, corrected: bool) -> RawRun:
+        """Level 0.4 in every run; only a replay buffer keeps it from falling."""
+        rise = (0.1 if corrected else -0.3) * (1 + 0.02 * int(run.room[-1]))
+        course = tuple(0.4 + rise * (place - 0.5) for place in np.linspace(0, 1, BINS))
+        return dataclasses.replace(run, training_efficiencies=course)
+
+    runs = [turn(run, run.agent.rpartition("-")[2][get_factors("sarsa").index("buffer")] == "1")
+            for run in make_runs(lambda on: 0.4)]
+    said = conclude(analyse_screening(Screening.make("sarsa", runs)))
+    assert said[0].startswith("One correction is shown to raise the slope: buffer (+0.4")
+    assert said[1] == "No correction is shown to raise the level."
 
 
 def test_a_mechanism_is_told_where_the_logs_hold_it():
@@ -223,7 +248,7 @@ def test_nothing_is_concluded_from_few_seeds_or_rooms(rooms: int, seeds: int):
 
 
 @pytest.mark.parametrize(("published", "fresh", "words"), [
-    (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.2 + 0.3 * on["buffer"], "Buffer (+0.2"),
+    (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.2 + 0.3 * on["buffer"], "Buffer (+0.3"),
     (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.2 + 0.3 * on["buffer"], "the same conclusion (p < 0.001)"),
     (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.6 - 0.3 * on["buffer"], "the contrary (p < 0.001)"),
     (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.3 + 0.3 * on["loss"], "not shown again (p = "),
@@ -234,6 +259,9 @@ def test_fresh_runs_agree_or_not(published: Callable[[Levels], float], fresh: Ca
     again = Screening.make("sarsa", make_runs(fresh, rooms=3, seeds=1, first_seed=100))
     said = tell_fresh_runs(again, analyse_screening(Screening.make("sarsa", make_runs(published))))
     assert words in said and len(said) < 120, "only what was shown is tested"
+    if "(p " in said:
+        low, high = map(float, re.findall(r"([+-][\d.]+) to ([+-][\d.]+)", said)[0])
+        assert (low > 0 or high < 0) == ("not shown again" not in said), "interval and verdict agree"
 
 
 @pytest.mark.parametrize(("truth", "rooms", "words"), [
@@ -280,8 +308,8 @@ def test_the_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pyte
     assert main(["factorial", "--from-raw", "--docs", str(tmp_path)]) == 0, "all whose results are there"
     page = (tmp_path / "why-it-worsens.md").read_text()
     assert page.startswith("# Why SARSA and DDPG get worse with meta-actions\n")
-    assert "- **sarsa: One correction is shown to raise the area: exploration (+0." in page
-    assert page.count("| exploration | +0.4") == 2 and "the same conclusion" in page
+    assert "**sarsa: One correction is shown to raise the slope: exploration (+0." in page
+    assert page.count("| exploration | +0.5") == 2 and "the same conclusion" in page
     for words in ("sarsa --rooms 4 --runs 5", "ddpg --rooms 4 --runs 5", "sarsa --first-seed 100 --rooms 3 --runs 1"):
         assert f"factorial --algorithms {words} --primitives" in page
     assert (tmp_path / "figures" / "why-ddpg.svg").exists() and "was not run" not in page

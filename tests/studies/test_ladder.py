@@ -56,7 +56,7 @@ def test_the_page_names_the_highest_rung_mastered_and_the_highest_that_enough_ru
 @pytest.mark.parametrize(("efficiency", "runs", "sentence"), [
     (0.95, 9, "No learner is shown to master a rung: none has 10 runs on one"),
     (0.95, 10, "The highest rung that a learner masters is `high`, by `dqn`"),
-    (0.45, 10, "No learner is shown to master a rung.**"),
+    (0.45, 10, "No learner is shown to master a rung."),
 ])
 def test_few_runs_lead_to_no_conclusion(efficiency: float, runs: int, sentence: str):
     assert sentence in tell(make_lines("high", "dqn", efficiency, 1.0, runs), RUNGS)
@@ -248,3 +248,20 @@ def test_baselines_run_join_what_is_there_ship_the_best_agent_and_need_no_runs_f
     played = evaluate(load_agent(ship / "doormat"), env, 1)
     assert played.lengths[0] <= env.unwrapped.instance.horizon
     env.close()
+
+
+@pytest.mark.parametrize(("learner", "nearest", "finding"), [
+    (0.9, 0.7, "**1 of 1 learners beat the best searcher that learns nothing: `smdp-dqn+no-primitives` (+0.20 over "),
+    (0.6, 0.7, "**No learner is shown to beat the best searcher that learns nothing over the rungs that it was run"),
+])
+def test_learners_are_held_against_the_best_searcher(learner: float, nearest: float, finding: str):
+    def make(agent: str, efficiency: float, primitives: int) -> list[BaselineRun]:
+        return [dataclasses.replace(LINE, rung=rung, rooms=f"x/{rung}/test[{room}]", agent=agent, primitives=primitives,
+                                    efficiency=efficiency + 0.01 * ((3 * room + primitives) % 10))
+                for rung in RUNGS[:2] for room in range(10)]
+
+    lines = [*make("smdp-dqn+no-primitives", learner, 1000), *make(CHANCE, 0.1, 0), *make(ROUND, nearest - 0.3, 0),
+             *make("smdp-untried-nearest+no-primitives", nearest, 0)]
+    assert finding in tell(lines, RUNGS)
+    alone = [line for line in lines if line.agent in (CHANCE, "smdp-dqn+no-primitives")]
+    assert "Nothing is concluded, as no learner has 10 rooms on a rung beside a searcher" in tell(alone, RUNGS)

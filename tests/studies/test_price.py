@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from hrl_escape.env.config import ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
@@ -27,7 +26,7 @@ from studies.price.contestants import (
     make_chain_room,
     sample_replicate_room,
 )
-from studies.price.ratios import COSTS, compare_costs, find_median, measure_growth
+from studies.price.ratios import COSTS, compare_costs, correct_prices, find_middle, measure_growth
 from studies.price.runs import (
     PriceRun,
     compute_run_key,
@@ -42,7 +41,9 @@ from studies.price.words import (
     conclude_variants,
     tell_longest,
     tell_number,
+    tell_ready,
 )
+from studies.statistics import compute_sign_flip_p
 from studies.store import Store
 from studies.study import find_study
 from tests.studies.pages import tell
@@ -75,23 +76,64 @@ def conclude(lines: list[PriceRun]) -> str:
 # --- ratios --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("count", [10, 11, 12, 15, 20])
-def test_the_median_has_the_interval_of_the_quantile_test(count: int):
-    values = np.random.default_rng(count).normal(size=count)
-    found = find_median([(value, value) for value in values])
-    low, high = stats.quantile_test(values, p=0.5).confidence_interval(0.95)
-    assert (found.low, found.high) == pytest.approx((math.exp(low), math.exp(high)))
-    assert found.factor == pytest.approx(math.exp(np.median(values))) and found.knowledge == "measured"
+@pytest.mark.parametrize("count", [10, 12, 14])
+def test_interval_and_p_value_are_those_of_flipped_signs(count: int):
+    """The interval holds every centre that the test of all flipped signs does not reject, and no other."""
+    values = np.random.default_rng(count).normal(0.5, size=count)
+    found = find_middle([(value, value) for value in values])
+    assert found.factor == pytest.approx(math.exp(values.mean())) and found.knowledge == "measured"
+
+    def test(centre: float) -> float:
+        return 2 * min(compute_sign_flip_p(values - centre, "above"), compute_sign_flip_p(values - centre, "below"))
+
+    assert found.p == pytest.approx(test(0.0))
+    for end, inwards in ((math.log(found.low), 1e-6), (math.log(found.high), -1e-6)):
+        assert test(end - inwards) <= 0.05 < test(end + inwards)
 
 
 def test_ends_that_are_not_known_widen_the_interval_on_their_own_side():
-    logs = [(float(n), float(n)) for n in range(10)]
-    assert find_median([*logs[:9], (9.0, math.inf)]).high == find_median(logs).high
-    bound = find_median([*logs[:8], (8.0, math.inf), (9.0, math.inf)])
-    assert bound.knowledge == "bound" and bound.low == pytest.approx(math.e) and bound.high == math.inf
-    unknown = find_median([(-math.inf, 0.0), (-math.inf, 1.0), *logs[2:]])
-    assert unknown.knowledge == "unknown" and unknown.high == pytest.approx(math.exp(8))
-    assert find_median(logs[:9]).knowledge == "unknown"
+    logs = [(1.0 + n, 1.0 + n) for n in range(10)]
+    whole, bound = find_middle(logs), find_middle([*logs[:9], (10.0, math.inf)])
+    assert (bound.knowledge, bound.high, bound.low) == ("bound", math.inf, whole.low) and bound.p == whole.p
+    unknown = find_middle([(-math.inf, 0.0), (-math.inf, 1.0), *logs[2:]])
+    assert unknown.knowledge == "unknown" and 1 < unknown.high < math.inf
+    assert find_middle(logs[:9]).knowledge == "unknown"
+
+
+def test_intervals_of_a_family_are_corrected_with_their_verdicts():
+    lines = make_truth(price=1.1, growth=1.1)
+    flat, options = ([line for line in lines if line.agent == name] for name in "fo")
+    alone = compare_costs(flat, options, COSTS[0])
+    (together,), _ = correct_prices([alone])
+    assert all(one.middle.low >= two.middle.low for one, two in zip(alone, together, strict=True))
+    assert {ratio.middle.p < 0.05 for ratio in together} == {True, False}, "some of each"
+    for ratio in together:
+        assert (ratio.middle.low > 1 or ratio.middle.high < 1) == (ratio.middle.p < 0.05)
+
+
+def test_rooms_in_which_chance_over_options_is_efficient_are_told_apart():
+    lines = [make_line("f", 1, number, 30_000) for number in range(12)]
+    lines += [make_line("o", 1, number, 0 if number < 2 else 1_000) for number in range(12)]
+    flat, options = ([line for line in lines if line.agent == name] for name in "fo")
+    (ratio,) = compare_costs(flat, options, COSTS[0])
+    assert (ratio.ready, sorted(ratio.logs)) == (2, [*range(2, 12)])
+    assert ratio.middle.factor == pytest.approx(30), "and not 30,000 / 30 in two of them"
+    (escape,) = compare_costs(flat, options, COSTS[1])
+    assert not escape.ready and len(escape.logs) == 12, "a first escape is no learning"
+    told = tell_ready(lines, "f", "o", COSTS[0])
+    assert "In 2 of 12 rooms with 1 button the untrained `o` is efficient already" in told
+    assert not tell_ready([line for line in lines if line.replicate > 1], "f", "o", COSTS[0])
+    few = tell_ready([line for line in lines if line.replicate < 11], "f", "o", COSTS[0])
+    assert "In the 9 others with 1 button `f` pays 30 times as much (median; too few rooms" in few
+
+
+@pytest.mark.parametrize(("cost", "at"), [(COSTS[3], 200), (COSTS[2], 600), (COSTS[0], 800)])
+def test_thresholds_are_read_from_curves(cost, at):
+    curve = ((0, 0.0), (100, 0.6), (150, 0.1), (200, 0.55), (400, 0.6), (500, 0.95), (600, 0.8), (700, 0.75),
+             (800, 0.9), (900, 1.0))
+    run = dataclasses.replace(make_line("f", 1, 0, 800), curve=curve)
+    assert cost.read(run) == (at if cost is not COSTS[2] else 500, True)
+    assert (cost.read(make_line("f", 1, 0, 800)) is None) == (cost is not COSTS[0]), "lines from before have no curve"
 
 
 def test_a_cost_that_was_never_paid_in_full_counts_as_more_than_was_spent():
@@ -100,9 +142,9 @@ def test_a_cost_that_was_never_paid_in_full_counts_as_more_than_was_spent():
     assert ratio.logs[0] == (pytest.approx(math.log(50)), math.inf)
     (ratio,) = compare_costs([options], [dataclasses.replace(flat, agent="o")], COSTS[0])
     assert ratio.logs[0] == (-math.inf, pytest.approx(math.log(1 / 50)))
-    lucky = make_line("o", 1, 0, 0)
-    (ratio,) = compare_costs([options], [lucky], COSTS[0])
-    assert ratio.logs[0][0] == pytest.approx(math.log(100 / lucky.fewest)), "one escape at least"
+    soon = make_line("o", 1, 0, 1)
+    (ratio,) = compare_costs([options], [soon], COSTS[0])
+    assert ratio.logs[0][0] == pytest.approx(math.log(100 / soon.fewest)), "one escape at least"
 
 
 # --- sentences -----------------------------------------------------------------------------
@@ -121,17 +163,17 @@ def test_a_price_that_grows_is_told_with_its_growth():
     assert "Each button from 1 to 6 multiplies the factor by" in told
     flat, options = ([line for line in lines if line.agent == name] for name in "fo")
     growth = measure_growth(compare_costs(flat, options, COSTS[0]))
-    assert growth.median.low < 2 < growth.median.high < 2.3
+    assert growth.middle.low < 2 < growth.middle.high < 2.3
 
 
-@pytest.mark.parametrize(("dearer", "told"), [(10, "pays"), (9, "is not shown to pay")])
-def test_a_price_is_told_where_the_signs_show_it_among_all_that_is_concluded(dearer: int, told: str):
-    """Nine of ten are 0.021 by themselves, and 0.13 among five sizes and a growth (Holm); ten are 0.012."""
+@pytest.mark.parametrize(("dearer", "told"), [(10, "pays"), (9, "pays"), (6, "is not shown to pay")])
+def test_a_price_is_told_where_flipped_signs_show_it_among_all_that_is_concluded(dearer: int, told: str):
+    """Nine of ten are 0.0039, and six 0.031, of which five sizes and a growth make 0.19 (Holm)."""
     lines = [make_line(agent, buttons, replicate, 1_000 * (3 if agent == "f" and replicate < dearer else 1) + replicate)
              for agent in "of" for buttons in BUTTON_COUNTS for replicate in range(10)]
     flat, options = ([line for line in lines if line.agent == name] for name in "fo")
-    alone = compare_costs(flat, options, COSTS[0])[0].median
-    assert alone.low > 1 and alone.p == pytest.approx(stats.binomtest(dearer, 10).pvalue)
+    alone = compare_costs(flat, options, COSTS[0])[0].middle
+    assert alone.low > 1 and alone.p == pytest.approx(2 * 2 ** (10 - dearer) / 1024)
     assert f"`f` {told}" in conclude(lines)
 
 
@@ -150,11 +192,12 @@ def test_a_price_measured_in_small_rooms_alone_grows_by_a_bound_at_least():
 
 
 def test_a_price_measured_in_three_sizes_grows_by_a_number_whatever_the_others_bound():
-    """A long budget in small rooms, a short one in large rooms; the truth is 1.6 a button."""
+    """A long budget in small rooms, a short one in large rooms, where no price is told; the truth is 1.6 a button."""
     lines = [dataclasses.replace(line, **cap(line, 20_000)) if line.agent == "f" and line.buttons > 3 else line
              for line in make_truth(price=10.0, growth=1.6)]
     told = conclude(lines)
-    assert "with 2 buttons and" in told and "it pays more than" in told.split("with 3 buttons")[1]
+    assert "with 2 buttons and" in told and "more than" not in told
+    assert "with 4 or 6 buttons its budget was smaller, so no price is told." in told
     words, = [part for part in told.split(". ") if part.startswith("Each button from 1 to 3 multiplies the factor by")]
     low, high = (float(end) for end in words.split("(")[1].rstrip(").").split(" to "))
     assert low < 1.6 < high < 2
@@ -171,7 +214,7 @@ def test_cheap_flat_learners_and_too_few_runs_are_told_as_such():
 @pytest.mark.parametrize(("price", "budgets", "told"), [
     (4.0, (10**9, 10**9), "pays 3."), (0.2, (10**9, 10**9), "pays only 0."),
     (1.0, (10**9, 10**9), "is not shown to pay more or fewer primitives than `o` with 1, 2, 3, 4 or 6 buttons"),
-    (30.0, (20_000, 10**9), "pays more than 20 times the primitives of `o` with 1 button"),
+    (30.0, (20_000, 10**9), "pays more than 1"),
     (0.001, (10**9, 500), "pays less than 0.0"),
     (1.0, (500, 500), "How much `f` pays until it is efficient could not be estimated")])
 def test_a_variant_is_told_beside_the_plain_learner_whichever_is_dearer(price: float, budgets: tuple[int, int],
@@ -183,7 +226,7 @@ def test_a_variant_is_told_beside_the_plain_learner_whichever_is_dearer(price: f
 def cap(line: PriceRun, budget: int) -> dict[str, int | None]:
     """Changes to a run that a budget gives up."""
     given_up = line.efficient_at is not None and line.efficient_at > budget
-    return {"primitives": budget, "efficient_at": None, "budget": budget} if given_up else {}
+    return {"budget": budget} | ({"primitives": budget, "efficient_at": None} if given_up else {})
 
 
 def test_chance_is_beaten_fallen_behind_or_not_told_apart():
@@ -323,7 +366,7 @@ def test_the_page_tells_every_learner_and_its_figure_is_drawn(tmp_path: Path):
              for label in labels for buttons in BUTTON_COUNTS for number in range(10)]
     page = tell("price", lines, tmp_path)
     conclusions = find_study("price").analysis.analyse(find_study("price"), lines).conclusions
-    assert all(f"**{conclusion}**" in page for conclusion in conclusions)
+    assert all(conclusion in page for conclusion in conclusions) and f"**{conclusions[0]}**" in page
     assert "Until its first escape" in page
     assert "31 (31 to 31) times the primitives of `options, dqn` with 1 button" in conclusions[0]
     assert all(f"| {contestant.label} | 10 of 10; " in page for contestant in CONTESTANTS)

@@ -47,6 +47,9 @@ class ClippedSettings(NetworkSettings):
     """Decisions in a minibatch of a rollout of `rollout` decisions."""
     clip: Annotated[float, Range(0, open_low=True)] = 0.2
     """Bound on how far the probability ratio may move to any advantage."""
+    normalise_advantages: bool = True
+    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Where no episode has escaped yet,
+    that blows noise up to full-sized steps; without it such steps are as small as the rewards."""
     value_weight: Annotated[float, Range(0)] = 0.5
     """Weight of half the squared value error in the loss."""
 
@@ -196,11 +199,12 @@ def sample_policy(log_policy: Tensor, generator: torch.Generator) -> Tensor:
     return (log_policy - waits.log()).argmax(dim=1)  # the first of exponential clocks to ring
 
 
-def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, advantage: Tensor, clip: float
-                         ) -> Tensor:
+def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, advantage: Tensor, clip: float,
+                         normalise: bool = True) -> Tensor:
     """Negated mean of min(ratio A, clip(ratio, 1 - eps, 1 + eps) A), A normalised over the batch; () from (batch,)."""
     ratio = (log_probability - old_log_probability).exp()
-    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    if normalise:
+        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     return -torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()
 
 
@@ -220,7 +224,8 @@ def compute_clipped_parts(
         target: of the value, (n,).
         settings: `ClippedSettings` with `entropy_weight`.
     """
-    policy_loss = compute_clipped_loss(take_column(log_policy, action), old_log_probability, advantage, settings.clip)
+    policy_loss = compute_clipped_loss(take_column(log_policy, action), old_log_probability, advantage, settings.clip,
+                                       settings.normalise_advantages)
     value_loss = 0.5 * functional.mse_loss(values, target)
     entropy = compute_entropy(log_policy, mask)
     loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy

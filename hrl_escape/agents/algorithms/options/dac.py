@@ -103,7 +103,8 @@ class DAC(StreamOptionAgent):
         former = choices.former[rows]
         choice = self.heads.compute_option_choice(observation, former)
         log_probability = take_column(choice, choices.option[rows]).clamp(min=SMALLEST).log()
-        policy_loss = compute_clipped_loss(log_probability, old_log_probability, advantage, settings.clip)
+        policy_loss = compute_clipped_loss(log_probability, old_log_probability, advantage, settings.clip,
+                                           settings.normalise_advantages)
         values = mix_values(choice.detach(), self.heads.critic(observation), former)
         value_loss = 0.5 * functional.mse_loss(values, target)
         entropy = -(choice * choice.clamp(min=SMALLEST).log()).sum(dim=1).mean()

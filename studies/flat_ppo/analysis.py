@@ -1,0 +1,227 @@
+"""Why flat PPO falls: time in corners and entropy beside first escapes, and what each remedy changes against `ppo`.
+
+Runs of the same seed are pairs. First escapes are compared as ratios, those that never came counting as the budget;
+each table of comparisons is one family (Holm), and all tests are by flipped signs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from hrl_escape.comparison.inference import choose_holm_levels, correct_by_holm
+from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ComparisonError
+from hrl_escape.names import join_words
+from studies.figures import FIGURE_STYLE, finish_axes
+from studies.flat import TENTHS, FlatArgs, FlatRun, list_learners, measure_flat_runs
+from studies.page import make_table
+from studies.statistics import list_subset_means
+from studies.store import Store
+from studies.study import Page, Study
+
+__all__ = ["LINES", "Args", "Difference", "analyse", "compare", "measure", "tell_fall", "tell_learning",
+           "tell_remedies"]
+
+LINES = (FlatRun,)
+Args = FlatArgs
+FULL = math.log(6)
+"""Largest entropy of a policy over the six primitives, nats."""
+
+
+def measure(study: Study, args: FlatArgs, store: Store) -> None:
+    """Make the runs that are missing, seed by seed."""
+    data, room = study.data, generate(get_preset(study.data["room"]), 0)
+    seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
+    measure_flat_runs(store, [(learner, room, seed, data["budget"], data["eval_every"])
+                              for seed in seeds for learner in list_learners(study, args)], args.minutes)
+
+
+# --- comparisons -----------------------------------------------------------------------------
+
+
+class Difference(NamedTuple):
+    """Learners compared by pairs of runs of one seed.
+
+    Attributes:
+        mean: of the differences.
+        low: lower end of its interval, which leaves out 0 where the test shows a difference.
+        high: upper end.
+        p: two-sided, corrected over the family; 1 with fewer than `LEAST_RUNS` pairs.
+    """
+
+    mean: float
+    low: float
+    high: float
+    p: float
+
+    @property
+    def sign(self) -> int:
+        """1 where a positive difference is shown, -1 where a negative one is, else 0."""
+        return int(np.sign(self.mean)) if self.p < ALPHA else 0
+
+
+def compare(lines: Sequence[FlatRun], others: Sequence[str], plain: str, read: Callable[[FlatRun], float]
+            ) -> dict[str, Difference]:
+    """Differences of some learners from the plain one in a number of each run, as one family (Holm)."""
+    base = {run.seed: read(run) for run in lines if run.agent == plain}
+    gains = {label: np.array([read(run) - base[run.seed] for run in lines if run.agent == label and run.seed in base])
+             for label in others}
+    gains = {label: own for label, own in gains.items() if len(own) >= LEAST_RUNS}
+    means = {label: list_subset_means(own) for label, own in gains.items()}
+    p = [min(1.0, 2 * (1 + min(np.sum(own <= 0), np.sum(own >= 0))) / (len(own) + 1)) for own in means.values()]
+    found = {}
+    for (label, own), level, corrected in zip(means.items(), choose_holm_levels(p), correct_by_holm(p), strict=True):
+        outside = int((1 - level) / 2 * (len(own) + 1))
+        ends = (own[outside - 1], own[-outside]) if outside else (-math.inf, math.inf)
+        found[label] = Difference(float(gains[label].mean()), float(ends[0]), float(ends[1]), corrected)
+    return found
+
+
+def read_escape(run: FlatRun) -> float:
+    """Logarithm of the primitives to the first escape, at most the budget."""
+    return math.log(min(run.first_escape or run.budget, run.budget))
+
+
+def read_corners(run: FlatRun) -> float:
+    """Share of the run spent in corners."""
+    return float(np.mean(run.corners))
+
+
+# --- words -----------------------------------------------------------------------------------
+
+
+def tell_fall(lines: Sequence[FlatRun], plain: str, chance: str) -> str:
+    """The finding: does PPO escape later than a policy that never learns, and is it in corners at full entropy?"""
+    if chance not in (escape := compare(lines, [chance], plain, read_escape)):
+        return f"Nothing is concluded from fewer than {LEAST_RUNS} pairs of runs."
+    corners = compare(lines, [chance], plain, read_corners)[chance]
+    share = {label: float(np.mean([read_corners(run) for run in lines if run.agent == label]))
+             for label in (plain, chance)}
+    entropy = float(np.mean([run.entropy for run in lines if run.agent == plain])) / FULL
+    where = (f"spends {share[plain]:.0%} of its time in corners, where a policy that never learns spends "
+             f"{share[chance]:.0%}")
+    factor, ends = math.exp(-escape[chance].mean), sorted(math.exp(-end) for end in escape[chance][1:3])
+    price = f"{factor:.1f} times the primitives of chance ({ends[0]:.1f} to {ends[1]:.1f})"
+    if escape[chance].sign >= 0:
+        return (f"No fall is shown: until its first escape `{plain}` takes {price}; it {where}."
+                if not escape[chance].sign else
+                f"`{plain}` beats chance: until its first escape it takes {price}; it {where}.")
+    if corners.sign < 0:
+        return (f"Flat PPO falls below chance because it drifts into corners: `{plain}` {where}, at {entropy:.0%} of "
+                f"the largest entropy, and until its first escape it takes {price}.")
+    return f"Flat PPO falls below chance, and not by corners: until its first escape it takes {price}; it {where}."
+
+
+def tell_remedies(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str, chance: str) -> list[str]:
+    """A sentence a remedy: time in corners and first escape against the plain learner's, and whether chance is beaten.
+
+    Args:
+        lines: all runs.
+        remedies: labels.
+        plain: label of the learner without them.
+        chance: label of the policy that never learns.
+    """
+    corners = compare(lines, remedies, plain, read_corners)
+    escapes = compare(lines, remedies, plain, read_escape)
+    beyond = compare(lines, remedies, chance, read_escape)
+    told = []
+    for label in corners:
+        where, when, over = corners[label], escapes[label], beyond.get(label)
+        keeps = {-1: "keeps it out of corners", 1: "drives it into corners",
+                 0: "is not shown to change its time in corners"}[where.sign]
+        factor, ends = math.exp(when.mean), (math.exp(when.low), math.exp(when.high))
+        speed = {-1: "comes sooner", 1: "comes later", 0: "is not shown to come sooner or later"}[when.sign]
+        chances = "" if over is None else {-1: "; it beats chance", 1: "; it stays behind chance",
+                                           0: "; it is not told apart from chance"}[over.sign]
+        told.append(f"`{label}` {keeps} ({where.mean:+.2f}, {where.low:+.2f} to {where.high:+.2f}), and its first "
+                    f"escape {speed} ({factor:.2f} times the primitives, {ends[0]:.2f} to {ends[1]:.2f}){chances}.")
+    return told
+
+
+def tell_learning(lines: Sequence[FlatRun], learners: Sequence[str]) -> str:
+    """What the greedy policies are worth in the end, by count: an escape by luck in training is not learning."""
+    counts = {label: (sum(run.efficiency > 0 for run in own), len(own)) for label in learners
+              if (own := [run for run in lines if run.agent == label])}
+    some = [f"`{label}` in {hits} of {runs} runs" for label, (hits, runs) in counts.items() if hits]
+    if not some:
+        return ("No greedy policy escapes at the end of any run: what helps here is exploring, and nothing was learned "
+                "yet.")
+    rest = "" if len(some) == len(counts) else "; those of the others in none"
+    return f"Greedy policies that escape at the end: {join_words(some)}{rest}."
+
+
+# --- page ------------------------------------------------------------------------------------
+
+
+def analyse(study: Study, lines: Sequence[FlatRun]) -> Page:
+    """Sentences, table and figure.
+
+    Raises:
+        ComparisonError: there are no runs.
+    """
+    if not lines:
+        raise ComparisonError("there are no runs to tell of")
+    data = study.data
+    lines = sorted(lines, key=lambda run: run.place)
+    labels = [table["label"] for table in data["learners"] if any(run.agent == table["label"] for run in lines)]
+    plain, chance = data["plain"], data["chance"]
+    remedies = [label for label in labels if label not in (plain, chance)]
+    headline, told = tell_fall(lines, plain, chance), tell_remedies(lines, remedies, plain, chance)
+    learning = tell_learning(lines, [label for label in labels if label != chance])
+    return Page({
+        "headline": headline, "told": told, "learning": learning, "budget": lines[0].budget,
+        "runs": min(sum(run.agent == label for run in lines) for label in labels),
+        "table": make_table(["learner", "runs", "first escape, median", "never", "in corners", "share of full entropy",
+                             "escapes in training, last half", "efficiency at the end"],
+                            [_describe(label, [run for run in lines if run.agent == label]) for label in labels]),
+        "settings": {table["label"]: table for table in data["learners"]},
+    }, {"flat-ppo": draw(lines, labels)}, [headline, *told, learning])
+
+
+def _describe(label: str, runs: Sequence[FlatRun]) -> list[Any]:
+    late = [share for run in runs for share in run.escapes[TENTHS // 2:] if share is not None]
+    first = np.median([min(run.first_escape or run.budget, run.budget) for run in runs])
+    return [f"`{label}`", len(runs), f"{first:,.0f}",
+            sum(run.first_escape is None for run in runs), f"{np.mean([read_corners(run) for run in runs]):.2f}",
+            f"{np.mean([run.entropy for run in runs]) / FULL:.2f}", f"{np.mean(late):.2f}" if late else "-",
+            f"{np.mean([run.efficiency for run in runs]):.2f}"]
+
+
+def draw(lines: Sequence[FlatRun], labels: Sequence[str]) -> Figure:
+    """Time in corners along the run, mean over runs, and the first escapes of all runs."""
+    colours: Mapping[str, str] = dict(zip(labels, (palette.MUTED, *palette.LINES), strict=False))
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(9.2, 3.4), facecolor=palette.BACKGROUND, layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.2))
+        for at, label in enumerate(labels[::-1]):
+            own = [run for run in lines if run.agent == label]
+            middles = (np.arange(TENTHS) + 0.5) / TENTHS * own[0].budget
+            left.plot(middles, np.mean([run.corners for run in own], axis=0), color=colours[label], linewidth=1.8)
+            escaped = [run.first_escape for run in own if run.first_escape is not None]
+            right.plot(escaped, [at] * len(escaped), "o", markersize=5, alpha=0.6, color=colours[label],
+                       markeredgewidth=0)
+            never = len(own) - len(escaped)
+            if never:
+                right.plot(1.15 * own[0].budget, at, "x", markersize=6, color=colours[label])
+                right.text(1.25 * own[0].budget, at, f"{never} never", va="center", color=palette.MUTED)
+        finish_axes(left)
+        left.set(xlabel="primitives of training", ylabel="share of time in corners", ylim=(0, None))
+        finish_axes(right)
+        right.set_xscale("log")
+        right.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        right.set_yticks(range(len(labels)), labels[::-1])
+        for tick, label in zip(right.get_yticklabels(), labels[::-1], strict=True):
+            tick.set_color(colours[label])
+        right.set(xlabel="primitives to the first escape", xlim=(None, 2.2 * lines[0].budget))
+    return figure

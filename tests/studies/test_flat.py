@@ -1,0 +1,206 @@
+"""Flat learners in many copies of a room: repeated actions, runs, and what the pages on PPO and the league conclude."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ComparisonError
+from studies.__main__ import main
+from studies.flat import CORNER, FlatLearner, FlatRun, RepeatedStreams, run_flat
+from studies.flat_ppo.analysis import tell_fall, tell_learning, tell_remedies
+from studies.league.analysis import choose_candidate, list_candidates, tell_league
+from studies.study import find_study
+from tests.studies.pages import load, save, tell
+
+LINE = FlatRun("ppo", 2, 0, 30, 1_000, 500, ((0, 0.0), (500, 0.0), (1_000, 0.0)), (0.1,) * 10, (0.2,) * 10, (1.7,) * 10,
+               1.0, "a")
+PPO, LEAGUE = find_study("flat-ppo"), find_study("league")
+
+
+# --- streams and runs ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def rooms() -> Any:
+    env = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=3, config="paper-two-button", observation="features",
+                             output="torch")
+    env.reset(seed=0)
+    return env
+
+
+@pytest.mark.parametrize("repeat", [1, 4])
+def test_repeated_actions_are_decisions_of_that_many_primitives(rooms: Any, repeat: int):
+    streams = RepeatedStreams(rooms, repeat, 0.9)
+    streams.reset(0)
+    seen, ended = [], 0
+    for step in range(2 * repeat):
+        assert bool(streams.is_waiting.all()) == (step % repeat == 0)
+        before = streams.observation.clone()
+        done = streams.step(torch.full((3,), 4))  # turn left
+        seen.append(before)
+        if bool(done.where.any()):
+            ended += 1
+            assert bool(done.where.all()) and done.duration.tolist() == [repeat] * 3
+            assert torch.equal(done.observation, seen[(ended - 1) * repeat]), "where it was chosen"
+            assert torch.equal(done.next_observation, streams.observation)
+            assert done.reward.tolist() == [-repeat] * 3
+            assert done.discounted_reward.tolist() == pytest.approx([-sum(0.9**n for n in range(repeat))] * 3)
+    assert ended == 2 and streams.primitives == 6 * repeat and len(streams.corners) == 2 * repeat
+
+
+def test_an_action_that_is_given_between_decisions_changes_nothing(rooms: Any):
+    streams, courses = RepeatedStreams(rooms, 3, 0.9), []
+    for between in (0, 5):
+        streams.reset(0)
+        for action in (4, between, between):
+            streams.step(torch.full((3,), action))
+        courses.append(streams.observation.clone())
+    assert torch.equal(*courses)
+
+
+def test_a_decision_ends_with_its_episode_and_the_next_one_begins_anew():
+    config = dataclasses.replace(get_preset("paper-two-button"), horizon=5)
+    env: Any = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=2, config=config, observation="features",
+                                  output="torch")
+    env.reset(seed=0)
+    streams = RepeatedStreams(env, 4, 0.9)
+    streams.reset(0)
+    durations = []
+    for _ in range(12):
+        done = streams.step(torch.zeros(2, dtype=torch.int64))
+        durations += done.duration[done.where].tolist()[:1]
+    assert durations == [4, 1, 4, 1], "five primitives an episode, and a reset between them"
+    state = streams.state_dict()
+    after = [streams.step(torch.full((2,), 4)).next_observation for _ in range(3)][-1]
+    streams.reset(7)
+    streams.load_state_dict(state)
+    assert torch.equal([streams.step(torch.full((2,), 4)).next_observation for _ in range(3)][-1], after)
+
+
+@pytest.mark.parametrize("repeat", [1, 8])
+def test_a_run_measures_escapes_corners_and_entropy(repeat: int):
+    room = generate(get_preset("paper-one-button"), 0)
+    learner = FlatLearner("x", "ppo", {"rollout": 64, "epochs": 1}, streams=4, repeat=repeat)
+    run = run_flat(learner, room, 0, 2_000, 500)
+    assert run.first_escape is not None and 0 < run.first_escape <= 2_000, "the first room is easy"
+    assert len(run.corners) == len(run.escapes) == 10 and all(0 <= share <= 1 for share in run.corners)
+    assert [at for at, _ in run.curve][0] == 0 and len(run.curve) == 2
+    assert dataclasses.replace(run_flat(learner, room, 0, 2_000, 500), seconds=run.seconds) == run
+
+
+# --- why PPO falls ---------------------------------------------------------------------------
+
+
+def make_runs(label: str, first: float, corners: float, runs: int = 10, **fields: Any) -> list[FlatRun]:
+    return [dataclasses.replace(LINE, agent=label, seed=seed,
+                                first_escape=round(first * (1 + 0.02 * ((7 * seed) % 10))),
+                                corners=(corners + 0.001 * ((3 * seed) % 10),) * 10, **fields) for seed in range(runs)]
+
+
+@pytest.mark.parametrize(("ppo", "words"), [
+    ((400, 0.3), "Flat PPO falls below chance because it drifts into corners: `ppo` spends 30% of its time in corn"),
+    ((400, 0.02), "Flat PPO falls below chance, and not by corners: until its first escape it takes 4.0 times"),
+    ((100, 0.3), "No fall is shown: until its first escape `ppo` takes 1.0 times the primitives of chance"),
+    ((30, 0.02), "`ppo` beats chance: until its first escape it takes 0.3 times"),
+])
+def test_another_truth_about_the_fall_is_another_finding(ppo: tuple[float, float], words: str):
+    chance = [dataclasses.replace(run, first_escape=run.first_escape + (-1) ** run.seed)
+              for run in make_runs("chance", 100, 0.02)]
+    lines = [*chance, *make_runs("ppo", *ppo)]
+    if ppo[1] == 0.02:
+        lines = [dataclasses.replace(run, corners=(0.02 + 0.001 * (-1) ** run.seed,) * 10) for run in lines]
+    assert tell_fall(lines, "ppo", "chance").startswith(words), tell_fall(lines, "ppo", "chance")
+    assert "Nothing is concluded" in tell_fall(lines[1:], "ppo", "chance")
+
+
+def test_remedies_are_told_by_corners_escapes_and_chance():
+    lines = [*make_runs("chance", 100, 0.02), *make_runs("ppo", 400, 0.3), *make_runs("good", 20, 0.05),
+             *make_runs("bad", 900, 0.6), *make_runs("idle", 400, 0.3), *make_runs("few", 20, 0.05, runs=9)]
+    lines = [dataclasses.replace(run, first_escape=run.first_escape + 9 * (-1) ** run.seed,
+                                 corners=(run.corners[0] + 0.004 * (-1) ** run.seed,) * 10)
+             if run.agent == "idle" else run for run in lines]
+    good, bad, idle = tell_remedies(lines, ["good", "bad", "idle", "few"], "ppo", "chance")
+    assert good.startswith("`good` keeps it out of corners (-0.25, -0.25 to -0.25), and its first escape comes soon")
+    assert "it beats chance" in good and "drives it into corners" in bad and "comes later" in bad
+    assert "stays behind chance" in bad and "is not shown to change its time" in idle and "not shown to come" in idle
+
+
+def test_an_escape_in_training_is_not_called_learning():
+    lines = [*make_runs("a", 100, 0.1), *make_runs("b", 100, 0.1)]
+    assert "nothing was learned yet" in tell_learning(lines, ["a", "b"])
+    some = [dataclasses.replace(run, curve=((0, 0.0), (1_000, 0.5))) if (run.agent, run.seed) == ("b", 3) else run
+            for run in lines]
+    said = "Greedy policies that escape at the end: `b` in 1 of 10 runs; those of the others in none."
+    assert tell_learning(some, ["a", "b"]) == said
+
+
+def test_the_page_on_ppo_follows_its_lines(tmp_path: Path):
+    labels = [table["label"] for table in PPO.data["learners"]]
+    lines = [run for number, label in enumerate(labels) for run in make_runs(label, 100 * (1 + number), 0.1)]
+    page = tell("flat-ppo", lines, tmp_path)
+    assert page.index("![Time") < page.index("**Flat PPO falls below chance") < page.index("<details>")
+    assert page.count("\n- `ppo, ") == len(labels) - 2 and (tmp_path / "figures" / "flat-ppo.svg").exists()
+    turned = [dataclasses.replace(run, first_escape=10) if run.agent == "ppo" else run for run in lines]
+    assert "**`ppo` beats chance" in tell("flat-ppo", turned, tmp_path)
+
+
+# --- the league ------------------------------------------------------------------------------
+
+
+def test_a_league_is_told_by_runs_that_stay_efficient():
+    good, late = ((0, 0.0), (500, 0.95), (1_000, 0.95)), ((0, 0.0), (500, 0.95), (1_000, 0.0))
+    cells = {("a", 1): [dataclasses.replace(LINE, curve=good)] * 6 + [LINE] * 4,
+             ("b", 1): [dataclasses.replace(LINE, curve=late)] * 10, ("a", 2): [LINE] * 10, ("b", 3): [LINE] * 9}
+    assert tell_league(cells, (1, 2, 3), 0.9, 1_000) == (
+        "An efficiency of 0.9 in most runs within 1,000 primitives: with 1 button `a` reaches it; with 2 buttons none "
+        "of 1 does.")
+    assert "Nothing is concluded" in tell_league({("a", 1): [LINE] * 9}, (1,), 0.9, 1_000)
+
+
+def test_settings_are_those_of_the_best_trials(tmp_path: Path):
+    label = LEAGUE.data["learners"][0]["label"]
+    assert {len(table["candidates"]) for table in LEAGUE.data["learners"]} == {3}, "all are tuned alike"
+    assert min(LEAGUE.data["trials"]["seeds"]) >= LEAGUE.data["runs"], "in other rooms"
+    names = [candidate.label for candidate in list_candidates(LEAGUE, label)]
+    lines = [dataclasses.replace(LINE, agent=name, seed=seed, buttons=1, first_escape=900 - 100 * number)
+             for number, name in enumerate(names) for seed in LEAGUE.data["trials"]["seeds"]]
+    chosen = [choose_candidate(LEAGUE, lines, label).settings]
+    lines[0] = dataclasses.replace(lines[0], curve=((0, 0.0), (1_000, 0.4)))
+    chosen.append(choose_candidate(LEAGUE, lines, label).settings)
+    assert chosen == [list(list_candidates(LEAGUE, label))[number].settings for number in (2, 0)]
+    with pytest.raises(ComparisonError, match="has 1 trial: run python -m studies league --trials"):
+        choose_candidate(LEAGUE, lines[:-1], label)
+
+
+def test_trials_and_runs_resume_and_make_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                                  capsys: pytest.CaptureFixture[str]):
+    (table,) = [table for table in LEAGUE.data["learners"] if table["label"] == "q-learning, counts"]
+    small = {**LEAGUE.data, "learners": [table], "budget": 400, "eval_every": 100, "runs": 1, "sizes": [1],
+             "trials": {"seeds": [100], "buttons": 1, "budget": 300, "eval_every": 100}}
+    monkeypatch.setattr("studies.study.read_toml", lambda *_: small)
+    assert main(["league", "--trials", "--docs", str(tmp_path)]) == 0
+    assert len(load("league", tmp_path)) == 3
+    assert main(["league", "--docs", str(tmp_path)]) == 0 and len(load("league", tmp_path)) == 4
+    capsys.readouterr()
+    assert main(["league", "--docs", str(tmp_path)]) == 0 and "first escape" not in capsys.readouterr().out
+    page = (tmp_path / "league.md").read_text()
+    assert "q-learning, counts / 3" in page and "Nothing is concluded, as no learner has 10 runs" in page
+    save("league", [dataclasses.replace(run, curve=((0, 0.95), (100, 0.95)), seed=seed, key=str(seed))
+                    for run in load("league", tmp_path) if run.seed == 0 for seed in range(1, 10)], tmp_path)
+    assert main(["league", "--from-raw", "--docs", str(tmp_path)]) == 0
+    assert "with 1 button `q-learning, counts` reaches it." in (tmp_path / "league.md").read_text()
+
+
+def test_shares_are_of_the_floor():
+    places = np.abs(np.linspace(-1, 1, 201)) >= CORNER
+    corners = np.mean(places[:, np.newaxis] & places)
+    assert corners == pytest.approx(0.04, abs=0.004), "as the page says"
