@@ -131,7 +131,7 @@ def analyse(study: Study, lines: Sequence[FlatRun]) -> Page:
              for label in labels for candidate in list_candidates(study, label)
              if any(run.agent == candidate.label for run in trials)]),
         "count": len(trials), "seconds": sum(run.seconds for own in cells.values() for run in own),
-    }, {"league": draw(cells, there, sizes, budget)}, [headline])
+    }, {"league": draw(cells, labels, sizes, budget)}, [headline])
 
 
 def _describe(runs: Sequence[FlatRun], levels: Sequence[float]) -> str:

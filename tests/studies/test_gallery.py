@@ -54,7 +54,7 @@ def test_sentences_follow_the_findings(tmp_path):
     random, order, searcher, learner = PLAYERS
     page = tell("gallery", make_findings({random: (10, 30), order: (None, 5), searcher: (4, 4), learner: (None, None)}),
                 tmp_path)
-    assert "**Searching without learning escapes in every episode of one puzzle, `smdp-r-max` of 0," in page
+    assert "**Searching without learning escapes in every episode of 1 puzzle, `smdp-r-max` of 0," in page
     assert "There is no puzzle in which `smdp-r-max` escapes in every episode" in page
     assert "Random options escape in every episode of LightBox." in page
     assert "Options in the order of their numbers escape in every episode of no puzzle." in page
