@@ -113,6 +113,9 @@ def tell_fall(lines: Sequence[FlatRun], plain: str, chance: str) -> str:
              f"{share[chance]:.0%}")
     factor, ends = math.exp(-escape[chance].mean), sorted(math.exp(-end) for end in escape[chance][1:3])
     price = f"{factor:.1f} times the primitives of chance ({ends[0]:.1f} to {ends[1]:.1f})"
+    if not escape[chance].sign and corners.sign < 0:
+        return (f"Flat PPO drifts into corners: `{plain}` {where}, at {entropy:.0%} of the largest entropy; that its "
+                f"first escape comes later is not shown: it takes {price}.")
     if escape[chance].sign >= 0:
         return (f"No fall is shown: until its first escape `{plain}` takes {price}; it {where}."
                 if not escape[chance].sign else

@@ -109,7 +109,8 @@ def make_runs(label: str, first: float, corners: float, runs: int = 10, **fields
 @pytest.mark.parametrize(("ppo", "words"), [
     ((400, 0.3), "Flat PPO falls below chance because it drifts into corners: `ppo` spends 30% of its time in corn"),
     ((400, 0.02), "Flat PPO falls below chance, and not by corners: until its first escape it takes 4.0 times"),
-    ((100, 0.3), "No fall is shown: until its first escape `ppo` takes 1.0 times the primitives of chance"),
+    ((100, 0.3), "Flat PPO drifts into corners: `ppo` spends 30% of its time in corners, where a policy that nev"),
+    ((100, 0.02), "No fall is shown: until its first escape `ppo` takes 1.0 times the primitives of chance"),
     ((30, 0.02), "`ppo` beats chance: until its first escape it takes 0.3 times"),
 ])
 def test_another_truth_about_the_fall_is_another_finding(ppo: tuple[float, float], words: str):
