@@ -241,12 +241,11 @@ class _RepeatedEnv(gymnasium.Wrapper):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Repeat the action; `info` has the primitives that ran, and their reward as a decision's."""
-        rewards: list[float] = []
-        for _ in range(self.repeat):
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        rewards = [float(reward)]
+        while len(rewards) < self.repeat and not (terminated or truncated):
             observation, reward, terminated, truncated, info = self.env.step(action)
             rewards.append(float(reward))
-            if terminated or truncated:
-                break
         told = {"duration": len(rewards), "discount": self.gamma ** len(rewards),
                 "discounted_reward": sum(self.gamma**number * reward for number, reward in enumerate(rewards))}
         return observation, sum(rewards), terminated, truncated, {**info, **told}

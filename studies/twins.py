@@ -223,7 +223,8 @@ def _compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells
         pairs = {room: _pair(cells.get((room, agent), {}), cells.get((room, others[room]), {})) for room in rooms}
         if not pairs or min(map(len, pairs.values())) < LEAST_RUNS:
             continue
-        gains = [np.round(np.array([one.efficiency - two.efficiency for one, two in pairs[room]]), 9) for room in rooms]
+        gains = [np.array([round(one.efficiency - two.efficiency, 9) for one, two in pairs[room]], dtype=np.float64)
+                 for room in rooms]
         asked.append((agent, other, gains, tuple(
             room for room in rooms if all(_are_equal(one, two) for one, two in pairs[room])
             and any(one.first_escape is not None for one, _ in pairs[room]))))
