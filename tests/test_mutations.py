@@ -13,7 +13,7 @@ import pytest
 from tests.mutations.mutation import ROOT, Mutation, PackageCopy, find_source
 
 PACKAGES = ("smdp_traps", "given", "learned", "env", "planning", "options", "agents", "ladder", "comparison", "studies",
-            "viewer", "commands", "text")
+            "viewer", "commands", "text", "data")
 MUTATIONS: dict[str, list[Mutation]] = {
     package: [Mutation(*fields) for fields in import_module(f"tests.mutations.{package}").MUTATIONS]
     for package in PACKAGES}

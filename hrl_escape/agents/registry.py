@@ -1,8 +1,8 @@
 """Names of agents: the list of them, agents made by name, and the door for agents of third parties.
 
 A file in `agents/algorithms` or in one of its families is an agent, named like the file; its class is the one `Agent`
-that the file defines. Those of the family `given` act by a hierarchy that they are given, so spaces and settings alone
-do not make them.
+that the file defines. Those of the family `given` act by a hierarchy that they are given, and those of `offline` learn
+from a data set, so spaces and settings alone do not make them.
 
 `smdp-dqn` and `dqn` are one implementation; the prefix only says which view of an environment
 is meant, and lets a recipe differ where the published program's did. Third-party agents arrive
@@ -37,6 +37,7 @@ __all__ = [
     "list_agents",
     "list_all_agents",
     "list_given_agents",
+    "list_offline_agents",
     "list_recipes",
     "list_stream_agents",
     "make_agent",
@@ -52,6 +53,8 @@ GOAL_RULE = "goal_rule"
 """Name under which agents take what an environment says of its goals; those that do not take it do without."""
 
 _CATALOGUE = "hrl_escape.agents.algorithms"
+_APART = ("given", "offline")
+"""Families whose agents need more than spaces and settings."""
 
 
 def list_agents() -> list[str]:
@@ -80,7 +83,7 @@ def get_agent_class(name: str) -> type[Agent]:
         PluginError: a third party's class cannot be loaded.
     """
     base = name.removeprefix(SMDP_PREFIX)
-    shipped = _find_made() | _find_shipped(f"{_CATALOGUE}.given")
+    shipped = _find_every()
     if base in shipped:
         defined = vars(importlib.import_module(shipped[base])).values()
         (found,) = (thing for thing in defined if _is_agent(thing) and thing.__module__ == shipped[base])
@@ -89,7 +92,8 @@ def get_agent_class(name: str) -> type[Agent]:
     if base not in others:
         prefix = name[: len(name) - len(base)]
         note = "" if prefix else f"; each also with {SMDP_PREFIX} in front"
-        raise UnknownNameError("agent", name, [prefix + other for other in list_all_agents()], note)
+        known = (*list_all_agents(), *list_offline_agents())
+        raise UnknownNameError("agent", name, [prefix + other for other in known], note)
     loaded: list[Any] = []
     load_entry_point(others[base], "agent", "an Agent", loaded.append)
     if not _is_agent(loaded[0]):
@@ -112,13 +116,19 @@ def _find_shipped(package: str) -> dict[str, str]:
 def _find_made() -> dict[str, str]:
     """The same for every algorithm that spaces and settings make: those of no family, then family by family."""
     found = iter_modules(importlib.import_module(_CATALOGUE).__path__)
-    families = [f"{_CATALOGUE}.{module.name}" for module in found if module.ispkg and module.name != "given"]
+    families = [f"{_CATALOGUE}.{module.name}" for module in found if module.ispkg and module.name not in _APART]
     return {name: path for package in (_CATALOGUE, *families) for name, path in _find_shipped(package).items()}
+
+
+def _find_every() -> dict[str, str]:
+    """The same for every shipped algorithm."""
+    return _find_made() | {name: path for family in _APART for name, path in
+                           _find_shipped(f"{_CATALOGUE}.{family}").items()}
 
 
 def find_agent_module(name: str) -> str | None:
     """Module of a shipped agent, without importing it; None for an agent of a third party."""
-    return (_find_made() | _find_shipped(f"{_CATALOGUE}.given")).get(name.removeprefix(SMDP_PREFIX))
+    return _find_every().get(name.removeprefix(SMDP_PREFIX))
 
 
 def list_recipes(name: str) -> dict[str, Any]:
@@ -194,6 +204,11 @@ def make_agent(
 def list_given_agents() -> list[str]:
     """Names of the shipped agents that act by a hierarchy that they are given."""
     return list(_find_shipped(f"{_CATALOGUE}.given"))
+
+
+def list_offline_agents() -> list[str]:
+    """Names of the shipped agents that learn from a data set."""
+    return list(_find_shipped(f"{_CATALOGUE}.offline"))
 
 
 def find_given_part(name: str) -> str | None:

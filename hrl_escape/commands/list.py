@@ -20,7 +20,13 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.agents.registry import SMDP_PREFIX, find_agent_module, list_all_agents, list_given_agents
+from hrl_escape.agents.registry import (
+    SMDP_PREFIX,
+    find_agent_module,
+    list_all_agents,
+    list_given_agents,
+    list_offline_agents,
+)
 from hrl_escape.comparison.presets import GRIDS
 from hrl_escape.comparison.references.registry import REFERENCES, describe_rule
 from hrl_escape.env.engine import CAMERAS
@@ -30,10 +36,11 @@ from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
 
 Kind = Literal["presets", "environments", "puzzles", "observations", "cameras", "primitives",
-               "agents", "hierarchical", "references", "comparisons"]
+               "agents", "hierarchical", "offline", "references", "comparisons"]
 
 TITLES = {"agents": f"agents; with {SMDP_PREFIX} in front they choose options",
           "hierarchical": "hierarchical: agents that are given a hierarchy, see --leaves of `hrl-escape train`",
+          "offline": "offline: agents that learn from a data set, `hrl-escape train smdp-iql --data pair-play-v1`",
           "references": "references: they learn nothing, and a learner has to beat the best of them"}
 
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
@@ -62,6 +69,7 @@ def run(args: ListArgs) -> None:
         "primitives": _describe_primitives,
         "agents": lambda: {name: _summarise(_parse_agent(name)) for name in list_all_agents()},
         "hierarchical": lambda: {name: _describe_hierarchical(name) for name in list_given_agents()},
+        "offline": lambda: {name: _summarise(_parse_agent(name)) for name in list_offline_agents()},
         "references": lambda: {name: describe_rule(name) for name in REFERENCES},
         "comparisons": lambda: {grid.name: grid.description for grid in GRIDS.values()},
     }

@@ -9,6 +9,7 @@
     hrl-escape train ppo --batch 1024 --primitives 5000000
     hrl-escape train dac --batch 64 --primitives 500000
     hrl-escape train smdp-tools --settings model=untried told=names --primitives 2000
+    hrl-escape train smdp-iql --data pair-play-v1
 
 `hrl-escape list agents` names the agents; with smdp- in front they choose options beside primitives.
 """
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
     from hrl_escape.env.vector_env import EscapeRoomVectorEnv
     from hrl_escape.options.batched.env import BatchedOptionsEnv
 
-SHOWN_EVALUATIONS = 12
+SHOWN_EVALUATIONS, PRIMITIVES = 12, 20_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,8 +59,10 @@ class TrainArgs(RoomChoice):
 
     agent: Annotated[str, tyro.conf.Positional] = "smdp-dqn"
     """Name of the agent; the prefix smdp- makes it choose options."""
-    primitives: int = 20_000
-    """Primitives to train for."""
+    primitives: int | None = None
+    """Primitives to train for; 20,000 by default, with --data as many as the agent's passes over it come to."""
+    data: str | None = None
+    """Learn from this data set, or tape, and be tested in its rung's unseen rooms; see `hrl-escape list offline`."""
     training_seed: int = 0
     """Training seed: fixes the agent and every training episode."""
     recipe: str = "corrected"
@@ -133,6 +136,9 @@ def run(args: TrainArgs) -> None:
     if args.list_settings:
         _print_settings(args, resolved)
         return
+    if args.data is not None:
+        _train_offline(args, resolved)
+        return
     if args.leaves is None and spec.algorithm in list_given_agents():
         acts = "options" if spec.chooses_options else "primitives"
         print(f"{spec.name} is given no hierarchy: it learns over {acts}, as one task. --leaves planned or --leaves "
@@ -147,15 +153,31 @@ def run(args: TrainArgs) -> None:
         player = make_player(spec, env, recorder) if spec.name == TOOLS else None
     else:
         env = args.make_batch(spec, instance)
-    result = train(player or args.agent, env, primitives=args.primitives, seed=args.training_seed,
-                   settings=None if player else resolved, eval_every=args.eval_every, eval_episodes=args.eval_episodes,
-                   out=out, callbacks=[TensorBoard()] if args.tensorboard else [],
+    result = train(player or args.agent, env, primitives=args.primitives or PRIMITIVES,
+                   seed=args.training_seed, settings=None if player else resolved, eval_every=args.eval_every,
+                   eval_episodes=args.eval_episodes, out=out, callbacks=[TensorBoard()] if args.tensorboard else [],
                    threads=args.threads, observed=recorder is None)
     if isinstance(env, gymnasium.Env) and recorder is not None:
         _record(env, recorder, result, f"{spec.label}, seed {args.training_seed}")
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
         env.close()
     best = best_known_return(instance)
+    if args.json:
+        print(json.dumps({"best_known": best, "folder": str(result.folder), **result.to_json()}, indent=2))
+    else:
+        _print(result, best)
+
+
+def _train_offline(args: TrainArgs, settings: dict[str, Any]) -> None:
+    """Train from a data set, and print the curve."""
+    from hrl_escape.data.materialise import load_data
+
+    data = load_data(args.data or "", observation=args.observation)
+    out = args.out or Path("runs") / f"{make_file_name(f'{args.agent}-{data.name}-{args.training_seed}')}-{{key}}"
+    result = train(args.agent, data=data, primitives=args.primitives, seed=args.training_seed, settings=settings,
+                   eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
+                   callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads)
+    best = data.tape.about["scores"].get("best_known")
     if args.json:
         print(json.dumps({"best_known": best, "folder": str(result.folder), **result.to_json()}, indent=2))
     else:
@@ -184,7 +206,7 @@ def _print_settings(args: TrainArgs, resolved: dict[str, Any]) -> None:
     Console().print(table)
 
 
-def _print(result: TrainResult, best: float) -> None:
+def _print(result: TrainResult, best: float | None) -> None:
     console = Console(soft_wrap=True, highlight=False)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     for heading in ("primitives", "decisions", "return", "escapes", "primitives an episode"):
@@ -206,7 +228,8 @@ def _print(result: TrainResult, best: float) -> None:
                   f"primitives, {result.decisions:,} decisions, {episodes:,} episodes{calls}, "
                   f"{result.seconds:.1f} s of training")
     if evaluations:
-        console.print(f"return {evaluations[-1].mean_return:.1f} at the end; the best known is {best:g}")
+        known = "" if best is None else f"; the best known is {best:g}"
+        console.print(f"return {evaluations[-1].mean_return:.1f} at the end{known}")
         top = max(evaluations, key=lambda evaluation: evaluation.mean_return)
         console.print(f"best evaluation: return {top.mean_return:.1f} after {top.primitives:,} primitives; best.npz "
                       "keeps its agent")

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -33,14 +33,18 @@ from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
 from hrl_escape.errors import AgentSettingsError, CheckpointError
 from hrl_escape.plugins import RUN_OBSERVERS
 
+if TYPE_CHECKING:
+    from hrl_escape.agents.components.offline import OfflineData
+
 __all__ = ["load_agent", "load_env", "train"]
 
 
 def train(
     agent: str | Agent,
-    env: gymnasium.Env | VectorEnv | Streams,
+    env: gymnasium.Env | VectorEnv | Streams | None = None,
     *,
-    primitives: int,
+    primitives: int | None = None,
+    data: str | os.PathLike[str] | OfflineData | None = None,
     decisions: int | None = None,
     seed: int = 0,
     recipe: str = "corrected",
@@ -59,7 +63,7 @@ def train(
     eval_trials: int = 1,
     observed: bool = True,
 ) -> TrainResult:
-    """Train an agent on an environment, flat or with options.
+    """Train an agent on an environment, flat or with options, or from a data set.
 
     Args:
         agent: a name (see `registry.list_agents`, with or without `smdp-`), or an agent of your own, made new.
@@ -68,8 +72,11 @@ def train(
             arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
             arguments are told apart. A vector environment, or a `BatchedOptionsEnv`, trains agents that learn from
             many streams (see `list_stream_agents`) on its device; returns are then logged by segments of steps
-            instead of episodes.
-        primitives: budget, of all streams together. The decision that reaches it is the last.
+            instead of episodes. With `data` it is the one to be tested in, by default the data set's.
+        primitives: budget, of all streams together. The decision that reaches it is the last. With `data` those
+            learned from, counted at each pass; by default as many as the agent's `passes` say.
+        data: data set, by name, by the path of a tape, or from `hrl_escape.data.load_data`, for agents that learn
+            offline. With `smdp-` before its name an agent learns from decisions, else from primitives.
         decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
         seed: 0 or more; fixes the agent (if named) and every training episode.
         recipe: `corrected` or `paper`, for a named agent.
@@ -105,6 +112,14 @@ def train(
         DivergenceError: a loss became NaN; names run and primitive.
         RunMismatchError, RunBusyError, CheckpointError, FileWriteError: about `out`.
     """
+    material = None
+    if data is not None:
+        from hrl_escape.agents.training.offline_run import OfflineRun, gather_material  # brings torch in
+
+        material = gather_material(agent, env, data, recipe, settings)
+        env, primitives = material.env, primitives or material.budget
+    if env is None or primitives is None:
+        raise AgentSettingsError("env" if env is None else "primitives", None, "given, unless there is data=")
     eval_every = eval_every or max(1, primitives // 20)
     for name, value, least in (
         ("primitives", primitives, 1),
@@ -139,7 +154,9 @@ def train(
         agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
         arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state,
                                  threads, until_return, eval_trials)
-        if isinstance(env, gymnasium.Env):
+        if material is not None:
+            run = OfflineRun(learner, arguments, material)  # pyright: ignore[reportPossiblyUnboundVariable]
+        elif isinstance(env, gymnasium.Env):
             run = Run(learner, env, eval_env or env, arguments, probe, callbacks)
         else:
             if not isinstance(learner, StreamAgent):

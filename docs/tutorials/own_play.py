@@ -1,0 +1,51 @@
+"""Learn from your own play.
+
+`hrl-escape play` opens a room in the browser. M and a number run a meta-action, F saves the episode as a file in the
+folder `episodes`. Here a script plays three episodes as clumsily as a first try and saves them the same way; put your
+own files in their place.
+"""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from hrl_escape import train
+from hrl_escape.data import load_data, make_played_tape, save_tape
+from hrl_escape.data.card import draw_card
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.viewer.play.episode import Episode
+from hrl_escape.viewer.play.saved_episode import save_episode
+
+folder = Path(tempfile.mkdtemp())
+room = generate(get_preset("paper-two-button"), 0)
+TURN, FIRST, SECOND, LEAVE = 4, 6, 7, 8
+for number, moves in enumerate([(SECOND, TURN, FIRST, SECOND, LEAVE), (FIRST, FIRST, SECOND, LEAVE),
+                                (LEAVE, SECOND, FIRST, TURN, SECOND, TURN, LEAVE)]):
+    episode = Episode(room, None, number)
+    for move in moves:
+        episode.do(move)
+    save_episode(folder / f"mine-{number}.json", episode.to_saved())
+    print(f"episode {number}: return {episode.total:g}, {episode.end.value}")
+    episode.close()
+
+# The files become a data set. Every move is a decision with its duration; primitives between them are decisions of one.
+# On the command line it is `hrl-escape data make mine --rooms paper-two-button#0 --played episodes/*.json`.
+
+tape = make_played_tape("mine", "paper-two-button#0", sorted(folder.glob("mine-*.json")))
+save_tape(folder / "mine.npz", tape)
+data = load_data(folder / "mine.npz", observation="features")
+decisions = data.read_decisions(gamma=0.99)
+print(tape)
+print("durations:", decisions.duration.tolist())
+draw_card(tape)
+
+# Cloning does what you did most often. Q-iteration puts the best parts of your episodes together: no way through the
+# room is better that consists of choices you made.
+
+for agent, settings in (("smdp-behaviour-cloning", {}), ("smdp-fitted-q", {"gamma": 0.99})):
+    result = train(agent, data=data, settings={"values": "table", **settings}, eval_episodes=1)
+    last = result.evaluations[-1]
+    print(f"{agent}: return {last.mean_return:g} after {last.lengths[0]} primitives")
+print("best of your episodes:", max(np.bincount(decisions.trajectory, decisions.summed_reward)))

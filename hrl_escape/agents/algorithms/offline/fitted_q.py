@@ -1,0 +1,57 @@
+"""Fitted Q-iteration over decisions of any duration (Ernst, Geurts and Wehenkel 2005) on SMDP backups.
+
+In a table it is value iteration on the data's empirical MDP, over the actions that the data shows; from data that shows
+every state and action it finds the optimal values. Networks take the maximum over all legal actions, so that values of
+what the data never shows run ahead (Fujimoto, Meger and Precup 2019): `cql` and `iql` are made against that.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_escape.agents.components.networks import Network, ObservationEncoder, compute_td_loss, make_action_network
+from hrl_escape.agents.components.offline import Batch, DecisionTable, OfflineAgent, OfflineSettings
+
+__all__ = ["FittedQ"]
+
+
+class FittedQ(OfflineAgent):
+    """Q(s, o) <- mean of R + gamma^k (1 - terminated) max over o' of Q(s', o').
+
+    Networks are trained as double Q-learning is: the online network chooses o', the target network values it.
+    """
+
+    name: ClassVar[str] = "fitted-q"
+    Settings: ClassVar[type] = OfflineSettings
+
+    def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """A sweep of exact backups; what the data never shows scores below what it shows."""
+        found = table.back_up(np.where(table.shown, q, -np.inf).max(axis=1))
+        return found, np.where(table.shown, found, min(table.worst, found.min()) - 1.0)
+
+    def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
+                      generator: torch.Generator) -> dict[str, Network]:
+        """Q and its target."""
+        return {name: make_action_network(encoder, action_space, settings, generator) for name in ("q", "target_q")}
+
+    def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
+        """Temporal-difference loss, and what `penalise` adds."""
+        values = self.networks["q"](batch.observation)
+        with torch.no_grad():
+            best = self.networks["q"](batch.next_observation).masked_fill(~batch.next_mask, -torch.inf).argmax(1, True)
+            targets = batch.reward + batch.bootstrap * self.networks["target_q"](batch.next_observation).gather(
+                1, best).squeeze(1)
+        chosen = values.gather(1, batch.action[:, None]).squeeze(1)
+        loss = compute_td_loss(chosen, targets, self.settings.loss) + self.penalise(values, chosen, batch)
+        return loss, {"value": chosen.mean().item() / self.settings.reward_scale}
+
+    def penalise(self, values: Tensor, chosen: Tensor, batch: Batch) -> Tensor | float:
+        """Addition to the loss; none here."""
+        del values, chosen, batch
+        return 0.0

@@ -1,0 +1,392 @@
+"""Data that agents learn from without an environment: arrays of decisions or primitives, and the base of such agents.
+
+Where the data shows few states, values stand in a table over the empirical MDP and a pass is a sweep of exact backups;
+elsewhere they are networks, and a pass is as many minibatches as hold the data once. An algorithm says how a state's
+value follows from its actions' (`improve`), or gives a loss.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.components.exploration import choose_best, make_rng
+from hrl_escape.agents.components.networks import Learner, Network, ObservationEncoder, make_forward, make_generator
+from hrl_escape.agents.components.replay import ReplaySettings
+from hrl_escape.agents.components.tables import ResolutionSettings, make_cell_finder
+from hrl_escape.agents.state import Kept, pack_keys, unpack_keys
+from hrl_escape.errors import AgentSettingsError, UnsupportedError
+from hrl_escape.settings import Range
+from hrl_escape.spaces import ObjectsBox
+
+__all__ = ["Batch", "Decisions", "DecisionTable", "OPTION_ENDINGS", "OfflineAgent", "OfflineData",
+           "OfflineSettings", "Primitives", "encode_all", "list_best"]
+
+OPTION_ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
+"""Endings of decisions, in the words of `info["option"]["ended"]`; `Decisions.ended` is an index into it."""
+FEW_STATES = 0.1
+"""States for each decision of the data up to which `values=auto` is a table."""
+
+
+class Decisions(NamedTuple):
+    """Decisions of recorded trajectories, in order; the fields of `SMDPTransition`, one row a decision.
+
+    Attributes:
+        observation: at each decision, (n, ...).
+        action: int64 (n,).
+        mask: actions legal there, bool (n, actions).
+        reward: R = sum gamma^i r_i, float64 (n,).
+        summed_reward: sum r_i, float64 (n,).
+        duration: k, int64 (n,).
+        discount: gamma^k, float64 (n,).
+        next_observation: at the state reached, (n, ...).
+        next_mask: actions legal there, bool (n, actions).
+        terminated: the task ended, so that nothing follows, bool (n,).
+        last: the trajectory ends here, by its end, the horizon or a cut, bool (n,).
+        trajectory: number of the trajectory, int64 (n,).
+        ended: how the option ended, an index into `OPTION_ENDINGS`, int64 (n,).
+    """
+
+    observation: Any
+    action: NDArray[np.int64]
+    mask: NDArray[np.bool_]
+    reward: NDArray[np.float64]
+    summed_reward: NDArray[np.float64]
+    duration: NDArray[np.int64]
+    discount: NDArray[np.float64]
+    next_observation: Any
+    next_mask: NDArray[np.bool_]
+    terminated: NDArray[np.bool_]
+    last: NDArray[np.bool_]
+    trajectory: NDArray[np.int64]
+    ended: NDArray[np.int64]
+
+
+class Primitives(NamedTuple):
+    """Primitives of recorded trajectories, in order, each with the option that chose it.
+
+    Attributes:
+        observation: before each primitive, (n, ...).
+        action: int64 (n,).
+        reward: float64 (n,).
+        next_observation: after it, (n, ...).
+        terminated: as in `Decisions`.
+        last: likewise.
+        trajectory: likewise.
+        option: action of the decision that it belongs to, int64 (n,).
+        begins: it is the decision's first, bool (n,).
+    """
+
+    observation: Any
+    action: NDArray[np.int64]
+    reward: NDArray[np.float64]
+    next_observation: Any
+    terminated: NDArray[np.bool_]
+    last: NDArray[np.bool_]
+    trajectory: NDArray[np.int64]
+    option: NDArray[np.int64]
+    begins: NDArray[np.bool_]
+
+    def as_decisions(self, gamma: float, actions: int) -> Decisions:
+        """The same as decisions of one primitive each."""
+        ones, legal = np.ones_like(self.action), np.ones((len(self.action), actions), np.bool_)
+        return Decisions(self.observation, self.action, legal, self.reward, self.reward, ones,
+                         np.full(len(ones), gamma, np.float64),
+                         self.next_observation, legal, self.terminated, self.last, self.trajectory, 0 * ones)
+
+
+class OfflineData(Protocol):
+    """Data set that `train` takes; `hrl_escape.data.load_data` gives one.
+
+    Attributes:
+        level: `decisions` or `primitives`, for agents that are given as objects; a name's prefix says which.
+    """
+
+    level: str
+
+    @property
+    def identity(self) -> Mapping[str, Any]:
+        """Name, content hash and observation, part of a run's identity."""
+        ...
+
+    def read_decisions(self, gamma: float) -> Decisions:
+        """All decisions, in memory."""
+        ...
+
+    def read_primitives(self) -> Primitives:
+        """All primitives, in memory."""
+        ...
+
+    def make_env(self, options: bool, gamma: float) -> gymnasium.Env:
+        """The environment to be tested in; with options its actions are those of the decisions."""
+        ...
+
+
+@dataclass(frozen=True)
+class OfflineSettings(ReplaySettings, ResolutionSettings):
+    """Settings that agents have in common that learn from a data set."""
+
+    passes: Annotated[int, Range(1)] = 50
+    """Passes over the data, where `train` is given no budget."""
+    values: Literal["auto", "table", "network"] = "auto"
+    """`table`: exact backups over the states that the data shows. `auto`: a table where the data shows each state ten
+    times or more, on average."""
+    network: Literal["mlp", "objects"] = "objects"
+    """`objects`: deep sets over rows of objects; `mlp`: a perceptron, also where the observation has no rows."""
+    batch_size: Annotated[int, Range(1)] = 256
+    """Decisions in a minibatch."""
+    target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
+    """Share of a network blended into its target at each update."""
+
+
+class Batch(NamedTuple):
+    """Decisions as tensors, in scaled rewards; the fields of `Experience` and the rows' numbers in the data."""
+
+    observation: Tensor
+    mask: Tensor
+    action: Tensor
+    reward: Tensor
+    bootstrap: Tensor
+    next_observation: Tensor
+    next_mask: Tensor
+    row: Tensor
+
+
+class DecisionTable:
+    """The empirical MDP of decisions whose observations are rounded to states.
+
+    Args:
+        state: number of the state of each decision, int64 (n,).
+        next_state: of the state reached; those at which the data shows no decision have numbers too.
+        data: the decisions.
+        states: number of states.
+        actions: number of actions.
+        discounts: gamma^k, or what is to stand for it; 0 where nothing follows.
+        rewards: R, likewise.
+
+    Attributes:
+        counts: how often the data shows each, float64 (states, actions).
+        shown: the data shows it, bool (states, actions).
+        worst: value of a state at which the data shows no decision: least reward a primitive, for ever.
+    """
+
+    def __init__(self, state: NDArray, next_state: NDArray, data: Decisions, states: int, actions: int,
+                 rewards: NDArray, discounts: NDArray) -> None:
+        self.shape = states, actions
+        self._pair, self._next = state * actions + data.action, next_state
+        self._rewards, self._discounts = rewards, discounts
+        self.counts = np.bincount(self._pair, minlength=states * actions).reshape(self.shape).astype(np.float64)
+        self.shown = self.counts > 0
+        share = 1.0 - data.discount
+        self.worst = float(np.min(rewards / np.where(share > 0, share, 1.0))) if share.any() else float(
+            np.bincount(data.trajectory, data.summed_reward).min())
+
+    def back_up(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Mean of R + b V(s') over the decisions of each state and action; `worst` where there is none."""
+        follow = np.where(self.shown.any(axis=1), values, self.worst)[self._next]
+        targets = self._rewards + self._discounts * follow
+        sums = np.bincount(self._pair, targets, self.counts.size).reshape(self.shape)
+        return np.where(self.shown, sums / np.maximum(self.counts, 1.0), self.worst)
+
+
+def list_best(data: Decisions, share: float) -> NDArray[np.bool_]:
+    """Decisions of the best trajectories by plain return, bool (n,).
+
+    Args:
+        data: the decisions.
+        share: share of the trajectories; those that were cut count only where all were.
+    """
+    if share >= 1.0:
+        return np.ones(len(data.action), np.bool_)
+    returns = np.bincount(data.trajectory, data.summed_reward)
+    ended = np.zeros(len(returns), np.bool_)
+    ended[data.trajectory[data.terminated]] = True
+    candidates = np.flatnonzero(ended) if ended.any() else np.arange(len(returns))
+    kept = max(1, round(share * len(returns)))
+    best = candidates[np.argsort(-returns[candidates], kind="stable")[:kept]]
+    return np.isin(data.trajectory, best)
+
+
+class OfflineAgent(Agent):
+    """Base of agents that learn from a data set: `begin` takes it, each `update` is one sweep or one minibatch.
+
+    A subclass gives `improve` for tables, `make_networks` and `compute_loss` for networks. Its policy takes the argmax
+    of the table's `scores`, or of the network named `acting`.
+
+    Attributes:
+        name: of the algorithm.
+        is_fitted: a further sweep would change nothing.
+        is_table: values stand in a table.
+        networks: by name; none with `values=table`.
+        scores: with a table, what the policy takes the argmax of, float64 (states, actions).
+        q: with a table, Q of what the data shows, float64 (states, actions).
+    """
+
+    name: ClassVar[str]
+    acting: ClassVar[str] = "q"
+    has_table: ClassVar[bool] = True
+    reads_both: ClassVar[bool] = False
+    settings: Any
+    is_markov = True
+    STATE = ("_rng", Kept("_learner", "learner", is_left_out=True), "is_fitted", "is_table", Kept(
+        "_numbers", "keys", pack_keys, lambda saved: {key: n for n, key in enumerate(unpack_keys(saved))}),
+        Kept("scores", unpack=np.array), Kept("q", unpack=np.array))
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: Any = None) -> None:
+        self.settings = settings = settings or self.Settings()
+        self._actions, self._rng = count_actions(action_space, self.name), make_rng(seed, "batches")
+        self.is_fitted, self.is_table = False, self.has_table and settings.values == "table"
+        self._numbers: dict[bytes, int] = {}
+        self.scores = self.q = np.zeros((0, self._actions))
+        self._find_cell = make_cell_finder(observation_space, settings, self.name) if self.has_table else None
+        self.networks: dict[str, Network] = {}
+        self._learner: Learner | None = None
+        self._data: Any = None
+        if self.is_table:
+            return
+        self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
+        kind = settings.network if isinstance(observation_space, ObjectsBox) else "mlp"
+        drawn = dataclasses.replace(settings, network=kind), make_generator(make_rng(seed, "weights"))
+        self.networks = self.make_networks(self._encoder, action_space, *drawn)
+        trained = [name for name in self.networks if not name.startswith("target")]
+        for target in self.networks.keys() - trained:
+            self.networks[target].requires_grad_(False).blend(self.networks[target.removeprefix("target_")], 1.0)
+        self._learner = Learner(self.name, self.networks, trained, settings)
+        self._forward = make_forward(self.networks[self.acting])
+
+    # --- learning ------------------------------------------------------------------------
+
+    def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:
+        """Take the data.
+
+        Args:
+            data: decisions, or primitives as decisions of one primitive each.
+            primitives: those inside the decisions, for agents that learn from both.
+
+        Raises:
+            AgentSettingsError: it holds nothing.
+        """
+        del primitives
+        if not len(data.action):
+            raise AgentSettingsError("data", "no decision", "a data set with at least one")
+        settings, self._counts = self.settings, (len(data.action), int(data.duration.sum()))
+        by_primitive = settings.discounting == "primitive"
+        rewards, discounts = (data.reward, data.discount) if by_primitive else (
+            data.summed_reward, np.full(len(data.action), settings.gamma))
+        over = data.terminated if settings.bootstrap_on_truncation else data.last
+        discounts = np.where(over, 0.0, discounts)
+        if self._find_cell is not None and settings.values != "network":
+            cells = self._find_cell(np.concatenate([data.observation, data.next_observation]))
+            rows = np.ascontiguousarray(cells.reshape(len(cells), -1))
+            found, number = np.unique(rows.view(np.dtype((np.void, rows.shape[1] * 4))).ravel(), return_inverse=True)
+            self.is_table = settings.values == "table" or len(found) <= FEW_STATES * len(data.action)
+            if self.is_table:
+                self._numbers = {key.tobytes(): n for n, key in enumerate(found)}
+                half = len(data.action)
+                self._data = DecisionTable(number[:half], number[half:], data, len(found), self._actions, rewards,
+                                           discounts)
+                if len(self.q) != len(found):
+                    self.q = self.scores = np.full(self._data.shape, self._data.worst)
+                return
+        scale = settings.reward_scale
+        self._data = Batch(
+            encode_all(self._encoder, data.observation), torch.from_numpy(data.mask), torch.from_numpy(data.action),
+            torch.from_numpy((rewards * scale).astype(np.float32)), torch.from_numpy(discounts.astype(np.float32)),
+            encode_all(self._encoder, data.next_observation), torch.from_numpy(data.next_mask),
+            torch.arange(len(data.action)))
+        self._durations = data.duration
+
+    def update(self) -> tuple[dict[str, float], int, int]:
+        """One sweep over the table, or one step on a minibatch.
+
+        Returns:
+            Numbers to log, and the decisions and the primitives learned from.
+        """
+        if self.is_table:
+            before = self.q
+            self.q, self.scores = self.improve(self._data, before)
+            change = float(np.abs(self.q - before).max())
+            self.is_fitted = change == 0.0
+            return {"td_error": change, "states": float(len(self.q))}, *self._counts
+        assert self._learner is not None
+        rows = self._rng.integers(len(self._durations), size=self.settings.batch_size)
+        index = torch.from_numpy(rows)
+        loss, metrics = self.compute_loss(Batch(*(field[index] for field in self._data)))
+        value = self._learner.minimise(loss)
+        for name, network in self.networks.items():
+            if name.startswith("target_"):
+                network.blend(self.networks[name.removeprefix("target_")], self.settings.target_rate)
+        logged = {"loss": value, "gradient_norm": self._learner.gradient_norm, **metrics}
+        return logged, len(rows), int(self._durations[rows].sum())
+
+    @abstractmethod
+    def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Make the next Q and the scores of the policy from the present Q, each (states, actions)."""
+
+    @abstractmethod
+    def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
+                      generator: torch.Generator) -> dict[str, Network]:
+        """Make the networks by name; `target_NAME` follows NAME."""
+
+    @abstractmethod
+    def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
+        """The loss of a minibatch, and numbers to log."""
+
+    # --- acting --------------------------------------------------------------------------
+
+    def find_state(self, observation: Any) -> int | None:
+        """Number of an observation's state in the table; None for one that the data does not show."""
+        assert self._find_cell is not None
+        return self._numbers.get(np.ascontiguousarray(self._find_cell(observation)).tobytes())
+
+    def compute_preferences(self, observation: Any) -> NDArray:
+        """What the policy takes the argmax of, (actions,); equal in states that a table does not know."""
+        if not self.is_table:
+            return self._forward(self._encoder.encode(observation))
+        state = self.find_state(observation)
+        return np.zeros(self._actions) if state is None else self.scores[state]
+
+    def compute_values(self, observation: Any) -> NDArray | None:
+        """Q(s, .) in units of return, (actions,); None where none is learned, or the table does not know the state."""
+        if self.is_table:
+            state = self.find_state(observation)
+            return None if state is None else self.q[state]
+        if "q" not in self.networks:
+            return None
+        with torch.no_grad():
+            encoded = torch.from_numpy(self._encoder.encode(observation))[None]
+            return self.networks["q"](encoded)[0].numpy() / self.settings.reward_scale
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """The greedy choice: nothing is explored."""
+        return self.act_greedy(observation, action_mask, self._rng)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The legal action of highest score; a table draws among equals."""
+        return choose_best(self.compute_preferences(observation), action_mask, rng if self.is_table else None)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Refuse: such an agent learns from a data set.
+
+        Raises:
+            UnsupportedError: always.
+        """
+        raise UnsupportedError(f"{self.name} learns from a data set, not from an environment: train(agent="
+                               f"'{self.name}', data='lattice-play-v1')")
+
+
+def encode_all(encoder: ObservationEncoder, observation: NDArray) -> Tensor:
+    """Encode observations in blocks, (n, *shape)."""
+    blocks = np.array_split(observation, max(1, len(observation) // 65_536))
+    return torch.cat([encoder.encode_many(torch.from_numpy(np.ascontiguousarray(block))) for block in blocks])

@@ -1,0 +1,127 @@
+"""One training run from a data set: sweeps or minibatches in place of episodes; folder, evaluations and result stay.
+
+Primitives are counted as they are learned from, so that one pass over a data set of 10^5 counts 10^5.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pkgutil import resolve_name
+from typing import Any, NamedTuple, cast
+
+import gymnasium
+
+from hrl_escape.agents.components.offline import Decisions, OfflineAgent, OfflineData, Primitives
+from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe, list_offline_agents
+from hrl_escape.agents.training.progress import Reporter
+from hrl_escape.agents.training.results import SegmentRecord, read_row
+from hrl_escape.agents.training.run import Run, RunArguments
+from hrl_escape.errors import AgentSettingsError
+from hrl_escape.settings import replace_settings
+
+__all__ = ["Material", "OfflineRun", "gather_material"]
+
+DOOR = "hrl_escape.data.materialise:load_data"
+"""Opens a data set by its name; it stands above the agents, which know no rooms, and is imported when asked for."""
+
+SEGMENT_UPDATES = 50
+"""Minibatches in a row of the log; a sweep over a table is one row."""
+
+
+class Material(NamedTuple):
+    """Material of a run that learns from a data set.
+
+    Attributes:
+        data: the data set.
+        env: environment to be evaluated in.
+        decisions: what the agent learns from.
+        primitives: those inside the decisions, for agents that ask for them.
+        budget: primitives of the agent's number of passes.
+    """
+
+    data: OfflineData
+    env: gymnasium.Env
+    decisions: Decisions
+    primitives: Primitives | None
+    budget: int
+
+
+def gather_material(agent: Any, env: Any, data: Any, recipe: str, settings: Any) -> Material:
+    """Read what an agent learns from; arguments as those of `train`.
+
+    Raises:
+        AgentSettingsError: the agent learns from no data set, or the environment shows or takes something else.
+    """
+    is_named = isinstance(agent, str)
+    kind = get_agent_class(agent) if is_named else type(agent)
+    if not issubclass(kind, OfflineAgent):
+        known = ", ".join(list_offline_agents())
+        raise AgentSettingsError("agent", agent, f"one that learns from a data set ({known}), or leave data= out")
+    chosen = replace_settings(get_recipe(agent, recipe), settings or {}) if is_named else agent.settings
+    found: OfflineData = resolve_name(DOOR)(data) if isinstance(data, (str, os.PathLike)) else data
+    options = agent.startswith(SMDP_PREFIX) if is_named else found.level == "decisions"
+    if options and kind.reads_both:
+        raise AgentSettingsError("agent", agent, f"{kind.name}: it acts by primitives, and reads the decisions too")
+    env = found.make_env(options, chosen.gamma) if env is None else env
+    primitives = None if options else found.read_primitives()
+    if primitives is None or kind.reads_both:
+        decisions = found.read_decisions(chosen.gamma)
+    else:
+        decisions = primitives.as_decisions(chosen.gamma, env.action_space.n)
+    shown, width = decisions.observation.shape[1:], decisions.mask.shape[1]
+    if shown != env.observation_space.shape or (width != env.action_space.n and not kind.reads_both):
+        raise AgentSettingsError("env", str(env), f"one with observations of the shape {shown} and {width} actions, as "
+                                 "in the data set")
+    count = int(decisions.duration.sum())
+    return Material(found, env, decisions, primitives if kind.reads_both else None, chosen.passes * count)
+
+
+class OfflineRun(Run):
+    """A run whose unit is some updates from a data set.
+
+    Args:
+        agent: a new agent.
+        arguments: arguments of the run; see `train`.
+        material: what it learns from.
+    """
+
+    agent: OfflineAgent
+
+    def __init__(self, agent: Any, arguments: RunArguments, material: Material) -> None:
+        super().__init__(agent, material.env, material.env, arguments)
+        data = material.data
+        self._identity = dict(data.identity)
+        agent.begin(material.decisions, material.primitives)
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The data set beside the environment of evaluations."""
+        return super().identity | {"data": self._identity}
+
+    @property
+    def is_over(self) -> bool:
+        """True also once a further sweep would change nothing."""
+        return super().is_over or self.agent.is_fitted
+
+    def run_unit(self, report: Reporter) -> dict[str, Any]:
+        """Make some updates; returns their row of the log."""
+        started, before = time.perf_counter(), self.primitives
+        sums: dict[str, float] = {}
+        count = 0
+        for _ in range(SEGMENT_UPDATES):
+            metrics, decisions, primitives = self.agent.update()
+            self.primitives, self.decisions, count = self.primitives + primitives, self.decisions + decisions, count + 1
+            for name, value in metrics.items():
+                sums[name] = sums.get(name, 0.0) + value
+            report(self.primitives, self.describe_returns())
+            if self.is_over or self.agent.is_table:
+                break
+        seconds = time.perf_counter() - started
+        self.seconds += seconds
+        row = {"kind": "segment", "primitives": self.primitives, "decisions": self.decisions, "train/episodes": 0,
+               "train/successes": 0, "train/return": None, "train/length": None,
+               **{f"train/{name}": total / count for name, total in sums.items()}, "time/seconds": self.seconds,
+               "time/primitives_per_second": (self.primitives - before) / max(seconds, 1e-9)}
+        self.segments.append(cast("SegmentRecord", read_row(row)))
+        return row

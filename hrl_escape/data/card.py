@@ -1,0 +1,88 @@
+"""Cards of data sets: what one is, how it was made, its scores beside their references, and a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from hrl_escape.agents.components.offline import OPTION_ENDINGS
+from hrl_escape.data.catalogue import KINDS
+from hrl_escape.data.tape import Tape
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.map_axes import Trajectory, draw_room
+from hrl_escape.env.drawing.meshes import compute_extent
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.noise import draw_episode
+from hrl_escape.figures import STYLE, save_figure
+
+__all__ = ["describe", "draw_card", "save_card"]
+
+DRAWN = 4
+"""Episodes in the picture."""
+
+
+def describe(tape: Tape) -> dict[str, Any]:
+    """The card as JSON values."""
+    about, durations = tape.about, tape.duration
+    counts = np.bincount(tape.ended, minlength=len(OPTION_ENDINGS))
+    return {
+        "name": about["name"],
+        "behaviour": KINDS.get(about["kind"], about["kind"]),
+        "rooms": about["rooms"],
+        "actions": ", ".join(about["actions"]),
+        "primitives": len(tape.action),
+        "decisions": len(tape.option),
+        "episodes": len(tape.room),
+        "duration": f"{durations.mean():.1f} primitives a decision, at most {durations.max()}",
+        "endings": {name: int(count) for name, count in zip(OPTION_ENDINGS, counts, strict=True) if count},
+        "scores": {name: round(value, 3) for name, value in about["scores"].items()},
+        "references": "chance and best_known are mean returns in the first test rooms (reference_rooms): of random "
+                      "legal options, and of the best known escapes",
+        "engine": f"{about['engine']}, {about['dynamics']}, recorded with hrl_escape {about['package']}",
+        "made_by": about["command"],
+        "digest": tape.digest,
+    }
+
+
+def draw_card(tape: Tape) -> Figure:
+    """Paths of the first episodes in the first room, and the durations of all decisions."""
+    room = tape.rooms[int(tape.room[0])]
+    numbers = np.flatnonzero(tape.room == tape.room[0])[:DRAWN]
+    paths = [_replay(tape, int(number)) for number in numbers]
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(8.4, 4.2), facecolor=palette.BACKGROUND, layout="constrained")
+        axes, bars = figure.subplots(1, 2, width_ratios=(1.15, 1))
+        x_min, x_max, y_min, y_max = compute_extent(room)
+        axes.set(xlim=(x_min - 2, x_max + 2), ylim=(y_min - 2, y_max + 2), aspect="equal")
+        axes.set_axis_off()
+        draw_room(axes, room, paths[0][0], [
+            Trajectory(np.array([(state.x, state.y) for state in path]), f"episode {n + 1}")
+            for n, path in enumerate(paths)])
+        figure.suptitle(f"{tape.about['name']}: {len(paths)} episodes in the first room; all decisions", fontsize=10)
+        edges = np.arange(0.5, float(np.quantile(tape.duration, 0.99)) + 1.5)
+        bars.hist(np.minimum(tape.duration, edges[-1] - 0.5), bins=edges, color=palette.LINES[0])  # type: ignore[arg-type]
+        bars.set(xlabel="primitives a decision (the longest 1 % at the right)", ylabel="decisions")
+        for side in ("top", "right"):
+            bars.spines[side].set_visible(False)
+    return figure
+
+
+def save_card(path: str | Path, tape: Tape) -> None:
+    """Write the picture; the same bytes every time."""
+    save_figure(path, draw_card(tape))
+
+
+def _replay(tape: Tape, number: int) -> list[RoomState]:
+    """States of an episode."""
+    rules = Kinematics(tape.rooms[int(tape.room[number])])
+    begins = np.concatenate([[0], np.cumsum(tape.decisions, dtype=np.int64)])
+    at = np.concatenate([[0], np.cumsum(tape.duration, dtype=np.int64)])
+    start, key = draw_episode(int(tape.episode_seed[number]), 0, len(rules.instance.starts))
+    states = [rules.make_state(rules.instance.starts[start], key)]
+    for action in tape.action[at[begins[number]] : at[begins[number + 1]]].tolist():
+        states.append(rules.step(states[-1], action).state)
+    return states

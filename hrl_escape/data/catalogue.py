@@ -1,0 +1,97 @@
+"""Catalogue of data sets, data only: eight rungs of `ladder-1`, six kinds of behaviour, three sizes.
+
+`lattice-play-v1` has 10^5 primitives and comes with the package, `lattice-play-1m-v1` has 10^6 and
+`lattice-play-10m-v1` 10^7; `hrl-escape data make NAME` records what does not come with it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from importlib.resources import files
+from pathlib import Path
+
+from hrl_escape.errors import FileReadError, UnknownNameError
+
+__all__ = ["BENCHMARK", "FOLDER", "KINDS", "RUNGS", "DataSpec", "find_tape", "list_specs", "parse_spec"]
+
+BENCHMARK = "ladder-1"
+RUNGS = ("pair", "chain", "lattice-5", "lattice", "clutter", "code", "freight", "reach")
+KINDS = {
+    "play": "legal options, drawn uniformly",
+    "noisy": "the same with options of which one in five fails at its start",
+    "expert": "the planner's order of options",
+    "medium": "a learner stopped at half of the planner's efficiency, one choice in ten at random",
+    "stitch": "play cut after one or two decisions, so that no trajectory goes all the way",
+    "explore": "primitives, drawn uniformly",
+}
+SIZES = {"": 100_000, "1m": 1_000_000, "10m": 10_000_000}
+FOLDER = Path("data")
+"""Folder that recorded tapes go to, and are looked for in."""
+_SHIPPED = Path(str(files("hrl_escape.data") / "tapes"))
+_FORM = re.compile(rf"(?P<rung>.+)-(?P<kind>{'|'.join(KINDS)})(?:-(?P<size>1m|10m))?-v1")
+
+
+@dataclasses.dataclass(frozen=True)
+class DataSpec:
+    """Data set of the catalogue.
+
+    Attributes:
+        rung: of `ladder-1`.
+        kind: of `KINDS`.
+        size: of `SIZES`.
+    """
+
+    rung: str
+    kind: str
+    size: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name, such as `lattice-play-v1`."""
+        return "-".join(part for part in (self.rung, self.kind, self.size, "v1") if part)
+
+    @property
+    def primitives(self) -> int:
+        """Primitives in it, at least."""
+        return SIZES[self.size]
+
+    def list_rooms(self, primitives: int) -> str:
+        """Rooms for so many primitives, the first of the rung's training set: one for every 1,000, at most 250."""
+        return f"{BENCHMARK}/{self.rung}/train[:{max(1, min(primitives // 1000, 250))}]"
+
+
+def list_specs() -> tuple[DataSpec, ...]:
+    """All data sets of the catalogue, small ones first."""
+    return tuple(DataSpec(rung, kind, size) for size in SIZES for rung in RUNGS for kind in KINDS)
+
+
+def parse_spec(name: str) -> DataSpec:
+    """The data set of a name.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    form = _FORM.fullmatch(name)
+    if form is None or form["rung"] not in RUNGS:
+        raise UnknownNameError("data set", name, [spec.name for spec in list_specs()])
+    return DataSpec(form["rung"], form["kind"], form["size"] or "")
+
+
+def find_tape(name: str | Path) -> Path:
+    """File of a data set: a path that ends in `.npz`, one that comes with the package, or one in `data/`.
+
+    Raises:
+        UnknownNameError: the catalogue has no such name.
+        FileReadError: it has not been recorded; the message says how.
+    """
+    if isinstance(name, Path) or name.endswith(".npz"):
+        return Path(name)
+    own = FOLDER / f"{name}.npz"
+    if re.fullmatch(r"[\w.-]+", name) and own.is_file():
+        return own
+    spec = parse_spec(name)
+    shipped = _SHIPPED / f"{spec.name}.npz"
+    if shipped.is_file():
+        return shipped
+    raise FileReadError(f"{spec.name} has not been recorded here: hrl-escape data make {spec.name}")

@@ -1,0 +1,136 @@
+"""Data sets in the forms of others: torch's tensors, Minari's sets (Younis et al. 2024), OGBench's files (Park et al.).
+
+Minari gets two sets of the same episodes, of primitives and of decisions; a decision's `infos` hold its duration,
+discount and discounted reward beside the legal actions, under the same keys at the first state, where nothing ran.
+OGBench gets a training file and one of every tenth trajectory for validation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hrl_escape.agents.components.offline import Decisions, Primitives
+from hrl_escape.data.materialise import DataSet, Level
+from hrl_escape.errors import MissingExtraError, UnsupportedError
+from hrl_escape.files import atomic_writer
+
+__all__ = ["to_minari", "to_ogbench", "to_torch"]
+
+VALIDATION = 10
+"""One trajectory in this many is for validation."""
+
+
+def to_torch(data: Decisions | Primitives) -> Any:
+    """The same with tensors in place of arrays; memory is shared where it can be."""
+    import torch
+
+    kind: Any = type(data)
+    return kind(*(torch.from_numpy(np.ascontiguousarray(field)) for field in data))
+
+
+def iterate_trajectories(data: DataSet, level: Level | None = None) -> Iterator[Any]:
+    """Yield each trajectory as `Decisions` or `Primitives` of its own, holding one block at a time."""
+    for block in data.blocks(level):
+        kind: Any = type(block)
+        ends = np.flatnonzero(block.last) + 1
+        for begin, end in zip([0, *ends[:-1]], ends, strict=True):
+            yield kind(*(field[begin:end] for field in block))
+
+
+def to_minari(data: DataSet, namespace: str = "hrl_escape") -> tuple[Any, Any]:
+    """Write two sets into Minari's folder, `NAMESPACE/RUNG/KIND-primitives-v1` and `-decisions-v1`; returns both.
+
+    Their environments are `hrl_escape/Ladder-v1` over the rooms of the tape, and over its test rooms for evaluation.
+    The scores of reference are chance over options and the best known return.
+
+    Raises:
+        MissingExtraError: Minari is not installed.
+        UnsupportedError: the rooms are no rung's, so that no id makes them again.
+    """
+    try:
+        import minari  # pyright: ignore[reportMissingImports]  # an extra
+        from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise MissingExtraError("minari", "data", "export to Minari") from error
+    if data.tape.rooms.place is None:
+        raise UnsupportedError(f"{data.name} has rooms of no rung, so that no id makes its environment again: export "
+                               "it to OGBench's files or to tensors")
+    place = f"{namespace}/{data.tape.rooms.place['rung']}/{data.tape.about['kind']}"
+    made: list[Any] = []
+    levels: tuple[Level, ...] = ("primitives", "decisions")
+    for level in levels:
+        options: Any = {"include_primitives": data.tape.primitive_count > 0} if level == "decisions" and len(
+            data.tape.about["actions"]) > data.tape.primitive_count else False
+        env, test = (rooms.make_env(options, observation=data.observation)
+                     for rooms in (data.tape.rooms, data.test_rooms))
+        scores = data.tape.about["scores"]
+        buffers = [_make_buffer(EpisodeBuffer, number, part, data)
+                   for number, part in enumerate(iterate_trajectories(data, level))]
+        made.append(minari.create_dataset_from_buffers(
+            f"{place}-{level}-v1", buffers, env=env.spec, eval_env=test.spec, algorithm_name=data.tape.about["kind"],
+            author="hrl-escape", author_email="none@example.org", code_permalink=data.tape.about["command"],
+            description=f"{data.name}, {level} of the same trajectories; tape {data.tape.digest}",
+            ref_min_score=scores.get("chance"), ref_max_score=scores.get("best_known"),
+            num_episodes_average_score=20, observation_space=env.observation_space, action_space=env.action_space,
+            requirements=["hrl-escape"]))
+        env.close()
+        test.close()
+    return made[0], made[1]
+
+
+def _make_buffer(kind: Any, number: int, part: Any, data: DataSet) -> Any:
+    """Buffer of one trajectory: a row more of observations and infos than of actions."""
+    observations = np.concatenate([part.observation, part.next_observation[-1:]])
+    over, last = part.terminated, part.last
+    if isinstance(part, Primitives):
+        infos = {"option": np.concatenate([[-1], part.option]), "begins": np.concatenate([[False], part.begins])}
+        rewards = part.reward
+    else:
+        rewards = part.summed_reward
+        infos = {
+            "duration": np.concatenate([[0], part.duration]), "discount": np.concatenate([[1.0], part.discount]),
+            "discounted_reward": np.concatenate([[0.0], part.reward]),
+            "action_mask": np.concatenate([part.mask, part.next_mask[-1:]]).astype(np.int8),
+            "ended": np.concatenate([[-1], part.ended]),
+        }
+    return kind(id=number, observations=observations, actions=part.action, rewards=rewards.tolist(),
+                terminations=over.tolist(), truncations=(last & ~over).tolist(), infos=infos)
+
+
+def to_ogbench(data: DataSet, folder: str | PathLike[str]) -> tuple[Path, Path]:
+    """Write `NAME.npz` and `NAME-val.npz` as OGBench's loader reads them; returns the two paths.
+
+    Every trajectory has a row a state: float32 `observations`, `actions`, and `terminals`, 1 in its last row, whose
+    action is none. Beside these are `rewards`, `masks` (0 where the task ended, 1 where it was cut), and, of decisions,
+    `durations`, `discounts` and `action_masks`.
+    """
+    split: list[dict[str, list[Any]]] = [{}, {}]
+    for number, part in enumerate(iterate_trajectories(data)):
+        rows = _make_rows(part)
+        for name, values in rows.items():
+            split[number % VALIDATION == VALIDATION - 1].setdefault(name, []).append(values)
+    paths = Path(folder) / f"{data.name}.npz", Path(folder) / f"{data.name}-val.npz"
+    for path, parts in zip(paths, split, strict=True):
+        arrays = {name: np.concatenate(values) for name, values in parts.items()}
+        with atomic_writer(path) as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)  # pyright: ignore[reportArgumentType]
+    return paths
+
+
+def _make_rows(part: Any) -> dict[str, Any]:
+    """Arrays of one trajectory, a row a state."""
+    count = len(part.action)
+    observations = np.concatenate([part.observation, part.next_observation[-1:]])
+    rows = {"observations": observations.reshape(count + 1, -1), "actions": np.append(part.action, 0),
+            "terminals": np.arange(count + 1) == count, "rewards": np.append(part.reward, 0.0),
+            "masks": np.append(~part.terminated, True)}
+    if isinstance(part, Decisions):
+        rows |= {"durations": np.append(part.duration, 0), "discounts": np.append(part.discount, 1.0),
+                 "action_masks": np.concatenate([part.mask, part.next_mask[-1:]])}
+    return {name: np.asarray(values, np.float32) for name, values in rows.items()}
+

@@ -1,0 +1,311 @@
+"""Tapes replayed into observations, rewards and masks: `load_data`, block by block.
+
+The replay is the engine's own kinematics, episode by episode from its seed, so that what comes out is what the agent
+saw, to the bit. It never holds more than one block beside the tape, unless all of it is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.components.offline import Decisions, Primitives
+from hrl_escape.data.catalogue import find_tape
+from hrl_escape.data.tape import ENDS, Tape, load_tape
+from hrl_escape.env.engine import make_engine, make_renderer
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.noise import draw_episode
+from hrl_escape.env.observations.base import get_observation, make_observer
+from hrl_escape.errors import ConfigError, FileReadError
+from hrl_escape.ladder.instance_set import InstanceSet
+
+__all__ = ["DataSet", "load_data"]
+
+Level = Literal["primitives", "decisions"]
+BLOCK = 65_536
+"""Primitives in a block, at least; an episode is never cut in two."""
+
+
+class _Episode(NamedTuple):
+    """Places of an episode in the tape's arrays: its number, and slices of its decisions and primitives."""
+
+    number: int
+    decisions: slice
+    primitives: slice
+
+
+class DataSet:
+    """A tape, and what is to be read from it.
+
+        data = load_data("lattice-play-v1")
+        decisions = data.read_decisions(gamma=0.99)
+        for block in data.blocks("primitives"):
+            ...
+
+    Args:
+        tape: the tape.
+        observation: by name, as of `EscapeRoomEnv`.
+        level: what `read` and `blocks` give by default.
+        gamma: discount per primitive, likewise.
+        rooms: set of the rung that `make_env` tests in.
+
+    Attributes:
+        tape: the tape.
+        observation: name of the observation.
+        level: `decisions` or `primitives`.
+        gamma: discount per primitive.
+    """
+
+    def __init__(self, tape: Tape, observation: str = "objects", level: Level = "decisions", gamma: float = 0.99,
+                 rooms: str = "test") -> None:
+        if level not in ("decisions", "primitives"):
+            raise ConfigError("level", level, "'decisions' or 'primitives'")
+        if not 0.0 <= gamma <= 1.0:
+            raise ConfigError("gamma", gamma, "a number from 0 to 1")
+        self.tape, self.observation, self.level, self.gamma, self._rooms = tape, observation, level, gamma, rooms
+        self._vector = get_observation(observation).is_vector
+
+    def __repr__(self) -> str:
+        return f"<DataSet of {self.tape!r}: {self.observation}, {self.level}>"
+
+    def __len__(self) -> int:
+        return len(self.tape.option if self.level == "decisions" else self.tape.action)
+
+    def _repr_svg_(self) -> str:
+        return self.tape.rooms[: min(4, len(self.tape.rooms))]._repr_svg_()
+
+    @property
+    def name(self) -> str:
+        """Name of the data set."""
+        return self.tape.about["name"]
+
+    @property
+    def identity(self) -> Mapping[str, Any]:
+        """Name, content hash and observation."""
+        return {"name": self.name, "digest": self.tape.digest, "observation": self.observation}
+
+    @property
+    def test_rooms(self) -> InstanceSet:
+        """Rooms to be tested in: another set of the rung; those of the tape where it is of no rung."""
+        place = self.tape.rooms.place
+        if place is None or self._rooms == "own":
+            return self.tape.rooms
+        from hrl_escape.ladder.benchmark import load_benchmark
+
+        return load_benchmark(place["benchmark"])[place["rung"]].sets[self._rooms]
+
+    def make_env(self, options: bool, gamma: float) -> gymnasium.Env:
+        """Make the environment to be tested in, with the actions of the decisions, or of the primitives."""
+        has_options = options and len(self.tape.about["actions"]) > self.tape.primitive_count
+        given: Any = {"include_primitives": self.tape.primitive_count > 0, "discount": gamma} if has_options else False
+        return self.test_rooms.make_env(given, observation=self.observation)
+
+    # --- reading -------------------------------------------------------------------------
+
+    def read(self) -> Decisions | Primitives:
+        """All of the level, in memory."""
+        return self.read_decisions(self.gamma) if self.level == "decisions" else self.read_primitives()
+
+    def read_decisions(self, gamma: float) -> Decisions:
+        """All decisions, in memory, with rewards discounted by gamma."""
+        return _join(Decisions, list(self.blocks("decisions", gamma)))
+
+    def read_primitives(self) -> Primitives:
+        """All primitives, in memory."""
+        return _join(Primitives, list(self.blocks("primitives")))
+
+    def blocks(self, level: Level | None = None, gamma: float | None = None, size: int = BLOCK
+               ) -> Iterator[Any]:
+        """Yield the data in blocks of whole episodes, in order, each `Decisions` or `Primitives`.
+
+        Args:
+            level: `decisions` or `primitives`.
+            gamma: discount per primitive.
+            size: least primitives of a block but the last.
+        """
+        every, gamma = (level or self.level) == "primitives", self.gamma if gamma is None else gamma
+        make = self._make_primitives if every else self._make_decisions
+        player: _Player | None = None
+        gathered: list[_Episode] = []
+        seen: list[NDArray[Any]] = []
+        rewards: list[float] = []
+        for episode in self._episodes:
+            room = int(self.tape.room[episode.number])
+            if player is None or player.index != room:
+                player = _Player(room, self.tape.rooms[room], self.observation, self._vector)
+            self._replay(player, episode, every, seen, rewards)
+            gathered.append(episode)
+            if len(rewards) >= size:
+                yield make(gathered, seen, rewards, gamma)
+                gathered, seen, rewards = [], [], []
+        if gathered:
+            yield make(gathered, seen, rewards, gamma)
+
+    @cached_property
+    def _episodes(self) -> list[_Episode]:
+        first = np.concatenate([[0], np.cumsum(self.tape.decisions, dtype=np.int64)])
+        at = np.concatenate([[0], np.cumsum(self.tape.duration, dtype=np.int64)])
+        return [_Episode(n, slice(int(i), int(j)), slice(int(at[i]), int(at[j])))
+                for n, (i, j) in enumerate(zip(first[:-1], first[1:], strict=True))]
+
+    def _replay(self, player: _Player, episode: _Episode, every: bool, seen: list[NDArray[Any]], rewards: list[float]
+                ) -> None:
+        """Append the rewards of an episode, and the observations of its states; of every one, or where decisions begin.
+
+        Raises:
+            FileReadError: the episode does not end as it was recorded.
+        """
+        durations = self.tape.duration[episode.decisions].tolist()
+        actions = self.tape.action[episode.primitives].tolist()
+        state = player.begin(int(self.tape.episode_seed[episode.number]))
+        seen.append(player.observe(state))
+        step, observe, at, end = player.rules.step, player.observe, 0, 0
+        for duration in durations:
+            for action in actions[at : at + duration]:
+                if end:
+                    break
+                state, reward, terminated, truncated, _ = step(state, action)
+                rewards.append(reward)
+                if every:
+                    seen.append(observe(state))
+                end = 1 if terminated else 2 if truncated else 0
+            at += duration
+            if not every:
+                seen.append(observe(state))
+        if end != self.tape.end[episode.number] or (end and at != state.primitives):
+            raise FileReadError(f"tape {self.name}: episode {episode.number} ends {ENDS[end]} after {state.primitives} "
+                                f"primitives and was recorded as {ENDS[self.tape.end[episode.number]]} after {at}; "
+                                "other rules recorded it")
+
+    def _make_decisions(self, episodes: list[_Episode], seen: list[NDArray[Any]], rewards: list[float], gamma: float
+                        ) -> Decisions:
+        tape, rows, after = self.tape, _cover(episodes), _skip_last([len(_range(e.decisions)) for e in episodes])
+        duration = tape.duration[rows].astype(np.int64)
+        discounted, summed = _discount(np.array(rewards), duration, gamma)
+        powers = np.array([gamma**k for k in range(int(duration.max()) + 1)])
+        observation = np.array(seen)
+        first = rows.start + episodes[0].number
+        legal = tape.legal[first : first + len(seen)]
+        bits = np.arange(len(tape.about["actions"]), dtype=np.uint64)
+        mask = (legal[:, None] >> bits & np.uint64(1)).astype(np.bool_)
+        terminated, last, trajectory = self._find_ends(episodes, rows)
+        return Decisions(observation[after], tape.option[rows].astype(np.int64), mask[after], discounted, summed,
+                         duration, powers[duration], observation[after + 1], mask[after + 1], terminated, last,
+                         trajectory, tape.ended[rows].astype(np.int64))
+
+    def _make_primitives(self, episodes: list[_Episode], seen: list[NDArray[Any]], rewards: list[float], gamma: float
+                         ) -> Primitives:
+        del gamma
+        tape, rows, after = self.tape, _cover(episodes), _skip_last([len(_range(e.primitives)) for e in episodes])
+        duration = tape.duration[rows].astype(np.int64)
+        ends, count = np.cumsum(duration), len(rewards)
+        terminated, last, trajectory = self._find_ends(episodes, rows)
+        at_end = [np.zeros(count, np.bool_) for _ in range(3)]
+        for flags, values in zip(at_end, (terminated, last, np.ones_like(last)), strict=True):
+            flags[ends - 1] = values
+        observation = np.array(seen)
+        begins = np.zeros(count, np.bool_)
+        begins[ends - duration] = True
+        return Primitives(observation[after], tape.action[episodes[0].primitives.start : episodes[-1].primitives.stop]
+                          .astype(np.int64), np.array(rewards), observation[after + 1], at_end[0], at_end[1],
+                          np.repeat(trajectory, duration), np.repeat(tape.option[rows].astype(np.int64), duration),
+                          begins)
+
+    def _find_ends(self, episodes: list[_Episode], rows: slice
+                   ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
+        """Flags of the decisions that terminate and that are a trajectory's last, and the number of the trajectory."""
+        tape = self.tape
+        finals = np.array([episode.decisions.stop - 1 for episode in episodes]) - rows.start
+        terminated = np.zeros(rows.stop - rows.start, np.bool_)
+        terminated[finals] = tape.end[episodes[0].number : episodes[-1].number + 1] == 1
+        last = tape.cut[rows] != 0
+        last[finals] = True
+        return terminated, last, self._trajectories[rows]
+
+    @cached_property
+    def _trajectories(self) -> NDArray[np.int64]:
+        last = self.tape.cut != 0
+        last[np.cumsum(self.tape.decisions) - 1] = True
+        return np.concatenate([[0], np.cumsum(last)[:-1]]).astype(np.int64)
+
+
+class _Player:
+    """Replays in one room."""
+
+    def __init__(self, index: int, room: RoomInstance, observation: str, is_vector: bool) -> None:
+        self.index, self._room, self.rules = index, room, Kinematics(room)
+        self._engine = None if is_vector else make_engine(room)  # pictures are taken in it
+        renderer = None if self._engine is None else make_renderer(self._engine)
+        self._observe = make_observer(observation, self.rules, renderer).observe
+        if is_vector:
+            self.observe = self._observe
+
+    def begin(self, seed: int) -> RoomState:
+        """First state of the episode of a seed."""
+        number, key = draw_episode(seed, 0, len(self._room.starts))
+        return self.rules.make_state(self._room.starts[number], key)
+
+    def observe(self, state: RoomState) -> NDArray[Any]:
+        """Observation of a state."""
+        if self._engine is not None:
+            self._engine.set_state(state)
+        return self._observe(state)
+
+
+def load_data(name: str | PathLike[str] | Tape, observation: str = "objects", level: Level = "decisions",
+              gamma: float = 0.99, rooms: str = "test") -> DataSet:
+    """Open a data set.
+
+    Args:
+        name: of the catalogue, the path of a tape, or a tape.
+        observation: by name, as of `EscapeRoomEnv`.
+        level: `decisions` or `primitives`.
+        gamma: discount per primitive.
+        rooms: set of the rung that agents are tested in; `own` for the rooms of the tape.
+
+    Raises:
+        UnknownNameError: no such data set or observation.
+        FileReadError: it has not been recorded, or the tape is damaged or of another engine.
+    """
+    tape = name if isinstance(name, Tape) else load_tape(find_tape(name if isinstance(name, str) else Path(name)))
+    return DataSet(tape, observation, level, gamma, rooms)
+
+
+def _discount(rewards: NDArray[np.float64], duration: NDArray[np.int64], gamma: float
+              ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Discounted and plain sums of the rewards of each decision, in the order of sums of `OptionsEnv`."""
+    begin = np.cumsum(duration) - duration
+    discounted, summed = np.zeros(len(duration)), np.zeros(len(duration))
+    for place in range(int(duration.max())):
+        rows = duration > place
+        summed[rows] += rewards[begin[rows] + place]
+        back = duration[rows] - 1 - place
+        discounted[rows] = rewards[begin[rows] + back] + gamma * discounted[rows]
+    return discounted, summed
+
+
+def _range(part: slice) -> range:
+    return range(part.start, part.stop)
+
+
+def _cover(episodes: list[_Episode]) -> slice:
+    """Decisions of neighbouring episodes."""
+    return slice(episodes[0].decisions.start, episodes[-1].decisions.stop)
+
+
+def _skip_last(counts: list[int]) -> NDArray[np.int64]:
+    """Places of all states but each episode's last, where an episode of n steps shows n + 1 states."""
+    steps = np.arange(sum(counts))
+    return steps + np.repeat(np.arange(len(counts)), counts)
+
+
+def _join(kind: Any, blocks: list[Any]) -> Any:
+    return kind(*(np.concatenate(fields) for fields in zip(*blocks, strict=True)))

@@ -1,0 +1,332 @@
+"""Recording of tapes: six kinds of behaviour in the training rooms of a rung; a killed recording goes on.
+
+An episode's seed, and every draw of its policy, follow from the data set's name, the room and the number of the
+episode in it, so that the same command gives the same episodes wherever it runs and however often it was stopped.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.components.exploration import sample_legal
+from hrl_escape.agents.components.offline import OPTION_ENDINGS
+from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.training.progress import show_progress
+from hrl_escape.agents.training.results import EpisodeRecord
+from hrl_escape.agents.training.train import train
+from hrl_escape.data.catalogue import BENCHMARK, DataSpec
+from hrl_escape.data.materialise import load_data
+from hrl_escape.data.tape import DYNAMICS, FIELDS, FORMAT, Tape, load_tape, save_tape
+from hrl_escape.errors import PlanningFailed
+from hrl_escape.ladder.hidden import derive_seed
+from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.options.degraded import OptionDegradation
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.best_known import find_best_known, list_start_states
+from hrl_escape.planning.planner import get_planner
+from hrl_escape.version import __version__
+
+__all__ = ["ActionLog", "TapeWriter", "measure_references", "record"]
+
+FAILURE = 0.2
+"""Probability that an option of `noisy` fails at its start."""
+RANDOM_SHARE = 0.1
+"""Share of random choices in `medium`."""
+MEDIUM_PRIMITIVES, MEDIUM_ROOMS, MEDIUM_EPISODES = 40_000, 20, 40
+"""Most primitives that `medium` is trained for, its rooms, and the episodes over which its efficiency is a mean."""
+REFERENCE_ROOMS = 20
+SAVE_SECONDS = 20.0
+
+Chooser: TypeAlias = Callable[[Any, NDArray[np.bool_], np.random.Generator, bool], int]
+"""(observation, legal actions, generator, whether the episode begins) -> action."""
+
+
+class ActionLog(gymnasium.Wrapper):
+    """Keeps the primitives that pass through it, below an `OptionsEnv`.
+
+    Attributes:
+        actions: primitives since the list was emptied.
+    """
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        super().__init__(env)
+        self.actions: list[int] = []
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Note the primitive and pass it on."""
+        self.actions.append(int(action))
+        return self.env.step(action)
+
+
+class TapeWriter:
+    """Episodes as they are recorded, and the tape of them; begins with those of another tape where one is given."""
+
+    def __init__(self, done: Tape | None = None) -> None:
+        self._lists: dict[str, list[Any]] = {
+            field.name: [] if done is None else getattr(done, field.name).tolist()
+            for field in dataclasses.fields(Tape) if field.name != "about"}
+
+    def __len__(self) -> int:
+        return len(self._lists["action"])
+
+    def count_in(self, room: int) -> tuple[int, int]:
+        """Episodes, and primitives, recorded in a room; it is the one recorded last, or none has been."""
+        episodes = 0
+        while episodes < len(self._lists["room"]) and self._lists["room"][-1 - episodes] == room:
+            episodes += 1
+        decisions = sum(self._lists["decisions"][len(self._lists["room"]) - episodes :])
+        return episodes, sum(self._lists["duration"][len(self._lists["duration"]) - decisions :])
+
+    @property
+    def last_room(self) -> int:
+        """Room of the last episode, 0 before the first."""
+        return self._lists["room"][-1] if self._lists["room"] else 0
+
+    def add_decision(self, action: int, legal: NDArray[Any], primitives: list[int], ended: str, policy: int = 0,
+                     cut: bool = False) -> None:
+        """Add a decision that has ended."""
+        row = {"option": action, "duration": len(primitives), "policy": policy, "ended": OPTION_ENDINGS.index(ended),
+               "cut": int(cut), "legal": pack_mask(legal)}
+        for name, value in row.items():
+            self._lists[name].append(value)
+        self._lists["action"].extend(primitives)
+
+    def end_episode(self, seed: int, room: int, decisions: int, legal: NDArray[Any], end: int) -> None:
+        """Add the episode whose decisions were added last; see `Tape`."""
+        row = {"episode_seed": seed, "room": room, "decisions": decisions, "end": end, "legal": pack_mask(legal)}
+        for name, value in row.items():
+            self._lists[name].append(value)
+
+    def make_tape(self, about: Mapping[str, Any]) -> Tape:
+        """The tape of all episodes so far."""
+        return Tape(about, **{name: np.array(self._lists[name], dtype) for name, dtype in FIELDS.items()})
+
+
+def pack_mask(legal: NDArray[Any]) -> int:
+    """Legal actions as bits."""
+    return sum(1 << int(action) for action in np.flatnonzero(legal))
+
+
+def make_about(name: str, kind: str, rooms_text: str, rooms: InstanceSet, env: gymnasium.Env, command: str
+               ) -> dict[str, Any]:
+    """What a tape says of itself, without its scores."""
+    inner: Any = env.unwrapped
+    names = inner.instance.robot.actions.names
+    actions, count = (env.action_names, env.primitive_count) if isinstance(env, OptionsEnv) else (names, len(names))
+    return {"format": FORMAT, "name": name, "kind": kind, "rooms": rooms_text, "rooms_id": rooms.describe()["id"],
+            "engine": "bullet", "dynamics": DYNAMICS, "package": __version__, "command": command,
+            "actions": list(actions), "primitive_count": count,
+            "policies": [kind], "scores": {}}
+
+
+def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progress: bool | None = None) -> Tape:
+    """Record a data set of the catalogue, and write its tape.
+
+    Args:
+        spec: the data set.
+        path: file to write; what there is so far is beside it, ending in `.part`, until the tape is whole.
+        primitives: another number than the name says, for trials.
+        progress: show a progress line; by default on a terminal only.
+    """
+    total, part = primitives or spec.primitives, path.with_suffix(".part")
+    rooms = parse_room_set(text := spec.list_rooms(total))
+    share = -(-total // len(rooms))
+    env, log, choose = _make_behaviour(spec, rooms, path.with_suffix(".medium"))
+    about = make_about(spec.name, spec.kind, text, rooms, env, f"hrl-escape data make {spec.name}")
+    begun = load_tape(part) if part.is_file() else None
+    writer = TapeWriter(begun if begun is not None and begun.about == about else None)
+    saved = time.monotonic()
+    with show_progress(spec.name, share * len(rooms), len(writer), progress) as report:
+        for room in range(writer.last_room, len(rooms)):
+            episode, done = writer.count_in(room)
+            while done < share:
+                seed = derive_seed("data", spec.name, str(room), episode)
+                done += _record_episode(writer, env, log, choose, spec.kind, seed, room, share - done)
+                episode += 1
+                report(len(writer), f"room {room + 1} of {len(rooms)}")
+                if time.monotonic() - saved > SAVE_SECONDS:
+                    save_tape(part, writer.make_tape(about))
+                    saved = time.monotonic()
+    env.close()
+    tape = writer.make_tape(about)
+    scores = _measure(tape) | measure_references(spec.rung, min(len(rooms), REFERENCE_ROOMS))
+    tape = dataclasses.replace(tape, about={**about, "scores": scores})
+    save_tape(path, tape)
+    with suppress(FileNotFoundError):
+        part.unlink()
+    return tape
+
+
+def _record_episode(writer: TapeWriter, env: gymnasium.Env, log: ActionLog, choose: Chooser, kind: str, seed: int,
+                    room: int, most: int) -> int:
+    """Record one episode, cut where it reaches `most` primitives; returns how many it ran."""
+    rng = np.random.default_rng(seed)
+    observation, info = env.reset(seed=seed, options={"instance_index": room})
+    count = decisions = end = 0
+    left = int(rng.integers(1, 3))  # decisions of this piece, in `stitch`
+    legal = _read_mask(info, env)
+    while not end and count < most:
+        action = choose(observation, legal, rng, decisions == 0)
+        log.actions.clear()
+        observation, _, terminated, truncated, info = env.step(action)
+        end = 1 if terminated else 2 if truncated else 0
+        count, decisions, left = count + len(log.actions), decisions + 1, left - 1
+        cuts = kind == "stitch" and left == 0
+        ended = info["option"]["ended"] if "option" in info else "reached"
+        writer.add_decision(action, legal, list(log.actions), ended, cut=cuts)
+        legal = _read_mask(info, env)
+        left = int(rng.integers(1, 3)) if cuts else left
+    writer.end_episode(seed, room, decisions, legal, end)
+    return count
+
+
+def _read_mask(info: Mapping[str, Any], env: gymnasium.Env) -> NDArray[np.bool_]:
+    mask = info.get("action_mask")
+    return np.ones(env.action_space.n, np.bool_) if mask is None else mask != 0  # type: ignore[attr-defined]
+
+
+# --- behaviours ------------------------------------------------------------------------------
+
+
+def _make_behaviour(spec: DataSpec, rooms: InstanceSet, folder: Path) -> tuple[gymnasium.Env, ActionLog, Chooser]:
+    """The environment of a kind, its log of primitives, and its choices."""
+    log = ActionLog(rooms.make_env(observation="objects" if spec.kind == "medium" else "features"))
+    if spec.kind == "explore":
+        return log, log, _choose_any
+    degradation = OptionDegradation(failure=FAILURE) if spec.kind == "noisy" else None
+    env = OptionsEnv(log, degradation, include_primitives=False)
+    if spec.kind == "expert":
+        return env, log, _Expert(env)
+    if spec.kind == "medium":
+        return env, log, _Medium(train_medium(rooms[:MEDIUM_ROOMS], folder))
+    return env, log, _choose_any
+
+
+def _choose_any(observation: Any, legal: NDArray[np.bool_], rng: np.random.Generator, begins: bool) -> int:
+    """Any legal action."""
+    return sample_legal(legal, rng)
+
+
+class _Expert:
+    """The planner's order of options, made anew for each episode; any legal option where it fails."""
+
+    def __init__(self, env: OptionsEnv) -> None:
+        self._env = env
+        self._order: Iterator[Any] = iter(())
+
+    def __call__(self, observation: Any, legal: NDArray[np.bool_], rng: np.random.Generator, begins: bool) -> int:
+        room: Any = self._env.unwrapped
+        if begins:
+            with suppress(PlanningFailed):
+                self._order = iter(get_planner(room.instance).order_goals(room.get_state()))
+        goals = [getattr(option, "goal", None) for option in self._env.options]
+        for goal in self._order:
+            if goal in goals and legal[goals.index(goal)]:
+                return goals.index(goal)
+        return sample_legal(legal, rng)
+
+
+class _Medium:
+    """A trained agent's greedy choice, but for one in ten."""
+
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+
+    def __call__(self, observation: Any, legal: NDArray[np.bool_], rng: np.random.Generator, begins: bool) -> int:
+        if rng.random() < RANDOM_SHARE:
+            return sample_legal(legal, rng)
+        return self._agent.act_greedy(observation, legal, rng)
+
+
+class HalfWay:
+    """Probe that ends a run at half of the best known efficiency, over the latest episodes."""
+
+    def __init__(self, fewest: float) -> None:
+        self._fewest = fewest
+        self._latest: deque[float] = deque(maxlen=MEDIUM_EPISODES)
+        self.is_done = False
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The stopping rule."""
+        return {"until": "half efficiency", "fewest": self._fewest}
+
+    def after_decision(self, agent: Agent, primitives: int) -> None:
+        """Nothing to measure."""
+
+    def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
+        """Look at the episode's length."""
+        self._latest.append(self._fewest / episode.length if episode.success else 0.0)
+        self.is_done = len(self._latest) == MEDIUM_EPISODES and float(np.mean(self._latest)) >= 0.5
+
+    def state_dict(self) -> StateTree:
+        """The latest efficiencies."""
+        return {"latest": list(self._latest)}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Go on where `state_dict` was taken."""
+        self._latest.extend(state["latest"])
+
+
+def train_medium(rooms: InstanceSet, folder: Path) -> Agent:
+    """Train `smdp-dqn` in some rooms until it is half as good as the planner, or its budget is spent."""
+    fewest = float(np.mean([_count_fewest(room) for room in rooms]))
+    env = rooms.make_env({"include_primitives": False}, observation="objects")
+    try:
+        result = train("smdp-dqn", env, primitives=MEDIUM_PRIMITIVES, seed=0, eval_episodes=0, probe=HalfWay(fewest),
+                       settings={"network": "objects"}, out=folder, observed=False)
+        assert result.agent is not None
+        return result.agent
+    finally:
+        env.close()
+
+
+# --- scores ----------------------------------------------------------------------------------
+
+
+def _count_fewest(room: Any) -> float:
+    """Primitives of the best known escape from the room's first start; the horizon where none is known."""
+    return float(find_best_known(room, list_start_states(room)[0]).primitives or room.horizon)
+
+
+@cache
+def measure_references(rung: str, count: int = REFERENCE_ROOMS) -> dict[str, float]:
+    """Mean returns in the first test rooms: of random legal options (`chance`), and the best known (`best_known`)."""
+    rooms = parse_room_set(f"{BENCHMARK}/{rung}/test[:{count}]")
+    best = [find_best_known(room, list_start_states(room)[0]).value for room in rooms]
+    env = rooms.make_env({"include_primitives": False}, observation="features")
+    returns = []
+    for index in range(len(rooms)):
+        rng = np.random.default_rng(index)
+        _, info = env.reset(seed=index, options={"instance_index": index})
+        total, over = 0.0, False
+        while not over:
+            _, reward, terminated, truncated, info = env.step(sample_legal(info["action_mask"] != 0, rng))
+            total, over = total + float(reward), terminated or truncated
+        returns.append(total)
+    env.close()
+    return {"chance": float(np.mean(returns)), "best_known": float(np.mean(best)), "reference_rooms": count}
+
+
+def _measure(tape: Tape) -> dict[str, float]:
+    """Mean return and length of the tape's whole episodes, and the share that escaped."""
+    returns: list[float] = []
+    for block in load_data(tape, observation="features").blocks("decisions"):
+        returns.extend(np.bincount(block.trajectory - block.trajectory[0], block.summed_reward))
+    whole = tape.end[tape.end != 0]
+    return {"trajectories": len(returns), "mean_return": float(np.mean(returns)),
+            "mean_length": len(tape.action) / len(returns), "whole_episodes": len(whole),
+            "escapes": float(np.mean(whole == 1)) if len(whole) else 0.0}

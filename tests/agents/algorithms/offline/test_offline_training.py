@@ -1,0 +1,89 @@
+"""Training from data sets: run folders, resuming, evaluations, and what does not fit is refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from hrl_escape.agents.registry import get_agent_class, list_agents, list_offline_agents
+from hrl_escape.agents.training.train import load_agent, train
+from hrl_escape.data.materialise import load_data
+from hrl_escape.errors import AgentSettingsError, UnsupportedError
+from tests.data.small import make_tape, save_small
+
+NETWORKS = {"values": "network", "hidden": [8], "batch_size": 16}
+SMALL = {"decision-transformer": {**NETWORKS, "width": 4, "layers": 1}}
+
+
+def list_names():
+    return [name if get_agent_class(name).reads_both else f"smdp-{name}" for name in list_offline_agents()]
+
+
+@pytest.mark.parametrize("name", list_names())
+def test_each_agent_learns_goes_on_to_the_same_bits_and_is_loaded_from_its_folder(name, tmp_path, monkeypatch):
+    settings = SMALL.get(name.removeprefix("smdp-"), NETWORKS)
+    data = load_data(make_tape(), observation="objects", rooms="own")
+    arguments = {"data": data, "settings": settings, "eval_every": 2_000, "eval_episodes": 1}
+    whole = train(name, **arguments, primitives=6_000)
+    assert whole.primitives >= 6_000 and whole.segments and len(whole.evaluations) > 2
+    env = data.make_env(name.startswith("smdp-"), 0.99)
+    reset, count = env.reset, [0]
+
+    def reset_or_stop(**given):
+        count[0] += 1
+        if count[0] == 3:  # the evaluation before training, one amid it, and this one
+            raise KeyboardInterrupt
+        return reset(**given)
+
+    monkeypatch.setattr(env, "reset", reset_or_stop)
+    with pytest.raises(KeyboardInterrupt):
+        train(name, env, **arguments, primitives=6_000, out=tmp_path / "run", checkpoint_seconds=0)
+    again = train(name, **arguments, primitives=6_000, out=tmp_path / "run", checkpoint_seconds=0)
+    assert again.evaluations == whole.evaluations
+    loaded = load_agent(tmp_path / "run")
+    observation = data.read_decisions(0.99).observation[0]
+    np.testing.assert_array_equal(loaded.compute_preferences(observation),
+                                  whole.agent.compute_preferences(observation))
+
+
+@pytest.mark.parametrize("name", ["smdp-behaviour-cloning", "smdp-fitted-q", "smdp-cql", "smdp-iql", "smdp-sharsa"])
+def test_tables_end_when_a_sweep_changes_nothing_and_come_back_from_their_folder(name, tmp_path):
+    data = load_data(make_tape(), observation="features", rooms="own")
+    result = train(name, data=data, settings={"values": "table"}, eval_episodes=2, out=tmp_path / "run")
+    assert result.agent.is_table
+    loaded = load_agent(tmp_path / "run")
+    assert np.array_equal(loaded.scores, result.agent.scores) and np.array_equal(loaded.q, result.agent.q)
+    assert train(name, data=data, settings={"values": "table"}, eval_episodes=2, out=tmp_path / "run"
+                 ).evaluations == result.evaluations
+
+
+def test_a_clone_of_experts_escapes_where_the_clone_of_random_play_does_not():
+    rates = {}
+    for kind in ("expert", "play"):
+        data = load_data(make_tape(kind), observation="features", rooms="own")
+        result = train("smdp-behaviour-cloning", data=data, settings={"values": "table"}, eval_episodes=6)
+        rates[kind] = result.evaluations[-1].success_rate
+    assert rates["expert"] == 1.0 > rates["play"]
+
+
+def test_a_data_sets_name_or_file_is_enough_and_the_run_knows_its_hash(tmp_path):
+    result = train("smdp-fitted-q", data=save_small(), primitives=2_000, eval_episodes=0, out=tmp_path / "{key}")
+    described = json.loads((result.folder / "run.json").read_text())
+    assert described["data"]["digest"] == make_tape().digest
+
+
+def test_what_does_not_fit_is_refused_with_what_would():
+    data = load_data(make_tape(), observation="features")
+    with pytest.raises(AgentSettingsError, match="behaviour-cloning"):
+        train("smdp-dqn", data=data)
+    with pytest.raises(AgentSettingsError, match="acts by primitives"):
+        train("smdp-hiql", data=data)
+    with pytest.raises(AgentSettingsError, match="2 actions|3 actions"):
+        train("smdp-iql", make_tape().rooms.make_env(observation="features"), data=data)
+    with pytest.raises(AgentSettingsError, match="unless there is data"):
+        train("smdp-dqn", primitives=100)
+    with pytest.raises(UnsupportedError, match="data="):
+        train("smdp-iql", make_tape().rooms.make_env(True, observation="features"), primitives=100, eval_episodes=0)
+    assert not set(list_offline_agents()) & set(list_agents())

@@ -1,0 +1,28 @@
+"""Small tapes for tests, recorded once a process: some thousand primitives in one or two rooms of `pair`."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from hrl_escape.data.catalogue import DataSpec
+from hrl_escape.data.record import record
+from hrl_escape.data.tape import Tape, load_tape
+
+__all__ = ["make_tape", "save_small"]
+
+_FOLDER = tempfile.TemporaryDirectory(prefix="tapes-")
+
+
+@cache
+def save_small(kind: str = "play", rung: str = "pair", primitives: int = 2_000) -> Path:
+    """File of a small tape."""
+    path = Path(_FOLDER.name) / f"{rung}-{kind}-{primitives}.npz"
+    record(DataSpec(rung, kind), path, primitives=primitives)
+    return path
+
+
+def make_tape(kind: str = "play", rung: str = "pair", primitives: int = 2_000) -> Tape:
+    """The tape in it."""
+    return load_tape(save_small(kind, rung, primitives))

@@ -1,0 +1,120 @@
+"""Replays of tapes are what the environments showed, to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hrl_escape.data.export import to_torch
+from hrl_escape.data.materialise import load_data
+from hrl_escape.data.tape import Tape
+from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError
+from hrl_escape.options.degraded import OptionDegradation
+from tests.data.small import make_tape, save_small
+
+
+@pytest.mark.parametrize("gamma", [0.99, 0.7])
+@pytest.mark.parametrize(("kind", "observation"), [("play", "objects"), ("noisy", "features")])
+def test_a_run_of_options_and_its_replay_agree_to_the_bit(gamma, kind, observation):
+    tape: Tape = make_tape(kind)
+    data = load_data(tape, observation=observation, gamma=gamma).read()
+    options = {"include_primitives": False, "discount": gamma}
+    if kind == "noisy":
+        options["options"] = OptionDegradation(failure=0.2)
+    env = tape.rooms.make_env(options, observation=observation)
+    row = 0
+    for seed, room, count in zip(tape.episode_seed, tape.room, tape.decisions, strict=True):
+        seen, info = env.reset(seed=int(seed), options={"instance_index": int(room)})
+        for _ in range(count):
+            assert np.array_equal(seen, data.observation[row])
+            assert np.array_equal(info["action_mask"] != 0, data.mask[row])
+            seen, reward, terminated, _, info = env.step(int(data.action[row]))
+            assert (info["duration"], info["discount"]) == (data.duration[row], data.discount[row])
+            assert (info["discounted_reward"], reward) == (data.reward[row], data.summed_reward[row])
+            assert np.array_equal(seen, data.next_observation[row])
+            assert np.array_equal(info["action_mask"] != 0, data.next_mask[row])
+            assert terminated == data.terminated[row]
+            row += 1
+    assert row == len(data.action)
+
+
+@pytest.mark.parametrize("rung", ["pair", pytest.param("freight", marks=pytest.mark.slow),
+                                  pytest.param("code", marks=pytest.mark.slow)])
+def test_primitives_and_their_replay_agree_to_the_bit(rung):
+    tape = make_tape("play", rung, 1_000)
+    data = load_data(tape, observation="state").read_primitives()
+    env = tape.rooms.make_env(observation="state")
+    first = np.flatnonzero(np.concatenate([[True], data.last[:-1]]))
+    assert len(first) == len(tape.episode_seed)
+    for seed, room, begin, end in zip(tape.episode_seed, tape.room, first, [*first[1:], len(data.action)], strict=True):
+        seen, _ = env.reset(seed=int(seed), options={"instance_index": int(room)})
+        for row in range(begin, end):
+            assert np.array_equal(seen, data.observation[row])
+            seen, reward, terminated, _, _ = env.step(int(data.action[row]))
+            assert (reward, terminated) == (data.reward[row], data.terminated[row])
+            assert np.array_equal(seen, data.next_observation[row])
+    assert np.array_equal(data.option[data.begins], tape.option)
+    assert data.begins.sum() == len(tape.option)
+
+
+@pytest.mark.parametrize("level", ["decisions", "primitives"])
+def test_blocks_of_any_size_join_to_the_whole_and_hold_few_episodes_each(level):
+    data = load_data(make_tape("stitch"), observation="features", level=level)
+    whole = data.read()
+    parts = list(data.blocks(size=300))
+    assert len(parts) > 3
+    for name, field in whole._asdict().items():
+        assert np.array_equal(np.concatenate([getattr(part, name) for part in parts]), field), name
+    counts = [part.duration.sum() if level == "decisions" else len(part.action) for part in parts]
+    assert max(counts) < 300 + 1_000  # the horizon
+
+
+def test_stitched_trajectories_have_one_or_two_decisions_and_never_lead_from_start_to_exit():
+    data = load_data(make_tape("stitch"), observation="features").read()
+    lengths = np.bincount(data.trajectory)
+    assert set(lengths) == {1, 2}
+    assert not data.terminated[~data.last].any()
+    assert (data.last & ~data.terminated).sum() > 4 * data.terminated.sum() > 0
+
+
+def test_pictures_are_replayed_by_the_engine_that_took_them():
+    tape = make_tape("expert", primitives=100)
+    data = load_data(tape, observation="pixels").read()
+    env = tape.rooms.make_env({"include_primitives": False}, observation="pixels")
+    seen, _ = env.reset(seed=int(tape.episode_seed[0]), options={"instance_index": int(tape.room[0])})
+    assert np.array_equal(seen, data.observation[0])
+    seen, *_ = env.step(int(tape.option[0]))
+    assert np.array_equal(seen, data.next_observation[0])
+
+
+def test_tensors_hold_the_same_numbers():
+    data = load_data(make_tape(), observation="features").read()
+    tensors = to_torch(data)
+    assert type(tensors) is type(data) and tensors.mask.dtype.is_floating_point is False
+    for mine, theirs in zip(data, tensors, strict=True):
+        assert np.array_equal(mine, theirs.numpy())
+
+
+def test_a_tape_whose_episodes_end_elsewhere_here_is_refused_with_the_episode():
+    tape = make_tape()
+    flipped = tape.action.copy()
+    flipped[: int(tape.duration[: tape.decisions[0]].sum())] = 4  # turns on the spot
+    wrong = Tape(tape.about, **{name: getattr(tape, name) for name in vars(tape) if name in Tape.__annotations__
+                                and name not in ("about", "action")}, action=flipped)
+    with pytest.raises(FileReadError, match="episode 0 ends cut.*recorded as terminated"):
+        load_data(wrong, observation="features").read()
+
+
+@pytest.mark.parametrize(("arguments", "error"), [
+    ({"level": "options"}, ConfigError), ({"gamma": 1.5}, ConfigError), ({"observation": "smell"}, UnknownNameError)])
+def test_impossible_arguments_are_refused(arguments, error):
+    with pytest.raises(error):
+        load_data(save_small(), **arguments)
+
+
+def test_unknown_and_unrecorded_data_sets_are_told_with_the_next_step(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UnknownNameError, match="pair-play-v1"):
+        load_data("pair-plya-v1")
+    with pytest.raises(FileReadError, match="hrl-escape data make pair-play-10m-v1"):
+        load_data("pair-play-10m-v1")

@@ -1,0 +1,111 @@
+"""Tapes: whole, of this engine, and refused by one clear message where they are not."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hrl_escape.data.tape import FIELDS, Tape, load_tape, save_tape
+from hrl_escape.errors import EscapeError, FileReadError
+from tests.data.small import make_tape, save_small
+
+
+def test_a_tape_comes_back_as_it_was_in_less_than_a_byte_and_a_half_a_primitive(tmp_path):
+    tape = make_tape()
+    save_tape(tmp_path / "again.npz", tape)
+    assert (tmp_path / "again.npz").read_bytes() == save_small().read_bytes()
+    assert load_tape(tmp_path / "again.npz").digest == tape.digest
+    assert len((tmp_path / "again.npz").read_bytes()) - 5_000 < 1.5 * len(tape.action)
+
+
+@given(st.data())
+def test_whatever_happens_to_the_bytes_of_a_tape_is_one_clear_message(tmp_path_factory, data):
+    content = bytearray(save_small().read_bytes())
+    if data.draw(st.booleans(), "cut"):
+        del content[data.draw(st.integers(0, len(content) - 1)) :]
+    else:
+        place = data.draw(st.integers(0, len(content) - 1))
+        content[place] ^= data.draw(st.integers(1, 255))
+    path = tmp_path_factory.mktemp("fuzzed") / "tape.npz"
+    path.write_bytes(bytes(content))
+    try:
+        assert load_tape(path).digest == make_tape().digest  # bytes that mean nothing, such as a time
+    except FileReadError as error:
+        assert str(path) in str(error) and "\n" not in str(error)
+
+
+def change(**arrays) -> Tape:
+    return dataclasses.replace(make_tape(), **arrays)
+
+
+@pytest.mark.parametrize(("tape", "words"), [
+    (lambda: change(about={**make_tape().about, "engine": "mujoco"}), "its engine is 'mujoco'.*replays 'bullet'"),
+    (lambda: change(about={**make_tape().about, "dynamics": "EscapeRoom-v0"}), "EscapeRoom-v0.*EscapeRoom-v1"),
+    (lambda: change(about={**make_tape().about, "format": 2}), "its format is 2"),
+    (lambda: change(action=make_tape().action[:-1]), "durations stand for"),
+    (lambda: change(option=make_tape().option[:-1]), "different lengths"),
+    (lambda: change(option=make_tape().option + np.int16(9)), "option has numbers outside 0 to 2"),
+    (lambda: change(decisions=make_tape().decisions + np.int32(1)), "decisions stand for"),
+    (lambda: change(legal=make_tape().legal[:-1]), "legal stand for"),
+])
+def test_a_tape_of_another_engine_or_that_contradicts_itself_is_refused_by_name(tmp_path, tape, words):
+    save_tape(tmp_path / "wrong.npz", tape())
+    with pytest.raises(FileReadError, match=words):
+        load_tape(tmp_path / "wrong.npz")
+
+
+def test_other_rooms_than_the_tapes_are_refused():
+    about = {**make_tape().about, "rooms": "ladder-1/chain-3/train[:2]"}
+    with pytest.raises(FileReadError, match="ladder-1/chain-3/train.*not those of this version"):
+        _ = change(about=about).rooms
+
+
+def rewrite(path, name, content):
+    """The tape with one member replaced."""
+    with zipfile.ZipFile(save_small()) as old, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
+        for member in old.namelist():
+            new.writestr(member, content if member == name else old.read(member))
+
+
+def make_npy(array, shape=None):
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(buffer, {"descr": array.dtype.str, "fortran_order": False,
+                                                  "shape": shape or array.shape})
+    return buffer.getvalue() + array.tobytes()
+
+
+@pytest.mark.parametrize(("name", "content", "words"), [
+    ("action.npy", make_npy(np.zeros(10, np.int8), (10**9,)), "claims 1,000,000,000"),
+    ("action.npy", make_npy(np.zeros(10, np.float64)), "float64"),
+    ("action.npy", make_npy(np.zeros((2, 5), np.int8)), "2 x 5"),
+    ("action.npy", b"", "magic|header|read"),
+    ("about.npy", make_npy(np.frombuffer(b"{}", np.uint8)), "missing"),
+    ("about.npy", make_npy(np.frombuffer(json.dumps({"digest": "0"}).encode(), np.uint8)), "missing"),
+])
+def test_members_that_claim_more_than_they_hold_are_refused_before_memory_is_taken(tmp_path, name, content, words):
+    rewrite(tmp_path / "wrong.npz", name, content)
+    with pytest.raises(FileReadError, match=words):
+        load_tape(tmp_path / "wrong.npz")
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused_by_its_claim(tmp_path):
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in (*FIELDS, "about"):
+            archive.writestr(f"{name}.npy", make_npy(np.zeros(2**26 if name == "legal" else 1, np.uint64)))
+    with pytest.raises(FileReadError, match="claims 536,8.*bytes"):
+        load_tape(tmp_path / "bomb.npz")
+
+
+def test_a_pickle_in_a_tape_is_never_loaded(tmp_path):
+    buffer = io.BytesIO()
+    np.save(buffer, np.array([print], dtype=object), allow_pickle=True)
+    rewrite(tmp_path / "wrong.npz", "action.npy", buffer.getvalue())
+    with pytest.raises(EscapeError, match="object"):
+        load_tape(tmp_path / "wrong.npz")
