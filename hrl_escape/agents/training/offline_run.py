@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from pkgutil import resolve_name
 from typing import Any, NamedTuple, cast
 
@@ -14,6 +15,7 @@ import gymnasium
 
 from hrl_escape.agents.components.offline import Decisions, OfflineAgent, OfflineData, Primitives
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe, list_offline_agents
+from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import SegmentRecord, read_row
 from hrl_escape.agents.training.run import Run, RunArguments
@@ -84,12 +86,14 @@ class OfflineRun(Run):
         agent: a new agent.
         arguments: arguments of the run; see `train`.
         material: what it learns from.
+        callbacks: told of the run, in this order.
     """
 
     agent: OfflineAgent
 
-    def __init__(self, agent: Any, arguments: RunArguments, material: Material) -> None:
-        super().__init__(agent, material.env, material.env, arguments)
+    def __init__(self, agent: Any, arguments: RunArguments, material: Material, callbacks: Sequence[Callback] = ()
+                 ) -> None:
+        super().__init__(agent, material.env, material.env, arguments, callbacks=callbacks)
         data = material.data
         self._identity = dict(data.identity)
         agent.begin(material.decisions, material.primitives)

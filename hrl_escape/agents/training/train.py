@@ -155,7 +155,9 @@ def train(
         arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state,
                                  threads, until_return, eval_trials)
         if material is not None:
-            run = OfflineRun(learner, arguments, material)  # pyright: ignore[reportPossiblyUnboundVariable]
+            if probe is not None:
+                raise AgentSettingsError("probe", probe, "None in a run that learns from a data set")
+            run = OfflineRun(learner, arguments, material, callbacks)  # pyright: ignore[reportPossiblyUnboundVariable]
         elif isinstance(env, gymnasium.Env):
             run = Run(learner, env, eval_env or env, arguments, probe, callbacks)
         else:
