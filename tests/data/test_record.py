@@ -1,0 +1,56 @@
+"""Recordings: the same bytes however often they were stopped, and behaviours that are what they are called."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hrl_escape.agents.components.offline import OPTION_ENDINGS
+from hrl_escape.data.catalogue import DataSpec
+from hrl_escape.data.record import record
+from hrl_escape.data.tape import Tape, save_tape
+from tests.data.small import make_tape, save_small
+
+
+def keep_first(tape, episodes):
+    """The first episodes of a tape, as a recording leaves them that was killed after them."""
+    decisions = int(tape.decisions[:episodes].sum())
+    primitives = int(tape.duration[:decisions].sum())
+    counts = {"legal": decisions + episodes, "action": primitives}
+    arrays = {name: getattr(tape, name)[: counts.get(name, episodes if len(getattr(tape, name)) == len(tape.room)
+                                                     else decisions)]
+              for name in Tape.__annotations__ if name != "about"}
+    return Tape({**tape.about, "scores": {}}, **arrays)
+
+
+@pytest.mark.parametrize("episodes", [1, 12])
+def test_a_killed_recording_goes_on_to_the_same_bytes(tmp_path, episodes):
+    path = tmp_path / "again.npz"
+    save_tape(path.with_suffix(".part"), keep_first(make_tape(), episodes))
+    record(DataSpec("pair", "play"), path, primitives=2_000)
+    assert path.read_bytes() == save_small().read_bytes()
+    assert not path.with_suffix(".part").exists()
+
+
+def test_what_another_recording_left_is_not_taken_up(tmp_path):
+    path = tmp_path / "again.npz"
+    save_tape(path.with_suffix(".part"), keep_first(make_tape("stitch"), 3))
+    record(DataSpec("pair", "play"), path, primitives=2_000)
+    assert path.read_bytes() == save_small().read_bytes()
+
+
+def test_noisy_options_fail_as_often_as_is_said_and_experts_escape_in_the_fewest_decisions():
+    noisy, expert, play = (make_tape(kind) for kind in ("noisy", "expert", "play"))
+    failed = np.mean(noisy.ended == OPTION_ENDINGS.index("planning-failed"))
+    assert 0.1 < failed < 0.3 and (noisy.duration[noisy.ended == 3] == 1).all()
+    assert not (play.ended == 3).any()
+    whole = expert.end != 0
+    assert (expert.end[whole] == 1).all() and (expert.decisions[whole] <= 3).all()
+    assert play.decisions.mean() > 2 * expert.decisions.mean()
+
+
+def test_exploration_is_of_primitives_alone():
+    tape = make_tape("explore")
+    assert tape.primitive_count == len(tape.about["actions"]) == 6
+    assert np.array_equal(tape.option, tape.action) and (tape.duration == 1).all()
+    np.testing.assert_allclose(np.bincount(tape.action) / len(tape.action), 1 / 6, atol=0.04)
