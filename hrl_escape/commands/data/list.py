@@ -42,8 +42,8 @@ def run(args: DataListArgs) -> None:
         return
     table = Table("data set", "primitives", "bytes", "behaviour", box=None, pad_edge=False)
     for row in rows:
-        size = "-" if row["bytes"] is None else f"{row['bytes']:,}"
-        table.add_row(str(row["name"]), f"{row['primitives']:,}", size, str(row["what"]))
+        stored = "-" if row["bytes"] is None else f"{row['bytes']:,}"
+        table.add_row(str(row["name"]), f"{row['primitives']:,}", stored, str(row["what"]))
     console = Console(width=120)
     console.print(table)
     console.print("A data set without bytes is recorded by: hrl-escape data make NAME. Add 1m or 10m before v1 for ten "

@@ -38,7 +38,7 @@ class Sharsa(IQL):
 
     name: ClassVar[str] = "sharsa"
     Settings: ClassVar[type] = SharsaSettings
-    settings: SharsaSettings
+    settings: Any
     is_markov = False
 
     def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
