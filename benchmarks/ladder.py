@@ -28,6 +28,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.cli import run_script
 from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import LocalLauncher
@@ -44,7 +45,7 @@ _YARDSTICKS = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives",
 
 
 @dataclasses.dataclass(frozen=True)
-class CalibrateArgs:
+class Calibrate:
     """Options of the calibration of a benchmark."""
 
     rung: tuple[str, ...] = ()
@@ -72,14 +73,14 @@ class CalibrateArgs:
 
 
 @dataclasses.dataclass(frozen=True)
-class FreezeArgs:
+class Freeze:
     """Options of the freezing of a manifest."""
 
     manifest: Annotated[Path, tyro.conf.Positional]
     """Manifest file; it is written anew, with roots, skipped indices and task overlaps."""
 
 
-def freeze(args: FreezeArgs) -> int:
+def freeze(args: Freeze) -> int:
     """Write the manifest with roots, skipped indices and task overlaps."""
     frozen = freeze_manifest(load_manifest(args.manifest), __version__)
     frozen.save(args.manifest)
@@ -87,7 +88,7 @@ def freeze(args: FreezeArgs) -> int:
     return 0
 
 
-def calibrate(args: CalibrateArgs) -> int:
+def calibrate(args: Calibrate) -> int:
     """Print a row a rung; the exit code is 1 if a rung is not calibrated."""
     bench = load_benchmark(args.benchmark)
     learners = tuple(map(AgentSpec.parse, args.agents))
@@ -107,7 +108,7 @@ def calibrate(args: CalibrateArgs) -> int:
     return 1 if any(faults.values()) else 0
 
 
-def _measure(bench: Benchmark, rung: str, learners: Sequence[AgentSpec], args: CalibrateArgs) -> dict[str, float]:
+def _measure(bench: Benchmark, rung: str, learners: Sequence[AgentSpec], args: Calibrate) -> dict[str, float]:
     """Efficiency of every agent on a rung."""
     plain = LadderSettings(1, 100, args.rooms, (args.rooms,), args.rooms)  # yardsticks learn nothing
     settings = LadderSettings(args.runs, args.primitives, args.rooms, (args.rooms,),
@@ -122,15 +123,10 @@ def _measure(bench: Benchmark, rung: str, learners: Sequence[AgentSpec], args: C
     return found
 
 
-def main(words: Sequence[str]) -> int:
-    """Run `calibrate` or `freeze` with the options behind it."""
-    parts = {"calibrate": (CalibrateArgs, calibrate), "freeze": (FreezeArgs, freeze)}
-    if not words or words[0] not in parts:
-        print(__doc__)
-        return 0 if words and words[0] in ("-h", "--help") else 2
-    kind, run = parts[words[0]]
-    return run(tyro.cli(kind, args=words[1:], prog=f"benchmarks.ladder {words[0]}"))  # type: ignore[operator]
+def run(args: Calibrate | Freeze) -> int:
+    """Calibrate a benchmark or freeze a manifest; the exit code is 1 if a rung is not calibrated."""
+    return freeze(args) if isinstance(args, Freeze) else calibrate(args)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(run_script(run))

@@ -2,12 +2,12 @@
 
 import json
 
-from benchmarks.ladder import main as maintain
 from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from hrl_escape.ladder.tower import TOWER_HORIZON
+from tests.command_line import call_script
 from tests.ladder.small import make_config, make_manifest
 
 
@@ -44,7 +44,7 @@ def test_a_frozen_manifest_verifies_and_a_changed_one_does_not(capsys, tmp_path)
     sizes = {"train": {"count": 3}, "valid": {"count": 2}, "test": {"count": 2}}
     path.write_text(json.dumps({"name": "mine", "rungs": [
         {"name": "one", "config": make_config(2, "chain").to_dict(), **sizes}]}))
-    assert maintain(["freeze", str(path)]) == 0 and "mine: 1 rungs" in capsys.readouterr().out
+    assert call_script(capsys, "benchmarks.ladder", "freeze", path)[:2] == (0, f"mine: 1 rungs; wrote {path}\n")
     code, out, _ = call(capsys, "verify", "--benchmark", str(path))
     assert code == 0 and out.startswith("one: train 3, valid 2, test 2")
     path.write_text(path.read_text().replace('"room": {', '"horizon": 77, "room": {', 1))
@@ -142,10 +142,10 @@ def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
 
 
 def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
-    code = maintain(["calibrate", "--rung", "doormat", "--rooms", "2", "--workers", "1", "--json", "--out",
-                     str(tmp_path), "--agents", "smdp-q-learning+no-primitives", "--primitives", "10",
-                     "--eval-episodes", "1"])
-    told = json.loads(capsys.readouterr().out)
+    code, out, _ = call_script(
+        capsys, "benchmarks.ladder", "calibrate", "--rung", "doormat", "--rooms", "2", "--workers", "1", "--json",
+        "--out", tmp_path, "--agents", "smdp-q-learning+no-primitives", "--primitives", "10", "--eval-episodes", "1")
+    told = json.loads(out)
     assert (tmp_path / "per-instance" / "doormat" / "grid.json").exists(), "learned from nothing in each"
     assert 0 <= told["efficiency"]["doormat"]["smdp-q-learning+no-primitives"] <= 1
     assert told["efficiency"]["doormat"]["planner"] == 1.0
