@@ -146,7 +146,7 @@ def compare_costs(flat: Sequence[PriceRun], options: Sequence[PriceRun], cost: R
                 for replicate in sorted(paid.keys() & others.keys())}
         is_short = budgets[size] < max(budgets.values())
         ratios.append(CostRatio(size, logs, Middle("unknown") if is_short else find_middle(list(logs.values())),
-                                len(ready), is_short))
+                                len(ready & {run.replicate for run in flat if run.buttons == size}), is_short))
     return ratios
 
 

@@ -117,6 +117,8 @@ def test_rooms_in_which_chance_over_options_is_efficient_are_told_apart():
     flat, options = ([line for line in lines if line.agent == name] for name in "fo")
     (ratio,) = compare_costs(flat, options, COSTS[0])
     assert (ratio.ready, sorted(ratio.logs)) == (2, [*range(2, 12)])
+    alone = [*options, *(make_line("o", 1, number, 0) for number in range(12, 20))]
+    assert compare_costs(flat, alone, COSTS[0])[0].ready == 2, "of rooms in which both were run"
     assert ratio.middle.factor == pytest.approx(30), "and not 30,000 / 30 in two of them"
     (escape,) = compare_costs(flat, options, COSTS[1])
     assert not escape.ready and len(escape.logs) == 12, "a first escape is no learning"
