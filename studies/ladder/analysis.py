@@ -105,7 +105,8 @@ def tell_beyond_searching(cells: _Cells, rungs: Sequence[str]) -> str:
     On each rung the searcher that does best there counts; a learner is one test, with rungs as strata and rooms as
     pairs, and all learners are one family (Holm).
     """
-    searchers = {agent for _, agent in cells if AgentSpec.parse(agent).name in SEARCHERS}
+    agents = _sort_agents(agent for _, agent in cells)  # of equal searchers the first, whatever the order of a set
+    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCHERS]
     best = {rung: max((agent for agent in searchers if len(cells.get((rung, agent), ())) >= LEAST_RUNS),
                       key=lambda agent, rung=rung: compute_run_efficiency(cells[rung, agent]), default=None)
             for rung in rungs}
