@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_escape.agents.components.policy_gradient import compute_clipped_loss
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
@@ -95,6 +96,15 @@ def test_a_run_measures_escapes_corners_and_entropy(repeat: int):
     assert len(run.corners) == len(run.escapes) == 10 and all(0 <= share <= 1 for share in run.corners)
     assert [at for at, _ in run.curve][0] == 0 and len(run.curve) == 2
     assert dataclasses.replace(run_flat(learner, room, 0, 2_000, 500), seconds=run.seconds) == run
+
+
+def test_advantages_as_they_are_make_the_loss_their_mean():
+    """With a ratio of 1 the loss is -mean(A), which normalising makes 0; a ratio of 2 is clipped to 1.2 for A > 0."""
+    advantage, log = torch.tensor([0.01, 0.03]), torch.zeros(2)
+    assert float(compute_clipped_loss(log, log, advantage, 0.2, normalise=False)) == pytest.approx(-0.02)
+    assert float(compute_clipped_loss(log, log, advantage, 0.2)) == pytest.approx(0.0, abs=1e-6)
+    doubled = float(compute_clipped_loss(log + np.log(2), log, advantage, 0.2, normalise=False))
+    assert doubled == pytest.approx(-1.2 * 0.02)
 
 
 # --- why PPO falls ---------------------------------------------------------------------------
