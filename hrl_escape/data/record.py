@@ -122,7 +122,7 @@ def pack_mask(legal: NDArray[Any]) -> int:
 
 def make_about(name: str, kind: str, rooms_text: str, rooms: InstanceSet, env: gymnasium.Env, command: str
                ) -> dict[str, Any]:
-    """What a tape says of itself, without its scores."""
+    """Make the text of a tape about itself, without its scores."""
     inner: Any = env.unwrapped
     names = inner.instance.robot.actions.names
     actions, count = (env.action_names, env.primitive_count) if isinstance(env, OptionsEnv) else (names, len(names))

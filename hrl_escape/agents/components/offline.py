@@ -351,7 +351,7 @@ class OfflineAgent(Agent):
         return self._numbers.get(np.ascontiguousarray(self._find_cell(observation)).tobytes())
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """What the policy takes the argmax of, (actions,); equal in states that a table does not know."""
+        """Scores that the policy takes the argmax of, (actions,); equal in states that a table does not know."""
         if not self.is_table:
             return self._forward(self._encoder.encode(observation))
         state = self.find_state(observation)
