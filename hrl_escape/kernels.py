@@ -32,7 +32,7 @@ SOURCES = ("agents/factored/search.py", "env/bases/disc.py", "env/bases/rectangl
 
 _PARTS = {"agents": "learners of structure", "env": "the room's geometry", "floor": "ways over the floor",
           "options": "options in batches", "planning.arm": "the arm", "planning": "the planner's search"}
-"""What the kernels of each part of the package are for."""
+"""Purpose of the kernels of each part of the package, for the progress line."""
 _CONFIG: Any = config  # its names are set when it is imported
 _UNCOUNTED: dict[str, Any] = {"_nrt": False}
 """Numba's option for code without its runtime, which allocates arrays and counts references to them."""

@@ -301,7 +301,7 @@ def tell_question(question: Question, contrasts: Sequence[Contrast], beyond: Seq
 
 
 def tell_visible(contrasts: Sequence[Contrast]) -> str:
-    """What the tests could have seen, by the spread that the runs have; empty where nothing was compared."""
+    """Differences that the tests could have seen, by the spread of the runs; empty where nothing was compared."""
     sizes = sorted(contrast.visible for contrast in contrasts if not contrast.is_same)
     if not sizes:
         return ""

@@ -8,7 +8,7 @@ import gymnasium
 
 from hrl_escape import OptionsEnv
 from hrl_escape.checks import check_option
-from hrl_escape.comparison import Episode
+from hrl_escape.comparison import RecordedEpisode
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.options.option import Option, ScriptedOption
 
@@ -74,4 +74,4 @@ for name in (left, left, right, turn, left):
 # An option that cannot start is masked, not removed: every option keeps its number. Choosing a masked option costs one
 # primitive, so that no agent can wait for free. What happened, from above:
 
-Episode(env.unwrapped.instance, tuple(recorder.states), tuple(decisions), total, success=False)
+RecordedEpisode(env.unwrapped.instance, tuple(recorder.states), tuple(decisions), total, success=False)

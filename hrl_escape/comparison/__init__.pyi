@@ -1,13 +1,13 @@
 from .comparison import run_grid
 from .grid import AgentSpec, Grid
 from .places import RoomSpec
-from .recording import Episode, record_episode
+from .recording import RecordedEpisode, record_episode
 from .reporting.report import write_report
 from .verdict import write_verdict
 
 __all__ = [
     "AgentSpec",
-    "Episode",
+    "RecordedEpisode",
     "Grid",
     "RoomSpec",
     "record_episode",

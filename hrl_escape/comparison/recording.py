@@ -18,11 +18,11 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 
-__all__ = ["Episode", "record_episode"]
+__all__ = ["RecordedEpisode", "record_episode"]
 
 
 @dataclass(frozen=True, repr=False)
-class Episode:
+class RecordedEpisode:
     """A played episode of a room. In a notebook it plays itself.
 
     Attributes:
@@ -41,8 +41,8 @@ class Episode:
 
     def __repr__(self) -> str:
         end = "escaped" if self.success else "no escape"
-        return (f"<Episode in {self.instance.name}: {end}, {len(self.states) - 1} primitives in {len(self.decisions)} "
-                f"decisions, return {self.total:g}>")
+        lengths = f"{len(self.states) - 1} primitives in {len(self.decisions)} decisions"
+        return f"<RecordedEpisode in {self.instance.name}: {end}, {lengths}, return {self.total:g}>"
 
     def _repr_html_(self) -> str:
         decisions = [(name, count) for name, count, _ in self.decisions]
@@ -77,7 +77,7 @@ def _recording(env: gymnasium.Env) -> Iterator[tuple[gymnasium.Env, StateRecorde
         lowest.env = below
 
 
-def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> Episode:
+def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> RecordedEpisode:
     """Play one greedy episode of a room and keep it.
 
     Args:
@@ -104,4 +104,4 @@ def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> Epi
                                             "ended": "reached"}
             decisions.append((option["name"], transition.duration, option["ended"]))
             success = read_success(info, transition.terminated)
-        return Episode(room.instance, tuple(recorder.states), tuple(decisions), total, success)
+        return RecordedEpisode(room.instance, tuple(recorder.states), tuple(decisions), total, success)

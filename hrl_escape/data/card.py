@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
-from hrl_escape.data.catalogue import KINDS
+from hrl_escape.data.catalogue import TAPE_KINDS
 from hrl_escape.data.tape import Tape
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.map_axes import Trajectory, draw_room
@@ -31,7 +31,7 @@ def describe(tape: Tape) -> dict[str, Any]:
     counts = np.bincount(tape.ended, minlength=len(OPTION_ENDINGS))
     return {
         "name": about["name"],
-        "behaviour": KINDS.get(about["kind"], about["kind"]),
+        "behaviour": TAPE_KINDS.get(about["kind"], about["kind"]),
         "rooms": about["rooms"],
         "actions": ", ".join(about["actions"]),
         "primitives": len(tape.action),

@@ -13,11 +13,11 @@ from pathlib import Path
 
 from hrl_escape.errors import FileReadError, UnknownNameError
 
-__all__ = ["BENCHMARK", "FOLDER", "KINDS", "RUNGS", "DataSpec", "find_tape", "list_specs", "parse_spec"]
+__all__ = ["BENCHMARK", "FOLDER", "TAPE_KINDS", "RUNGS", "DataSpec", "find_tape", "list_specs", "parse_spec"]
 
 BENCHMARK = "ladder-1"
 RUNGS = ("pair", "chain", "lattice-5", "lattice", "clutter", "code", "freight", "reach")
-KINDS = {
+TAPE_KINDS = {
     "play": "legal options, drawn uniformly",
     "noisy": "the same with options of which one in five fails at its start",
     "expert": "the planner's order of options",
@@ -25,11 +25,11 @@ KINDS = {
     "stitch": "play cut after one or two decisions, so that no trajectory goes all the way",
     "explore": "primitives, drawn uniformly",
 }
-SIZES = {"": 100_000, "1m": 1_000_000, "10m": 10_000_000}
+TAPE_SIZES = {"": 100_000, "1m": 1_000_000, "10m": 10_000_000}
 FOLDER = Path("data")
 """Folder that recorded tapes go to, and are looked for in."""
 _SHIPPED = Path(str(files("hrl_escape.data") / "tapes"))
-_FORM = re.compile(rf"(?P<rung>.+)-(?P<kind>{'|'.join(KINDS)})(?:-(?P<size>1m|10m))?-v1")
+_FORM = re.compile(rf"(?P<rung>.+)-(?P<kind>{'|'.join(TAPE_KINDS)})(?:-(?P<size>1m|10m))?-v1")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,8 +38,8 @@ class DataSpec:
 
     Attributes:
         rung: of `ladder-1`.
-        kind: of `KINDS`.
-        size: of `SIZES`.
+        kind: of `TAPE_KINDS`.
+        size: of `TAPE_SIZES`.
     """
 
     rung: str
@@ -54,7 +54,7 @@ class DataSpec:
     @property
     def primitives(self) -> int:
         """Primitives in it, at least."""
-        return SIZES[self.size]
+        return TAPE_SIZES[self.size]
 
     def list_rooms(self, primitives: int) -> str:
         """Rooms for so many primitives, the first of the rung's training set: one for every 1,000, at most 250."""
@@ -63,7 +63,7 @@ class DataSpec:
 
 def list_specs() -> tuple[DataSpec, ...]:
     """All data sets of the catalogue, small ones first."""
-    return tuple(DataSpec(rung, kind, size) for size in SIZES for rung in RUNGS for kind in KINDS)
+    return tuple(DataSpec(rung, kind, size) for size in TAPE_SIZES for rung in RUNGS for kind in TAPE_KINDS)
 
 
 def parse_spec(name: str) -> DataSpec:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hrl_escape.agents.components.offline import Decisions, Primitives
-from hrl_escape.data.materialise import DataSet, Level
+from hrl_escape.data.materialise import DataLevel, DataSet
 from hrl_escape.errors import MissingExtraError, UnsupportedError
 from hrl_escape.files import atomic_writer
 
@@ -33,7 +33,7 @@ def to_torch(data: Decisions | Primitives) -> Any:
     return kind(*(torch.from_numpy(np.ascontiguousarray(field)) for field in data))
 
 
-def iterate_trajectories(data: DataSet, level: Level | None = None) -> Iterator[Any]:
+def iterate_trajectories(data: DataSet, level: DataLevel | None = None) -> Iterator[Any]:
     """Yield each trajectory as `Decisions` or `Primitives` of its own, holding one block at a time."""
     for block in data.blocks(level):
         kind: Any = type(block)
@@ -62,7 +62,7 @@ def to_minari(data: DataSet, namespace: str = "hrl_escape") -> tuple[Any, Any]:
                                "it to OGBench's files or to tensors")
     place = f"{namespace}/{data.tape.rooms.place['rung']}/{data.tape.about['kind']}"
     made: list[Any] = []
-    levels: tuple[Level, ...] = ("primitives", "decisions")
+    levels: tuple[DataLevel, ...] = ("primitives", "decisions")
     for level in levels:
         options: Any = {"include_primitives": data.tape.primitive_count > 0} if level == "decisions" and len(
             data.tape.about["actions"]) > data.tape.primitive_count else False

@@ -29,7 +29,7 @@ from hrl_escape.ladder.instance_set import InstanceSet
 
 __all__ = ["DataSet", "load_data"]
 
-Level = Literal["primitives", "decisions"]
+DataLevel = Literal["primitives", "decisions"]
 BLOCK = 65_536
 """Primitives in a block, at least; an episode is never cut in two."""
 
@@ -64,7 +64,7 @@ class DataSet:
         gamma: discount per primitive.
     """
 
-    def __init__(self, tape: Tape, observation: str = "objects", level: Level = "decisions", gamma: float = 0.99,
+    def __init__(self, tape: Tape, observation: str = "objects", level: DataLevel = "decisions", gamma: float = 0.99,
                  rooms: str = "test") -> None:
         if level not in ("decisions", "primitives"):
             raise ConfigError("level", level, "'decisions' or 'primitives'")
@@ -122,7 +122,7 @@ class DataSet:
         """All primitives, in memory."""
         return _join(Primitives, list(self.blocks("primitives")))
 
-    def blocks(self, level: Level | None = None, gamma: float | None = None, size: int = BLOCK
+    def blocks(self, level: DataLevel | None = None, gamma: float | None = None, size: int = BLOCK
                ) -> Iterator[Any]:
         """Yield the data in blocks of whole episodes, in order, each `Decisions` or `Primitives`.
 
@@ -260,7 +260,7 @@ class _Player:
         return self._observe(state)
 
 
-def load_data(name: str | PathLike[str] | Tape, observation: str = "objects", level: Level = "decisions",
+def load_data(name: str | PathLike[str] | Tape, observation: str = "objects", level: DataLevel = "decisions",
               gamma: float = 0.99, rooms: str = "test") -> DataSet:
     """Open a data set.
 

@@ -28,7 +28,7 @@ from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
 from hrl_escape.data.catalogue import BENCHMARK, DataSpec
 from hrl_escape.data.materialise import load_data
-from hrl_escape.data.tape import DYNAMICS, FIELDS, FORMAT, Tape, load_tape, save_tape
+from hrl_escape.data.tape import DYNAMICS, FIELDS, TAPE_FORMAT, Tape, load_tape, save_tape
 from hrl_escape.errors import PlanningFailed
 from hrl_escape.ladder.hidden import derive_seed
 from hrl_escape.ladder.instance_set import InstanceSet
@@ -50,7 +50,7 @@ MEDIUM_PRIMITIVES, MEDIUM_ROOMS, MEDIUM_EPISODES = 40_000, 20, 40
 REFERENCE_ROOMS = 20
 SAVE_SECONDS = 20.0
 
-Chooser: TypeAlias = Callable[[Any, NDArray[np.bool_], np.random.Generator, bool], int]
+ActionRule: TypeAlias = Callable[[Any, NDArray[np.bool_], np.random.Generator, bool], int]
 """(observation, legal actions, generator, whether the episode begins) -> action."""
 
 
@@ -126,7 +126,7 @@ def make_about(name: str, kind: str, rooms_text: str, rooms: InstanceSet, env: g
     inner: Any = env.unwrapped
     names = inner.instance.robot.actions.names
     actions, count = (env.action_names, env.primitive_count) if isinstance(env, OptionsEnv) else (names, len(names))
-    return {"format": FORMAT, "name": name, "kind": kind, "rooms": rooms_text, "rooms_id": rooms.describe()["id"],
+    return {"format": TAPE_FORMAT, "name": name, "kind": kind, "rooms": rooms_text, "rooms_id": rooms.describe()["id"],
             "engine": "bullet", "dynamics": DYNAMICS, "package": __version__, "command": command,
             "actions": list(actions), "primitive_count": count,
             "policies": [kind], "scores": {}}
@@ -170,7 +170,7 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
     return tape
 
 
-def _record_episode(writer: TapeWriter, env: gymnasium.Env, log: ActionLog, choose: Chooser, kind: str, seed: int,
+def _record_episode(writer: TapeWriter, env: gymnasium.Env, log: ActionLog, choose: ActionRule, kind: str, seed: int,
                     room: int, most: int) -> int:
     """Record one episode, cut where it reaches `most` primitives; returns how many it ran."""
     rng = np.random.default_rng(seed)
@@ -201,7 +201,7 @@ def _read_mask(info: Mapping[str, Any], env: gymnasium.Env) -> NDArray[np.bool_]
 # --- behaviours ------------------------------------------------------------------------------
 
 
-def _make_behaviour(spec: DataSpec, rooms: InstanceSet, folder: Path) -> tuple[gymnasium.Env, ActionLog, Chooser]:
+def _make_behaviour(spec: DataSpec, rooms: InstanceSet, folder: Path) -> tuple[gymnasium.Env, ActionLog, ActionRule]:
     """The environment of a kind, its log of primitives, and its choices."""
     log = ActionLog(rooms.make_env(observation="objects" if spec.kind == "medium" else "features"))
     if spec.kind == "explore":

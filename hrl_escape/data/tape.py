@@ -27,14 +27,14 @@ from hrl_escape.files import atomic_writer, open_plain, parse_json
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.room_sets import parse_room_set
 
-__all__ = ["DYNAMICS", "ENDS", "FIELDS", "FORMAT", "Tape", "load_tape", "save_tape"]
+__all__ = ["DYNAMICS", "ENDS", "FIELDS", "TAPE_FORMAT", "Tape", "load_tape", "save_tape"]
 
-FORMAT = 1
+TAPE_FORMAT = 1
 DYNAMICS = "EscapeRoom-v1"
 """Version of the rules that a tape is replayed by: that of the environment's id."""
 ENDS = ("cut", "terminated", "truncated")
 """Ends of an episode; `Tape.end` is an index into it."""
-LARGEST = 2**29
+LARGEST_TAPE = 2**29
 """Bytes that a tape's arrays may take together, 512 MiB: 10^8 primitives."""
 FIELDS: Mapping[str, type] = {
     "episode_seed": np.uint64, "room": np.int32, "decisions": np.int32, "end": np.uint8, "option": np.int16,
@@ -134,14 +134,14 @@ def load_tape(path: str | os.PathLike[str]) -> Tape:
     Raises:
         FileReadError: it is missing, damaged, something else, or of another engine or version.
     """
-    with open_plain(path, "tape", largest=LARGEST) as file:
+    with open_plain(path, "tape", largest=LARGEST_TAPE) as file:
         try:
             with zipfile.ZipFile(file) as archive:
                 members = {member.filename: member for member in archive.infolist()}
                 if members.keys() != {f"{name}.npy" for name in (*FIELDS, "about")}:
                     raise ValueError("it holds other arrays than a tape does")
-                if (total := sum(member.file_size for member in members.values())) > LARGEST:
-                    raise ValueError(f"it claims {total:,} bytes, and at most {LARGEST:,} are read here")
+                if (total := sum(member.file_size for member in members.values())) > LARGEST_TAPE:
+                    raise ValueError(f"it claims {total:,} bytes, and at most {LARGEST_TAPE:,} are read here")
                 about = parse_json(_read(archive, members["about.npy"], np.uint8).tobytes(), path, "tape")
                 digest = about.pop("digest")
                 _check_version(about)
@@ -176,7 +176,7 @@ def show(shape: tuple[int, ...]) -> str:
 
 def _check_version(about: Mapping[str, Any]) -> None:
     """Refuse what another engine, other rules or another form of tapes must replay."""
-    ours = {"format": FORMAT, "engine": "bullet", "dynamics": DYNAMICS}
+    ours = {"format": TAPE_FORMAT, "engine": "bullet", "dynamics": DYNAMICS}
     for name, value in ours.items():
         if about[name] != value:
             raise ValueError(f"its {name} is {about[name]!r} (recorded with hrl_escape {about['package']}), and this "

@@ -1,4 +1,4 @@
-"""Why flat PPO falls: time in corners and entropy beside first escapes, and what each remedy changes against `ppo`.
+"""The fall of flat PPO: time in corners and entropy beside first escapes, and what each remedy changes against `ppo`.
 
 Runs of the same seed are pairs. First escapes are compared as ratios, those that never came counting as the budget;
 each table of comparisons is one family (Holm), and all tests are by flipped signs.
@@ -153,7 +153,7 @@ def tell_remedies(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str,
 
 
 def tell_learning(lines: Sequence[FlatRun], learners: Sequence[str]) -> str:
-    """What the greedy policies are worth in the end, by count: an escape by luck in training is not learning."""
+    """Worth of the greedy policies in the end, by count: an escape by luck in training is not learning."""
     counts = {label: (sum(run.efficiency > 0 for run in own), len(own)) for label in learners
               if (own := [run for run in lines if run.agent == label])}
     some = [f"`{label}` in {hits} of {runs} runs" for label, (hits, runs) in counts.items() if hits]

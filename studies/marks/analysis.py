@@ -1,4 +1,4 @@
-"""What marks teach across rooms: a learner with memory against searchers that learn nothing and who reads the code."""
+"""Learning from marks across rooms: a learner with memory, searchers that learn nothing, and who reads the code."""
 
 from __future__ import annotations
 

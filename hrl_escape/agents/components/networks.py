@@ -54,7 +54,7 @@ __all__ = [
     "make_state_network",
 ]
 
-BLOCK = 4096
+BLOCK_ROWS = 4096
 """Rows that pass through a perceptron together: two layers of 64 units take 2 MiB, as much as a core's own cache."""
 MOST_KNOWN = 1_000
 """Most outputs of a network that are remembered."""
@@ -208,7 +208,7 @@ class Network(nn.Sequential):
 
     def forward(self, input: torch.Tensor) -> torch.Tensor:
         """Outputs, (n, outputs) from (n, inputs); those of many rows through a perceptron block by block."""
-        if len(input) <= BLOCK or input.device.type != "cpu" or not self._is_perceptron:
+        if len(input) <= BLOCK_ROWS or input.device.type != "cpu" or not self._is_perceptron:
             return super().forward(input)
         return _Blocks.apply(input, self._is_tanh, torch.is_grad_enabled(), *self.parameters())
 
@@ -218,7 +218,7 @@ class Network(nn.Sequential):
 
 
 class _Blocks(torch.autograd.Function):
-    """A perceptron over many rows, `BLOCK` of them at a time through all its layers, which stay in cache meanwhile.
+    """A perceptron over many rows, `BLOCK_ROWS` of them at a time through all layers, which stay in cache meanwhile.
 
     Layer by layer, each would stream all rows through main memory: on a CPU that takes twice to three times as long.
     """
@@ -226,17 +226,17 @@ class _Blocks(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rows: torch.Tensor, is_tanh: bool, is_kept: bool, *parameters: torch.Tensor) -> torch.Tensor:
         weights, biases = parameters[::2], parameters[1::2]
-        hidden = [rows.new_empty(len(rows) if is_kept else BLOCK, len(bias)) for bias in biases[:-1]]
+        hidden = [rows.new_empty(len(rows) if is_kept else BLOCK_ROWS, len(bias)) for bias in biases[:-1]]
         output = rows.new_empty(len(rows), len(biases[-1]))
-        for start in range(0, len(rows), BLOCK):
-            before = rows[start : start + BLOCK]
-            place = slice(start, start + BLOCK) if is_kept else slice(len(before))
+        for start in range(0, len(rows), BLOCK_ROWS):
+            before = rows[start : start + BLOCK_ROWS]
+            place = slice(start, start + BLOCK_ROWS) if is_kept else slice(len(before))
             for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
                 if layer < len(hidden):
                     before = torch.addmm(bias, before, weight.t(), out=hidden[layer][place])
                     before.tanh_() if is_tanh else before.relu_()
                 else:
-                    torch.addmm(bias, before, weight.t(), out=output[start : start + BLOCK])
+                    torch.addmm(bias, before, weight.t(), out=output[start : start + BLOCK_ROWS])
         if is_kept:
             ctx.save_for_backward(rows, *hidden, *weights)
             ctx.is_tanh = is_tanh
@@ -249,8 +249,8 @@ class _Blocks(torch.autograd.Function):
         of_weights = [torch.zeros_like(weight) for weight in weights]
         of_biases = [weight.new_zeros(len(weight)) for weight in weights]
         of_rows = torch.empty_like(inputs[0]) if ctx.needs_input_grad[0] else None
-        for start in range(0, len(inputs[0]), BLOCK):
-            part = slice(start, start + BLOCK)
+        for start in range(0, len(inputs[0]), BLOCK_ROWS):
+            part = slice(start, start + BLOCK_ROWS)
             error = gradients[0][part]
             for layer in reversed(range(len(weights))):
                 before = inputs[layer][part]

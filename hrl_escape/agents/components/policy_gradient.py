@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.components.networks import BLOCK, NetworkSettings, ObservationEncoder
+from hrl_escape.agents.components.networks import BLOCK_ROWS, NetworkSettings, ObservationEncoder
 from hrl_escape.agents.streams import OpenChoices, StreamTransitions, compute_backups
 from hrl_escape.settings import Range
 
@@ -183,7 +183,7 @@ def compute_next_values(rollout: Rollout, values: Tensor, critic: Callable[[Tens
 def compute_log_policy(logits: Tensor, mask: Tensor) -> Tensor:
     """Log probabilities of the softmax over legal actions, -inf elsewhere. Shapes (batch, actions)."""
     legal = logits.masked_fill(~mask, -torch.inf)
-    if len(legal) < BLOCK:
+    if len(legal) < BLOCK_ROWS:
         return functional.log_softmax(legal, dim=1)
     return functional.log_softmax(legal.t().contiguous(), dim=0).t()  # row by row it takes six times as long
 

@@ -24,7 +24,7 @@ from hrl_escape.settings import replace_settings
 
 __all__ = ["Material", "OfflineRun", "gather_material"]
 
-DOOR = "hrl_escape.data.materialise:load_data"
+DATA_LOADER = "hrl_escape.data.materialise:load_data"
 """Opens a data set by its name; it stands above the agents, which know no rooms, and is imported when asked for."""
 
 SEGMENT_UPDATES = 50
@@ -61,7 +61,7 @@ def gather_material(agent: Any, env: Any, data: Any, recipe: str, settings: Any)
         known = ", ".join(list_offline_agents())
         raise AgentSettingsError("agent", agent, f"one that learns from a data set ({known}), or leave data= out")
     chosen = replace_settings(get_recipe(agent, recipe), settings or {}) if is_named else agent.settings
-    found: OfflineData = resolve_name(DOOR)(data) if isinstance(data, (str, os.PathLike)) else data
+    found: OfflineData = resolve_name(DATA_LOADER)(data) if isinstance(data, (str, os.PathLike)) else data
     options = agent.startswith(SMDP_PREFIX) if is_named else found.level == "decisions"
     if options and kind.reads_both:
         raise AgentSettingsError("agent", agent, f"{kind.name}: it acts by primitives, and reads the decisions too")

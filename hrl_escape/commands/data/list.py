@@ -13,7 +13,7 @@ import json
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.data.catalogue import KINDS, find_tape, list_specs
+from hrl_escape.data.catalogue import TAPE_KINDS, find_tape, list_specs
 from hrl_escape.errors import FileReadError
 
 
@@ -36,7 +36,8 @@ def run(args: DataListArgs) -> None:
         except FileReadError:
             size = None
         if args.rung in (None, spec.rung) and (size is not None or not spec.size):
-            rows.append({"name": spec.name, "primitives": spec.primitives, "bytes": size, "what": KINDS[spec.kind]})
+            what = TAPE_KINDS[spec.kind]
+            rows.append({"name": spec.name, "primitives": spec.primitives, "bytes": size, "what": what})
     if args.json:
         print(json.dumps(rows, indent=2))
         return

@@ -6,11 +6,11 @@ import pytest
 import torch
 from torch import nn
 
-from hrl_escape.agents.components.networks import BLOCK, Network
+from hrl_escape.agents.components.networks import BLOCK_ROWS, Network
 
 
 @pytest.mark.parametrize("activation", [nn.Tanh, nn.ReLU])
-@pytest.mark.parametrize("rows", [BLOCK, BLOCK + 1, 3 * BLOCK + 5])
+@pytest.mark.parametrize("rows", [BLOCK_ROWS, BLOCK_ROWS + 1, 3 * BLOCK_ROWS + 5])
 def test_rows_in_blocks_give_the_outputs_and_gradients_of_plain_layers(activation, rows):
     generator = torch.Generator().manual_seed(rows)
     sizes = (7, 16, 9, 3)
