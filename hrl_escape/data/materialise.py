@@ -47,8 +47,7 @@ class DataSet:
 
         data = load_data("lattice-play-v1")
         decisions = data.read_decisions(gamma=0.99)
-        for block in data.blocks("primitives"):
-            ...
+        blocks = data.blocks("primitives")  # one after another
 
     Args:
         tape: the tape.
