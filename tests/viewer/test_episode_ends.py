@@ -7,6 +7,7 @@ import io
 import json
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,22 +43,22 @@ def make_room(kind: str):
     return generate(preset or RoomConfig(puzzle=get_puzzle_kind(kind).config_type()), 0)
 
 
-def fail(episode: Episode, chance: np.random.Generator) -> str:
+def fail(episode: Episode, chance: np.random.Generator, folder: Path) -> str:
     """Press targets at random until the puzzle is failed; what the page says of the last move."""
     said = ""
     while not episode.is_over:
         legal = [action for action in range(episode.primitive_count, len(episode.names)) if episode.is_legal(action)]
-        said = carry_out(Command("act", int(chance.choice(legal))), episode, None)
+        said = carry_out(Command("act", int(chance.choice(legal))), episode, folder)
     return said
 
 
 @pytest.fixture(scope="module", params=FAILING)
-def failed(request):
+def failed(request, tmp_path_factory):
     """An episode whose puzzle was failed, and what play said of it."""
     room = make_room(request.param)
     for seed in range(50):
         episode = Episode(room)
-        said = fail(episode, np.random.default_rng(seed))
+        said = fail(episode, np.random.default_rng(seed), tmp_path_factory.mktemp("play"))
         if episode.end is EpisodeEnd.FAILED:
             return episode, said
     raise AssertionError(f"no random episode of {request.param} fails")

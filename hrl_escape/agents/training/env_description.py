@@ -67,6 +67,7 @@ OWN = frozenset({
     "hrl_escape.options.memory:DecisionMemory",
     "hrl_escape.options.options_env:OptionsEnv",
     "hrl_escape.synthesis.hierarchy_env:HierarchyEnv",
+    "hrl_escape.text.told_env:ToldEnv",
 })
 """Parts of this package, each imported when it is asked for."""
 

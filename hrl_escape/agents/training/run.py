@@ -391,9 +391,12 @@ class Run(Stateful):
     def resume(self, state: StateTree, rows: list[dict[str, Any]]) -> None:
         """Go on from a checkpoint and the log up to it."""
         with refusing_damage(f"{self.arguments.name}: the checkpoint or its log"):
+            probe = self.probe
             self.load_state_dict(state)
             if None in (self.primitives, self.decisions, self.planner_calls, self.seconds, self.planner_seconds):
                 raise ValueError("a total is missing")
+            if self.probe is not probe:
+                raise ValueError("it has the state of a probe, and this run has none")
             records = [read_row(row) for row in rows]
         self.episodes = [record for record in records if isinstance(record, EpisodeRecord)]
         self.segments = [record for record in records if isinstance(record, SegmentRecord)]
