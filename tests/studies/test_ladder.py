@@ -98,7 +98,7 @@ def test_calibration_tells_what_the_lines_say(references: dict, learner: list, n
     assert "Open, for want of runs" not in page
     assert "Open, for want of runs: `top`." in tell(lines, (*RUNGS, "top"), noisy)
     page = tell([line for line in lines if not line.rooms.endswith("[9]")], RUNGS)
-    assert "### Calibration" not in page and "Ladder score" not in page, "nine rooms are too few"
+    assert "**Calibration**" not in page and "Ladder score" not in page, "nine rooms are too few"
 
 
 def test_learners_that_fall_are_told_beside_those_that_do_not():
@@ -138,13 +138,13 @@ def test_of_a_learner_on_one_rung_no_fall_is_denied():
 def test_agents_over_options_and_over_primitives_have_tables_of_their_own():
     flat = {"random": [0.1, 0.0, 0.0], "ppo": [1.0, 0.0, 0.0]}
     lines = [*make_cells(SOUND), *make_cells({"smdp-ppo": [0.8, 0.5, 0.2]}, 1000), *make_cells(flat, 1000)]
-    options, primitives, calibration = tell(lines, RUNGS).split("\n### ")[1:]
-    assert options.startswith("Over options\n\n| rung | ") and "| `planner` | `smdp-ppo` |" in options
-    assert primitives.startswith("Over primitives\n\n| rung | `random` | `ppo` |") and "smdp" not in primitives
+    options, primitives, calibration = re.split(r"\n\*\*(?=Over |Calibration\*\*)", tell(lines, RUNGS))[1:]
+    assert options.startswith("Over options**\n\n| rung | ") and "| `planner` | `smdp-ppo` |" in options
+    assert primitives.startswith("Over primitives**\n\n| rung | `random` | `ppo` |") and "smdp" not in primitives
     assert "| `low` | 0.10 (10) | **1.00** (10) |" in primitives and primitives.count("Ladder score") == 1
     assert "to below 0.1 on the next that it was run on: `smdp-ppo`." in calibration, "flat agents ask another question"
     assert "--agents random ppo --runs 1" in calibration and "planner smdp-ppo" not in calibration
-    assert "### Over" not in tell(make_cells(flat, 1000), RUNGS)
+    assert "**Over" not in tell(make_cells(flat, 1000), RUNGS)
 
 
 def test_ladder_scores_are_over_the_largest_table_without_gaps():
@@ -183,7 +183,7 @@ def test_the_page_says_what_an_agent_with_three_parents_is_told():
              for line in make_lines("high", agent, value, 1.0, 10)]
     page = tell(lines, RUNGS)
     assert "`+three-parents`: told that up to three buttons may have to be on together" in page
-    assert f"| rung | `{agents[0]}` | `{agents[1]}` |" in page and f"masters is `high`, by `{agents[1]}`.**" in page
+    assert f"| rung | `{agents[0]}` | `{agents[1]}` |" in page and f"masters is `high`, by `{agents[1]}`." in page
 
 
 def test_a_tower_has_a_section_of_its_own_and_counts_in_no_rung():
@@ -200,9 +200,9 @@ def test_a_tower_has_a_section_of_its_own_and_counts_in_no_rung():
     assert "--runs 2 --rooms 3 --primitives 900\n" in (text := tell([*lines, *runs, *trained], RUNGS))
     assert "Learners train for 900 primitives, less than the tower's own 100,000." in text
     enough = [dataclasses.replace(trained[0], seed=seed, primitives=100_000) for seed in range(10)]
-    assert "Nothing is concluded" in page and "Learners train" not in page[page.index("## tower"):]
+    assert "Nothing is concluded" in page and "Learners train" not in page[page.index("<details><summary>tower"):]
     assert "Nothing is concluded" not in (text := tell(enough, RUNGS)) and "less than" not in text
-    start = page.index("## tower")
+    start = page.index("<details><summary>tower")
     assert page[:start] + page[page.index("```console\npython", page.index("--rooms 3")):] == tell(lines, RUNGS)
 
 
@@ -210,7 +210,7 @@ def test_a_tower_s_grids_have_the_rungs_as_floors():
     args = BaselineArgs(rung=RUNGS_OF_TWO, protocol=(TOWER,), rooms=2, runs=1)
     grids = list(make_baseline_grids(load_benchmark("ladder-1"), args))
     assert [(place.rung, place.kind, len(grid.agents)) for place, grid in grids] == [
-        (TOWER, "references", 1), (TOWER, "references", 2), (TOWER, "learners", 1), (TOWER, "learners", 2)]
+        (TOWER, kind, count) for kind, most in (("references", 3), ("learners", 2)) for count in range(1, most + 1)]
     (place,) = grids[-1][1].make_places()
     assert [floor.name for floor in place.split.test.floors] == [f"ladder-1/{rung}/test[:2]" for rung in RUNGS_OF_TWO]
 

@@ -347,7 +347,7 @@ def test_the_page_says_what_being_told_less_costs_and_what_fresh_seeds_give(tmp_
     save("scaling", [*told, *bar, *failed], tmp_path)
     assert main(["scaling", "--from-raw", "--docs", str(tmp_path)]) == 0
     page = (tmp_path / "scaling.md").read_text()
-    assert "## What structure learners are told" in page and "(seeds 100 to 109)" in page
+    assert "<summary>What structure learners are told</summary>" in page and "(seeds 100 to 109)" in page
 
 
 LABELS = [spec.label for spec in TOLD]
