@@ -107,14 +107,14 @@ def test_ray_that_is_not_installed_is_named_with_its_extra(capsys: pytest.Captur
                                                           monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     code, _, err = call(capsys, "compare", "--agents", "random", "--runs", 1, "--ray", "--out", tmp_path)
-    assert code == 2 and "hrl-escape[ray]" in err
+    assert code == 2 and "'.[ray]'" in err
 
 
 def test_submitit_that_is_not_installed_is_named_with_its_extra(capsys: pytest.CaptureFixture[str], tmp_path: Path,
                                                                monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(__import__("sys").modules, "submitit", None)
     code, _, err = call(capsys, "compare", "--agents", "random", "--runs", 1, "--slurm", 2, "--out", tmp_path)
-    assert code == 2 and "hrl-escape[slurm]" in err
+    assert code == 2 and "'.[slurm]'" in err
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
