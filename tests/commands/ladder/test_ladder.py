@@ -183,7 +183,7 @@ def test_a_tower_that_cannot_be_climbed_is_refused_in_one_line(capsys, tmp_path)
     assert "two or more" in refuse("planner", "--rung", "pair")
     assert "each once" in refuse("planner", "--rung", "pair", "pair")
     assert "has 0 joints and that of ladder-1/reach" in refuse("planner", "--rung", "pair", "reach")
-    assert "numbers of one room's options" in refuse("smdp-index-order", "--rung", "doormat", "pair")
+    assert "follow the options of one room" in refuse("smdp-index-order", "--rung", "doormat", "pair")
     assert "smdp-dqn+objects" in refuse("smdp-dqn", "--rung", "doormat", "pair")
     assert "from 1 to 64" in refuse("planner", "--rung", "doormat", "clutter", "--rooms", "65")
 
