@@ -10,8 +10,6 @@ import hashlib
 import re
 from collections.abc import Iterable
 
-from rich import markup
-
 __all__ = ["count_nouns", "join_words", "make_console_text", "make_file_name", "parse_whole"]
 
 LONGEST_FILE_NAME = 120
@@ -35,6 +33,8 @@ def make_file_name(name: str) -> str:
 
 def make_console_text(name: str, longest: int = LONGEST_CONSOLE_TEXT) -> str:
     """Make a piece of a line that rich prints as it stands: no markup, no control characters, not long."""
+    from rich import markup  # not for `hrl-escape --help`
+
     shown = name if len(name) <= longest else f"{name[: longest - 3]}..."
     plain = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in shown)
     return markup.escape(plain)

@@ -1,4 +1,4 @@
-"""Let a language model play a room: serve its tools by the Model Context Protocol, on standard input and output.
+"""Let a language model play a room: serve its tools by the Model Context Protocol, on stdin and stdout.
 
     hrl-escape mcp
     hrl-escape mcp --rung lattice --room test#3
