@@ -47,10 +47,10 @@ def test_train_keeps_its_default_folder_below_runs(folder: Path, name: str, capf
 
 
 @pytest.mark.parametrize("name", ["[/bold]", "../../up"])
-def test_solve_record_and_demo_show_the_name_as_it_stands(folder: Path, name: str, capfd):
+def test_solve_and_record_show_names_as_they_stand(folder: Path, name: str, capfd):
     room = write_room(folder, name)
-    assert main(["solve", "--config", room]) == 0
-    assert name in capfd.readouterr().out
-    assert main(["demo", "--config", room, "--folder", "[demo]"]) == 0
+    assert main(["solve", "--config", room, "--draw", "[map]/way.svg"]) == 0
     said = capfd.readouterr().out
-    assert name in said and "[demo]" in said
+    assert name in said and "[map]" in said
+    assert main(["record", "--config", room, "--out", "[page]/way.html"]) == 0
+    assert "[page]" in capfd.readouterr().out
