@@ -48,8 +48,8 @@ def read_blocks(page: Path) -> list[Block]:
 
 
 def read_commands(block: Block) -> list[list[str]]:
-    """The command lines of a console block, without comments."""
-    lines = block.text.replace("\\\n", " ").splitlines()
+    """The command lines of a console block, without comments; `a && b` are two."""
+    lines = block.text.replace("\\\n", " ").replace(" && ", "\n").splitlines()
     return [words for line in lines if (words := shlex.split(line, comments=True))]
 
 

@@ -59,7 +59,9 @@ def run(block: Block, words: list[str]) -> None:
     elif program == "make":
         assert re.search(rf"^{arguments[0]}:", (ROOT / "Makefile").read_text(), re.M), words
     elif program == "source":
-        assert arguments == [f"{re.search(r'^VENV +:= (.+)$', (ROOT / 'Makefile').read_text(), re.M)[1]}/bin/activate"]
+        assert arguments == [f"{read_environment()}/bin/activate"]
+    elif words[:3] == ["python3", "-m", "venv"]:
+        assert arguments[2:] == [read_environment()]
     elif program == "pip":
         extras = re.findall(r"\.\[([\w,]+)\]", " ".join(arguments))
         listed = (ROOT / "pyproject.toml").read_text()
@@ -73,6 +75,11 @@ def run(block: Block, words: list[str]) -> None:
         assert paths and all((ROOT / path).exists() for path in paths), words
     else:
         raise AssertionError(f"{block.page}: who tests {' '.join(words)}?")
+
+
+def read_environment() -> str:
+    """Folder of the environment that the Makefile makes."""
+    return re.search(r"^VENV +:= (.+)$", (ROOT / "Makefile").read_text(), re.M)[1]
 
 
 def test_every_block_is_of_a_kind_that_is_tested_or_only_shown():
