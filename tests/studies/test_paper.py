@@ -61,7 +61,9 @@ def test_raw_runs_hold_every_episode_and_evaluation_and_survive_their_file(finis
 
 
 def test_a_study_keeps_finished_runs(finished: Comparison, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    (tmp_path / finished.grid.name).symlink_to(finished.out)
+    assert not any(agent.is_reference for agent in finished.grid.agents), "references have a folder of their own"
+    (tmp_path / finished.grid.name).mkdir()
+    (tmp_path / finished.grid.name / "learners").symlink_to(finished.out)
     study = dataclasses.replace(PAPER, data={**PAPER.data, "comparisons": [], "grid": [finished.grid.to_dict()]})
     store = Store(tmp_path / "raw.jsonl", (RawRun,))
     measure_grids(study, GridArgs(out=tmp_path, workers=1), store)
