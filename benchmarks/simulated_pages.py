@@ -141,8 +141,8 @@ def is_wrong_of_twins(name: str, draw: Draw, rng: np.random.Generator) -> bool:
              for room in grid.rooms for agent in grid.agents if agent.learns
              for seed, value in enumerate(draw(rng, RUNS))]
     cells, rooms = group(lines), [room.label for room in grid.rooms]
-    return any(contrast.is_better or contrast.is_worse for question in list_questions(study)
-               for contrast in compare_twins(question, cells, rooms))
+    return any(contrast.is_better or contrast.is_worse
+               for contrasts in compare_twins(list_questions(study), cells, rooms) for contrast in contrasts)
 
 
 def tell_rungs(draw: Draw, rng: np.random.Generator) -> str:

@@ -1,8 +1,8 @@
 """Studies of twins: agents held against the same agents without one part, in the same rooms with the same seeds.
 
 Such a study is data: its grid, and questions of pairs of agents in `study.toml`. A pair is one test over all rooms, and
-a question is one family (Holm). Whether learning adds anything is a further question: each learner against the best
-searcher that learns nothing. Its page extends `twins.md.j2`.
+the pairs of all questions are one family (Holm). Whether learning adds anything is a further question: each learner
+against the best searcher that learns nothing. Its page extends `twins.md.j2`.
 """
 
 from __future__ import annotations
@@ -124,7 +124,8 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     repeated = find_repeated_rooms(group(lines), shown)
     rooms = [room for room in shown if room not in repeated]
     cells = {place: runs for place, runs in group(lines).items() if place[0] in rooms}
-    questions = [(question, compare_twins(question, cells, rooms)) for question in list_questions(study)]
+    asked = list_questions(study)
+    questions = list(zip(asked, compare_twins(asked, cells, rooms), strict=True))
     beyond, chance = compare_with_searchers(cells, rooms, agents), compare_with_chance(cells, rooms, agents)
     headline = tell_beyond(beyond, len(rooms))
     told = [tell_question(question, contrasts, beyond, chance) for question, contrasts in questions]
@@ -186,9 +187,15 @@ def _are_equal(one: BaselineRun, other: BaselineRun) -> bool:
     return (one.efficiency, one.escapes, one.first_escape) == (other.efficiency, other.escapes, other.first_escape)
 
 
-def compare_twins(question: Question, cells: Cells, rooms: Sequence[str]) -> list[Contrast]:
-    """Each agent of a question against its twin; pairs that lack runs somewhere are left out."""
-    return _compare([(agent, twin, {room: twin for room in rooms}) for agent, twin in question.pairs], cells, rooms)
+def compare_twins(questions: Sequence[Question], cells: Cells, rooms: Sequence[str]) -> list[list[Contrast]]:
+    """Each agent against its twin, question by question; pairs that lack runs somewhere are left out.
+
+    All questions are one family, as a page is wrong if one of its sentences is.
+    """
+    found = {(contrast.agent, contrast.other): contrast for contrast in _compare(
+        [(agent, twin, dict.fromkeys(rooms, twin)) for question in questions for agent, twin in question.pairs],
+        cells, rooms)}
+    return [[found[pair] for pair in question.pairs if pair in found] for question in questions]
 
 
 def compare_with_searchers(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[Contrast]:

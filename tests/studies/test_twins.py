@@ -78,8 +78,9 @@ def conclude(study: Study, lines: list[BaselineRun]) -> tuple[str, list[str]]:
     """The finding, and a sentence a question without its heading."""
     cells, agents = group(lines), list(dict.fromkeys(line.agent for line in lines))
     beyond, chance = compare_with_searchers(cells, ROOMS, agents), compare_with_chance(cells, ROOMS, agents)
-    told = [tell_question(question, compare_twins(question, cells, ROOMS), beyond, chance)
-            for question in list_questions(study)]
+    questions = list_questions(study)
+    told = [tell_question(question, contrasts, beyond, chance)
+            for question, contrasts in zip(questions, compare_twins(questions, cells, ROOMS), strict=True)]
     return tell_beyond(beyond, len(ROOMS)), [sentence.partition(": ")[2] for sentence in told]
 
 
@@ -169,7 +170,7 @@ def test_what_would_have_been_seen_grows_with_the_spread():
         lines = [dataclasses.replace(line, efficiency=0.5 + spread * (-1) ** line.seed) if "+planned" in line.agent
                  else line for line in make_lines({"": 0.5})]
         cells = group(lines)
-        return tell_visible(compare_twins(list_questions(GIVEN_HIERARCHIES)[1], cells, ROOMS))
+        return tell_visible(compare_twins([list_questions(GIVEN_HIERARCHIES)[1]], cells, ROOMS)[0])
 
     assert "would have seen a gain of 0.09 in half" in see(0.1) and "0.35 in half" in see(0.4)
     assert tell_visible([]) == ""
@@ -185,8 +186,8 @@ def test_intervals_and_verdicts_agree():
     lines = make_lines({"maxq-q+planned": 0.15, "hamq+planned": 0.11, "": 0.1})
     lines = [dataclasses.replace(line, efficiency=line.efficiency + 0.05 * (-1) ** line.seed) for line in lines
              if line.agent != "q-learning"] + [line for line in lines if line.agent == "q-learning"]
-    for question in list_questions(GIVEN_HIERARCHIES):
-        for contrast in compare_twins(question, group(lines), ROOMS):
+    for contrasts in compare_twins(list_questions(GIVEN_HIERARCHIES), group(lines), ROOMS):
+        for contrast in contrasts:
             assert (contrast.low > 0 or contrast.high < 0) == (contrast.is_better or contrast.is_worse)
 
 
