@@ -36,3 +36,7 @@ print(session.score())
 
 save_games("game.jsonl", [record_game(session)])
 print(verify_games("game.jsonl")[0].score == session.score())
+
+# The room that it was:
+
+session.env.unwrapped.instance

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hrl_escape import train
+from hrl_escape.comparison import record_episode
 from hrl_escape.data import load_data, make_played_tape, save_tape
 from hrl_escape.data.card import draw_card
 from hrl_escape.env.presets import get_preset
@@ -49,3 +50,7 @@ for agent, settings in (("smdp-behaviour-cloning", {}), ("smdp-fitted-q", {"gamm
     last = result.evaluations[-1]
     print(f"{agent}: return {last.mean_return:g} after {last.lengths[0]} primitives")
 print("best of your episodes:", max(np.bincount(decisions.trajectory, decisions.summed_reward)))
+
+# The better of the two, move by move:
+
+record_episode(result.agent, data.make_env(options=True, gamma=0.99))

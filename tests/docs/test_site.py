@@ -166,5 +166,5 @@ def test_every_result_is_a_card_with_its_finding(site: Path):
     cards = index.split('class="finding-card')[1:]
     assert len(cards) == len(list((ROOT / "docs/results").glob("*.md"))) - 1
     reach = re.search(r"\*\*(.+?)\*\*", (ROOT / "docs/results/buttons.md").read_text(encoding="utf-8"))
-    assert reach and reach[1] in cards[0] and "buttons.svg" in cards[0] and 'href="buttons.html"' in cards[0]
+    assert reach and reach[1] in cards[1] and "buttons.svg" in cards[1] and 'href="buttons.html"' in cards[1]
     assert all(len(re.sub(r"<[^>]*>", "", card.partition("</div>")[0]).split()) > 10 for card in cards)
