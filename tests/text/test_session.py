@@ -175,7 +175,8 @@ def say_anything(count: int, seed: int) -> None:
     session, said = make_session(room, seed=seed), 0
     while said < count:
         name, arguments = NAMES[rng.integers(len(NAMES))], JUNK[rng.integers(len(JUNK))]
-        if isinstance(name, str) and name == "look" and (arguments is None or arguments == {}):
+        if isinstance(name, str) and name == "look" and (
+                arguments is None or (isinstance(arguments, dict) and not arguments)):
             continue
         before, turns = session.score(), len(session.transcript)
         result = session.call(name, arguments)
