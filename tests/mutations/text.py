@@ -26,5 +26,5 @@ MUTATIONS = [
              "if turns[:done] == said and len(turns) > done:", "if len(turns) > done:",
              "text/test_recordings.py::test_a_recorded_model_plays_the_game_again_and_no_other"),
     Mutation("a manager forgets to begin again once all is tried", "text/managers.py", "if not set(able) - tried:",
-             "if False:", PLAY),
+             "if False:", "text/test_managers.py"),
 ]

@@ -40,6 +40,14 @@ def test_the_nearest_takes_what_is_off_and_untried_and_near():
     assert choose("untried-nearest", others) == "press c"
 
 
+def test_where_all_was_tried_in_vain_everything_is_tried_once_more():
+    walk = [(f"press {name}", f'Pressed "{name}": nothing changed. You are at ({x}, 0.0).')
+            for name, x in (("b", 1.0), ("c", 3.0), ("a", 5.0))]
+    assert choose("untried-nearest", *walk) == "press a"  # the round begins anew, where one stands
+    assert choose("untried-nearest", *walk, walk[-1]) == "press c"
+    assert choose("untried-nearest", *walk, walk[-1], walk[1]) == "press b"
+
+
 @pytest.mark.parametrize("name", ["uniform", "untried", "untried-nearest"])
 def test_who_sees_the_exit_open_leaves_and_who_cannot_start_does_not(name: str):
     opened = ("press b", 'Pressed "b": it came on; the exit opened. You are at (1.0, 0.0).')
