@@ -172,7 +172,7 @@ MUTATIONS = [
         '"_decisions")',
         "agents/training/test_streams.py::test_a_run_cut_off_resumes_to_the_same_bits",
     ),
-    _streams("the decision after an option's is that of the next stream", "components/options/choices",
+    _streams("the decision after an option's is that of the next stream", "components/policy_gradient",
              "after = rows[place + 1, stream]", "after = rows[place + 1, (stream + 1) % shape[1]]",
              "both_processes_are_taught_stream_by_stream_what_the_formulas_say"),
     _streams("a stream's option goes on into the next episode", "components/options/choices",
@@ -217,15 +217,15 @@ MUTATIONS = [
     Mutation(
         "the state reached is valued as the decision itself",
         "agents/components/policy_gradient.py",
-        "following[rollout.place + 1, rollout.stream].masked",
-        "following[rollout.place, rollout.stream].masked",
+        "after = rows[place + 1, stream]",
+        "after = rows[place, stream]",
         "agents/training/test_streams.py::test_the_next_value_of_a_rollout_is_the_critics_of_the_state_reached",
     ),
     Mutation(
         "what follows in a rollout is the next episode's",
         "agents/components/policy_gradient.py",
-        "rollout.stream].masked_fill(rollout.over, -1)",
-        "rollout.stream].masked_fill(rollout.over & False, -1)",
+        "(after >= 0) & ~rollout.over",
+        "after >= 0",
         "agents/training/test_streams.py::test_the_next_value_of_a_rollout_is_the_critics_of_the_state_reached",
     ),
     Mutation(

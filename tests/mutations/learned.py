@@ -100,9 +100,10 @@ MUTATIONS = [
     _networks("terminations learn nothing of the choice", "choices",
               "kept + ends * (choice - kept)", "kept + ends.detach() * (choice - kept)",
               "test_terminations_learn_through_the_choice_of_options_and_the_value_s_error_moves_the_critic_alone"),
-    _networks("the state reached at a time-out is worth the next episode's option", "choices",
-              "(after >= 0) & ~rollout.over", "after >= 0",
-              "test_the_state_reached_is_worth_the_option_that_ran_next_and_the_mean_where_none_did"),
+    ("the state reached at a time-out is worth the next episode's option",
+     "agents/components/policy_gradient.py", "(after >= 0) & ~rollout.over", "after >= 0",
+     f"{ALGORITHMS}/options/test_option_networks.py"
+     "::test_the_state_reached_is_worth_the_option_that_ran_next_and_the_mean_where_none_did"),
     _networks("illegal actions have a share", "networks",
               "option], mask)", "option], torch.ones_like(mask))", "test_with_one_option_it_is_ppo_to_the_bit"),
     _networks("an option that is chosen again counts as going on", "rollouts",

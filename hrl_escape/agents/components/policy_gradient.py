@@ -164,6 +164,20 @@ def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, se
     return deltas[at].to(torch.float32)
 
 
+def find_next(rollout: Rollout) -> tuple[Tensor, Tensor]:
+    """Next decision of the same stream.
+
+    Returns:
+        Its row, int64 (n,), and bool (n,): it is in the rollout, in the same episode. Where it is not, the row is 0.
+    """
+    place, stream = rollout.place, rollout.stream
+    shape = int(place.max()) + 2, int(stream.max()) + 1
+    rows = torch.full(shape, -1, dtype=torch.int64, device=place.device)
+    rows[place, stream] = torch.arange(len(place), device=place.device)
+    after = rows[place + 1, stream]
+    return after.clamp(min=0), (after >= 0) & ~rollout.over
+
+
 def compute_next_values(rollout: Rollout, values: Tensor, critic: Callable[[Tensor], Tensor]) -> Tensor:
     """V of the states reached, float32 (n,): that of the stream's next decision, where it is part of the rollout.
 
@@ -172,12 +186,9 @@ def compute_next_values(rollout: Rollout, values: Tensor, critic: Callable[[Tens
         values: V(s_t), (n,).
         critic: V of encoded observations, (k,) from (k, ...), asked where no decision follows.
     """
-    rows = torch.arange(len(values), device=values.device)
-    following = rows.new_full((int(rollout.place.max()) + 2, int(rollout.stream.max()) + 1), -1)
-    following[rollout.place, rollout.stream] = rows
-    following = following[rollout.place + 1, rollout.stream].masked_fill(rollout.over, -1)
-    last = (following < 0).nonzero().squeeze(1)
-    return values[following.clamp(min=0)].index_copy(0, last, critic(rollout.next_observation[last]))
+    after, goes_on = find_next(rollout)
+    last = (~goes_on).nonzero().squeeze(1)
+    return values[after].index_copy(0, last, critic(rollout.next_observation[last]))
 
 
 def compute_log_policy(logits: Tensor, mask: Tensor) -> Tensor:

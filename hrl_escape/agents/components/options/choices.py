@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from hrl_escape.agents.components.options.agent import OptionLog
-from hrl_escape.agents.components.policy_gradient import Rollout, sample_policy, take_column
+from hrl_escape.agents.components.policy_gradient import sample_policy, take_column
 from hrl_escape.agents.state import Stateful
 
-__all__ = ["NONE", "SMALLEST", "OpenOptions", "OptionChoices", "find_next", "mix_values", "mix_with_former"]
+__all__ = ["NONE", "SMALLEST", "OpenOptions", "OptionChoices", "mix_values", "mix_with_former"]
 
 NONE = -1
 """In place of the option before an episode's first decision."""
@@ -52,20 +52,6 @@ def mix_with_former(beta: Tensor, choice: Tensor, former: Tensor) -> Tensor:
     kept = torch.nn.functional.one_hot(former.clamp(min=0), choice.shape[1]).to(choice.dtype)
     ends = beta.gather(1, former.clamp(min=0)[:, None]).masked_fill((former == NONE)[:, None], 1.0)
     return torch.where(ends == 1.0, choice, kept + ends * (choice - kept))
-
-
-def find_next(rollout: Rollout) -> tuple[Tensor, Tensor]:
-    """Next decision of the same stream.
-
-    Returns:
-        Its row, int64 (n,), and bool (n,): it is in the rollout, in the same episode. Where it is not, the row is 0.
-    """
-    place, stream = rollout.place, rollout.stream
-    shape = int(place.max()) + 2, int(stream.max()) + 1
-    rows = torch.full(shape, -1, dtype=torch.int64, device=place.device)
-    rows[place, stream] = torch.arange(len(place), device=place.device)
-    after = rows[place + 1, stream]
-    return after.clamp(min=0), (after >= 0) & ~rollout.over
 
 
 def mix_values(choice: Tensor, values: Tensor, former: Tensor) -> Tensor:

@@ -21,12 +21,13 @@ from hrl_escape.agents.components.networks import (
     make_generator,
     make_network,
 )
-from hrl_escape.agents.components.options.choices import OptionChoices, find_next, mix_values, mix_with_former
+from hrl_escape.agents.components.options.choices import OptionChoices, mix_values, mix_with_former
 from hrl_escape.agents.components.policy_gradient import (
     Rollout,
     compute_advantages,
     compute_clipped_parts,
     compute_log_policy,
+    find_next,
     take_column,
 )
 from hrl_escape.agents.state import Stateful
