@@ -1,14 +1,16 @@
 """Many environments at once: how many primitives are learned from in a second, options run, pictures taken?
 
     python -m benchmarks.many_environments rates               # one room at 1 to 4,096, beside SB3
+    python -m benchmarks.many_environments rates --counts 4096 --threads 2    # both cores at work
     python -m benchmarks.many_environments options             # options a second, beside the single environment
     python -m benchmarks.many_environments pixels              # frames of the robot's camera, beside Bullet's
     python -m benchmarks.many_environments rates --quick       # seconds: shows that everything runs
 
-`ppo` at its default settings, Stable-Baselines3's PPO (`sb3`) at its own, with 1 and 8 environments. Whether as much is
-learned from equally many primitives is the question of `benchmarks.learning_curves`. Seconds are of the
-process's own processor time, on one thread. Finished runs are kept, a line each, in the file `--out`; the command goes
-on where it was stopped.
+`ppo` at its default settings but for the epochs, Stable-Baselines3's PPO (`sb3`) at its own (10 epochs), with 1 and 8
+environments. Whether as much is learned from equally many primitives is the question of `benchmarks.learning_curves`.
+Rates are of processor time, and of wall time, which is the one to read with several threads. A run warms up before it
+is timed, so that nothing is compiled meanwhile. Finished runs are kept, a line each, in the file `--out`; the command
+goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -30,28 +32,40 @@ RATES = "hrl_escape/PaperTwoButton-v1"
 CHOOSING = ("PaperTwoButton", "ArmTwoButton")
 PEERS = (1, 8)
 PICTURED = ("PaperTwoButton", "Clutter")
-RATE_SETTINGS: dict[str, dict[str, Any]] = {"10 epochs": {}, "4 epochs": {"epochs": 4}}
+COMPILED = 512
+"""Environments from which on rooms are compiled: fewer do not spend enough to be worth it."""
+RATE_SETTINGS: dict[str, dict[str, Any]] = {"10 epochs": {}, "4 epochs": {"epochs": 4}, "1 epoch": {"epochs": 1}}
 
 
-def measure_ours(count: int, budget: int, settings: dict[str, Any]) -> float:
-    """Primitives of a room that `ppo` learns from in a second of processor time."""
+def measure_ours(count: int, budget: int, settings: dict[str, Any], threads: int) -> dict[str, float]:
+    """Primitives of a room that `ppo` learns from in a second."""
     env: Any = (gymnasium.make(RATES, observation="features") if count == 1 else
-                gymnasium.make_vec(RATES, num_envs=count, output="torch", observation="features"))
-    started = time.process_time()
-    result = train("ppo", env, primitives=budget, eval_episodes=0, progress=False, settings=settings)
-    return result.primitives / (time.process_time() - started)
+                gymnasium.make_vec(RATES, num_envs=count, output="torch", observation="features",
+                                   compile=count >= COMPILED))
+
+    def run(primitives: int) -> int:
+        return train("ppo", env, primitives=primitives, eval_episodes=0, progress=False, settings=settings,
+                     threads=threads).primitives
+
+    run(min(budget, 8 * 2048))
+    started, clock = time.process_time(), time.perf_counter()
+    primitives = run(budget)
+    return {"rate": primitives / (time.process_time() - started), "wall": primitives / (time.perf_counter() - clock)}
 
 
-def measure_peer(count: int, budget: int) -> float:
+def measure_peer(count: int, budget: int, threads: int) -> dict[str, float]:
     """The same of Stable-Baselines3's PPO."""
     from stable_baselines3 import PPO
     from stable_baselines3.common.env_util import make_vec_env
 
     env = make_vec_env(lambda: gymnasium.make(RATES, observation="features"), n_envs=count)
     model = PPO("MlpPolicy", env, n_steps=2048 // count, device="cpu")
-    started = time.process_time()
+    torch.set_num_threads(threads)
+    started, clock = time.process_time(), time.perf_counter()
     model.learn(budget)
-    return model.num_timesteps / (time.process_time() - started)
+    torch.set_num_threads(1)
+    return {"rate": model.num_timesteps / (time.process_time() - started),
+            "wall": model.num_timesteps / (time.perf_counter() - clock)}
 
 
 def measure_options(contender: str, count: int, room: str, quick: bool) -> float:
@@ -122,7 +136,7 @@ def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
                 for number in range(arguments.rounds) for room in arguments.rooms
                 for contender, counts in (("single", [1]), ("batch", arguments.counts))
                 for count in counts]
-    return [{"what": "rates", "contender": contender, "count": count, "round": number}
+    return [{"what": "rates", "contender": contender, "count": count, "round": number, "threads": arguments.threads}
             for number in range(arguments.rounds)
             for contender, counts in (*((name, arguments.counts) for name in RATE_SETTINGS), ("sb3", PEERS))
             for count in counts]
@@ -135,9 +149,10 @@ def execute(run: dict[str, Any], quick: bool) -> dict[str, Any]:
         return {"rate": measure_options(run["contender"], count, run["room"], quick)}
     if run["what"] == "pixels":
         return {"rate": measure_pixels(run["contender"], count, run["room"], quick)}
-    budget = 4_096 if quick or peer or count <= 8 else 64 * count
-    rate = measure_peer(count, budget) if peer else measure_ours(count, budget, RATE_SETTINGS[run["contender"]])
-    return {"rate": rate}
+    budget = 4_096 if quick or peer or count <= 8 else 512 * count
+    if peer:
+        return measure_peer(count, budget, run["threads"])
+    return measure_ours(count, budget, RATE_SETTINGS[run["contender"]], run["threads"])
 
 
 def summarise(rows: list[dict[str, Any]], what: str) -> str:
@@ -150,8 +165,12 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
     peer, unit = {"rates": ("sb3", "primitives"), "options": ("single", "options"),
                   "pixels": ("single", "frames")}[what]
     base = median.get((peer, 1), float("nan"))
-    lines = [f"| contender | environments | {unit} a second | to {peer} with one |", "|---|---|---|---|"]
-    return "\n".join([*lines, *(f"| {name} | {count:,} | {rate:,.0f} | {rate / base:.1f} |"
+    wall = {key: float(np.median([row["wall"] for row in found]))
+            for key, found in groups.items() if "wall" in found[0]}
+    lines = [f"| contender | environments | {unit} a second of processor time | to {peer} with one | of wall time |",
+             "|---|---|---|---|---|"]
+    return "\n".join([*lines, *(f"| {name} | {count:,} | {rate:,.0f} | {rate / base:.1f} | "
+                                f"{format(wall[name, count], ',.0f') if (name, count) in wall else ''} |"
                                 for (name, count), rate in median.items())])
 
 
@@ -162,6 +181,7 @@ def main() -> None:
     parser.add_argument("--counts", nargs="+", type=int, help="numbers of environments")
     parser.add_argument("--rooms", nargs="+", help="rooms of options and pixels")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--threads", type=int, default=1, help="threads of torch, for rates")
     parser.add_argument("--out", type=Path, default=Path("many_environments.jsonl"), help="where runs are kept")
     parser.add_argument("--quick", action="store_true", help="small budgets, one round")
     arguments = parser.parse_args()
@@ -181,7 +201,9 @@ def main() -> None:
             print(rows[-1], flush=True)
     for room in arguments.rooms:
         print(*([] if room is None else [f"\n{room}\n"]), sep="", end="")
-        print(summarise([row for row in rows if row.get("room") == room], arguments.what))
+        kept = [row for row in rows
+                if row.get("room") == room and row.get("threads", arguments.threads) == arguments.threads]
+        print(summarise(kept, arguments.what))
 
 
 if __name__ == "__main__":
