@@ -5,6 +5,7 @@ from .degraded import OptionDegradation
 from .domain import OptionDomain
 from .execution import TraceStep
 from .learned import LearnedOption, make_learned_options
+from .masked_observation import MaskedObservation
 from .meta_actions import PlannedOption, make_meta_options
 from .option import FLAVOURS, FunctionOption, Option, ScriptedOption, TableOption
 from .options_env import OptionsEnv
@@ -17,6 +18,7 @@ __all__ = [
     "FLAVOURS",
     "FunctionOption",
     "LearnedOption",
+    "MaskedObservation",
     "Option",
     "OptionDegradation",
     "OptionDomain",
