@@ -231,18 +231,18 @@ class DivergenceError(EscapeError, ArithmeticError):
 
 
 class TrustError(EscapeError, ValueError):
-    """A run's folder names code that is neither this package's nor registered; nothing was imported.
+    """A run's folder, or a submission, names code that is neither this package's nor registered; nothing was run.
 
     Attributes:
-        names: what would be imported, each as `module:name`.
+        names: what would be imported, each as `module:name`, or started.
     """
 
-    def __init__(self, names: Iterable[object]) -> None:
+    def __init__(self, names: Iterable[object], would: str = "this run would import and call") -> None:
         self.names = tuple(names)
         shown = ", ".join(map(show_value, self.names[:8]))
         more = f" and {len(self.names) - 8} more" if len(self.names) > 8 else ""
-        super().__init__(f"this run would import and call {shown}{more}, which may do anything on this machine. If you "
-                         "trust where the run comes from, allow it by trust=True (--trust)")
+        super().__init__(f"{would} {shown}{more}, which may do anything on this machine. If you trust where it comes "
+                         "from, allow it by trust=True (--trust)")
 
 
 class CheckpointError(FileReadError):

@@ -274,15 +274,15 @@ MUTATIONS = [
     ),
     Mutation(
         "an archive's parts are not held against their hashes",
-        "agents/training/run_archive.py",
+        "agents/training/archive.py",
         "if found != part:",
         "if False:",
         "agents/training/test_run_archive.py",
     ),
     Mutation(
         "an archive may hold files of any name",
-        "agents/training/run_archive.py",
-        "if member.orig_filename not in (MANIFEST, *RUN_FILES) or kind not in (0, stat.S_IFREG):",
+        "agents/training/archive.py",
+        "if not (name == MANIFEST or kind.names.fullmatch(name)) or mode not in (0, stat.S_IFREG):",
         "if False:",
         "agents/training/test_run_archive.py",
     ),

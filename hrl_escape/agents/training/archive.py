@@ -1,0 +1,270 @@
+"""Archives of named parts, each with its size and SHA-256: how runs and submissions are handed on.
+
+An archive is a zip of `manifest.json`, with the bytes and SHA-256 of each part, then the parts. Nothing in it is
+compressed and no time is kept: equal parts give equal archives, byte for byte, and no archive unpacks to more than its
+own bytes. Reading takes known names only, once each, so that no name in an archive, absolute, with `..` or of a link,
+ever becomes a path.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import hashlib
+import io
+import json
+import os
+import re
+import shutil
+import stat
+import struct
+import tempfile
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+from hrl_escape.errors import (
+    CheckpointError,
+    EscapeError,
+    FileReadError,
+    FileWriteError,
+    describe_damage,
+    show_value,
+)
+from hrl_escape.files import (
+    TEMPORARY_PREFIX,
+    atomic_writer,
+    describe_write_failure,
+    make_folder,
+    open_plain,
+    parse_json,
+)
+from hrl_escape.settings import read_record
+
+__all__ = ["LARGEST_ARCHIVE", "ArchiveKind", "Part", "compute_parts_digest", "describe_part", "making_folder",
+           "pack_parts", "read_parts"]
+
+MANIFEST, FORMAT = "manifest.json", 1
+LARGEST_ARCHIVE = 2**32 - 2**16
+"""Bytes of the largest archive: what a zip holds without its extension to 64 bits."""
+LARGEST_DIRECTORY = 2**12
+"""Bytes of a zip's list of members; twenty of ours take under 2,000."""
+CHUNK = 2**20
+DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EROFS, errno.EFBIG)
+"""Errors of the folder that parts are written to; the archive is not to blame."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """File of an archive: its name, its size in bytes, and the SHA-256 of its content in hexadecimal digits."""
+
+    name: str
+    bytes: int
+    sha256: str
+
+
+class ArchiveKind(NamedTuple):
+    """Kind of archive: whose parts, which names they may have, and what to do about a damaged one.
+
+    Attributes:
+        whose: in words, such as `a run`.
+        names: names of parts that it may hold.
+        cure: sentence that ends the message about a damaged one.
+    """
+
+    whose: str
+    names: re.Pattern[str]
+    cure: str
+
+
+def compute_parts_digest(parts: Iterable[Part]) -> str:
+    """SHA-256 over the names and contents of parts."""
+    return hashlib.sha256(_make_manifest(parts)).hexdigest()
+
+
+def describe_part(name: str, source: Path | bytes, what: str = "part of an archive") -> Part:
+    """Size and hash of a file, or of bytes, as a part of this name.
+
+    Raises:
+        FileReadError: the file is missing, or a link.
+    """
+    with _open(source, what) as file:
+        return _copy(file, None, name)
+
+
+def pack_parts(path: str | os.PathLike[str], sources: Mapping[str, Path | bytes], kind: ArchiveKind
+               ) -> tuple[Part, ...]:
+    """Write an archive, atomically.
+
+    Args:
+        path: the archive.
+        sources: file or content of each part, by its name.
+        kind: of the archive.
+
+    Raises:
+        FileReadError: a file is missing, or a link.
+        FileWriteError: the archive cannot be written, or would have more than `LARGEST_ARCHIVE` bytes.
+    """
+    parts = tuple(describe_part(name, source, f"part of {kind.whose}") for name, source in sources.items())
+    if sum(part.bytes for part in parts) > LARGEST_ARCHIVE:
+        raise FileWriteError(f"cannot write {path}: {kind.whose} has more than {LARGEST_ARCHIVE:,} bytes")
+    with atomic_writer(path) as file, zipfile.ZipFile(file, "w", allowZip64=False) as archive:
+        with archive.open(_make_member(MANIFEST), "w") as target:
+            target.write(_make_manifest(parts))
+        for part, source in zip(parts, sources.values(), strict=True):
+            with _open(source, f"part of {kind.whose}") as content, \
+                    archive.open(_make_member(part.name), "w") as target:
+                _check_part(part, _copy(content, target, part.name), path)
+    return parts
+
+
+def read_parts(path: str | os.PathLike[str], kind: ArchiveKind, wanted: Iterable[str] = (), folder: Path | None = None
+               ) -> tuple[tuple[Part, ...], dict[str, bytes]]:
+    """Check an archive whole, hashes included, and read parts of it.
+
+    Args:
+        path: the archive.
+        kind: of the archive.
+        wanted: names of parts whose content is returned; it must have them.
+        folder: write all parts there too, each as a new file; None writes nothing.
+
+    Raises:
+        FileReadError: there is no archive, or it may not be read.
+        CheckpointError: it is damaged, or of another kind.
+    """
+    path = Path(path)
+    with open_plain(path, f"archive of {kind.whose}", LARGEST_ARCHIVE) as file, refusing_archive(path, kind):
+        _check_directory(file)
+        with zipfile.ZipFile(file) as archive:
+            members = {member.filename: member for member in archive.infolist()}
+            _check_members(archive.infolist(), kind, os.fstat(file.fileno()).st_size)
+            with archive.open(members[MANIFEST]) as source:
+                parts = _read_manifest(source.read(LARGEST_DIRECTORY), path)
+            if {MANIFEST, *(part.name for part in parts)} != members.keys():
+                raise ValueError("its manifest lists other parts than it has")
+            content = {name: archive.read(members[name]) for name in wanted}
+            for part in parts:
+                with archive.open(members[part.name]) as source:
+                    if folder is None:
+                        found = _copy(source, None, part.name)
+                    else:
+                        with open(folder / part.name, "xb") as target:
+                            found = _copy(source, target, part.name)
+                            target.flush()
+                            os.fsync(target.fileno())
+                _check_part(part, found, path)
+            return parts, content
+
+
+@contextmanager
+def refusing_archive(path: Path, kind: ArchiveKind) -> Iterator[None]:
+    """Say in one sentence what an archive is not, whatever its content has raised.
+
+    Raises:
+        CheckpointError: it is damaged, or of another kind.
+    """
+    try:
+        yield
+    except CheckpointError:
+        raise
+    except Exception as error:  # damaged bytes make the reader of zip raise almost anything
+        if isinstance(error, OSError) and error.errno in DISK_TROUBLE:
+            raise
+        raise CheckpointError(f"{path}: this is no archive of {kind.whose}, or a damaged one "
+                              f"({describe_damage(error)}). {kind.cure}") from error
+
+
+@contextmanager
+def making_folder(folder: Path) -> Iterator[Path]:
+    """A new folder beside its place, which takes it at the end of the block: whole, or not at all.
+
+    Raises:
+        FileWriteError: the folder is there already, or cannot be written.
+    """
+    if os.path.lexists(folder):
+        raise FileWriteError(f"cannot write {folder}: it is there already. Choose another folder, or delete this one")
+    make_folder(folder.absolute().parent)
+    made: Path | None = None
+    try:
+        made = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=folder.absolute().parent))
+        yield made
+        made.chmod(0o755)
+        made.rename(folder)
+        made = None
+    except EscapeError:
+        raise
+    except OSError as error:
+        raise FileWriteError(describe_write_failure(folder, error)) from error
+    finally:
+        if made is not None:
+            shutil.rmtree(made, ignore_errors=True)
+
+
+def _open(source: Path | bytes, what: str) -> AbstractContextManager[IO[bytes]]:
+    if isinstance(source, bytes):
+        return io.BytesIO(source)
+    if source.is_symlink():
+        raise FileReadError(f"{source}: this is a link, and a {what} is a plain file")
+    return open_plain(source, what, LARGEST_ARCHIVE)
+
+
+def _check_directory(file: IO[bytes]) -> None:
+    """Refuse long lists of members, comments and 64-bit zips before the list is read."""
+    file.seek(-42, os.SEEK_END)
+    end = file.read()
+    if end[20:24] != b"PK\5\6":
+        raise ValueError("it does not end as a zip does")
+    size, comment = struct.unpack("<12xL4xH", end[20:])
+    if size > LARGEST_DIRECTORY or comment or end.startswith(b"PK\6\7"):
+        raise ValueError(f"its list of members has {size:,} bytes")
+
+
+def _check_members(members: list[zipfile.ZipInfo], kind: ArchiveKind, size: int) -> None:
+    """Refuse all but plain, stored files of known names, once each."""
+    left = size
+    for member in members:
+        left -= member.file_size
+        name, mode = member.orig_filename, stat.S_IFMT(member.external_attr >> 16)
+        if not (name == MANIFEST or kind.names.fullmatch(name)) or mode not in (0, stat.S_IFREG):
+            raise ValueError(f"it holds {show_value(name)}, which is no file of {kind.whose}")
+        if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size or left < 0:
+            raise ValueError(f"{member.filename} would unpack to more than the archive's own bytes")
+    if len({member.filename for member in members}) < len(members):
+        raise ValueError("it holds a file twice")
+
+
+def _read_manifest(content: bytes, path: Path) -> tuple[Part, ...]:
+    manifest = parse_json(content, path, "manifest of an archive")
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise ValueError(f"its manifest is not of format {FORMAT}")
+    return tuple(read_record(Part, {"name": name, **part}) for name, part in manifest["parts"].items())
+
+
+def _make_manifest(parts: Iterable[Part]) -> bytes:
+    listed: dict[str, Any] = {part.name: {"bytes": part.bytes, "sha256": part.sha256} for part in parts}
+    return json.dumps({"format": FORMAT, "parts": listed}, indent=2).encode() + b"\n"
+
+
+def _make_member(name: str) -> zipfile.ZipInfo:
+    member = zipfile.ZipInfo(name)  # of 1980-01-01, the earliest time that a zip has
+    member.create_system, member.external_attr = 3, (stat.S_IFREG | 0o644) << 16
+    return member
+
+
+def _copy(source: IO[bytes], target: IO[bytes] | None, name: str) -> Part:
+    """Read a file to its end, write what was read, and say what it was."""
+    size, content = 0, hashlib.sha256()
+    while chunk := source.read(CHUNK):
+        size += len(chunk)
+        content.update(chunk)
+        if target is not None:
+            target.write(chunk)
+    return Part(name, size, content.hexdigest())
+
+
+def _check_part(part: Part, found: Part, where: str | os.PathLike[str]) -> None:
+    if found != part:
+        raise CheckpointError(f"{where}: {part.name} has another content than its hash says: {part.bytes:,} bytes of "
+                              f"{part.sha256[:16]}, found {found.bytes:,} of {found.sha256[:16]}")

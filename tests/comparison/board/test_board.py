@@ -1,0 +1,69 @@
+"""Boards: the page is what its records say, of any truth, and shows the words of strangers letter by letter."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.cli import main
+from hrl_escape.comparison.board.board import Check, Record, Row, conclude, read_records, write_page
+from hrl_escape.comparison.inference import Estimate
+from hrl_escape.errors import FileReadError
+
+ROOT = Path(__file__).parents[3]
+BOARD = ROOT / "docs/board"
+
+
+def make_row(name: str, value: float, agent: str = "", reach: float = 0.05) -> Row:
+    return Row(name, (), Estimate(value, value - reach, value + reach), agent)
+
+
+def test_the_page_is_what_the_command_makes(tmp_path, capsys):
+    assert main(["ladder", "board", str(BOARD), "--out", str(tmp_path / "board.md")]) == 0
+    assert (tmp_path / "board.md").read_text() == (ROOT / "docs/board.md").read_text()
+    assert "left out" not in capsys.readouterr().out
+
+
+def test_the_sentence_of_a_rung_follows_its_rows():
+    floor, ceiling = make_row("nearest", 0.7, "smdp-untried-nearest"), make_row("bayes", 0.98, "smdp-bayes")
+    lower = make_row("dark", 0.5, "smdp-untried")
+    rows = [floor, lower, ceiling]
+    assert conclude([*rows, make_row("mine", 0.9)]) == (
+        "mine beats the 0.70 of nearest, which learns nothing: 0.900 (0.850 to 0.950); smdp-bayes, which knows how "
+        "rooms are drawn, has 0.98.")
+    assert conclude([*rows, make_row("mine", 0.72)]).startswith("No agent is shown to beat the 0.70 of nearest")
+    assert conclude([*rows, make_row("mine", 0.3)]).startswith("No agent is shown to beat the 0.70 of nearest")
+    assert "the best, yours, has 0.600" in conclude([lower, floor, make_row("mine", 0.3), make_row("yours", 0.6)])
+    assert conclude(rows) == conclude([make_row("mine", 0.9)]) == (
+        "No agent stands beside a searcher that learns nothing yet.")
+
+
+def test_words_of_strangers_are_no_markup_and_hidden_rooms_have_a_column():
+    record = read_records(BOARD)[0]
+    entry, cells = record.submission.entry, record.submission.cells
+    card = dataclasses.replace(entry.card, name="<b>|x|</b> [a](b)*", authors=("`me`",), told="{{ 7 * 7 }} $x$",
+                               link="https://example.org/a")
+    hidden = [dataclasses.replace(cells[0], set="hidden", room=room, escaped=False) for room in range(100)]
+    stated = dataclasses.replace(entry, card=card, beacon="quicknet 7 " + "a" * 64)
+    odd = dataclasses.replace(record.submission, entry=stated, cells=(*cells, *hidden))
+    page, _ = write_page([Record(odd, record.check)])
+    line = next(line for line in page.splitlines() if "example.org" in line)
+    assert line.count("|") == 12 and not set("<>`{}*$") & set(line) and "](https://example.org/a)" in line
+    assert "| 0.000 (0.000 to 0.0" in line
+    partial = dataclasses.replace(record.submission, entry=dataclasses.replace(entry, rooms=1), cells=cells[:1])
+    page, left_out = write_page([Record(partial, record.check)])
+    assert left_out == [entry.card.name] and "|---|" not in page
+
+
+def test_a_record_survives_its_file_and_a_damaged_one_is_named(tmp_path):
+    record = read_records(BOARD)[0]
+    record.save(tmp_path / "a.json")
+    assert read_records(tmp_path) == [record] and record.check == Check(record.check.cells, record.check.seed, "0.3.0")
+    value = json.loads((tmp_path / "a.json").read_text())
+    value["submission"]["cells"][0]["primitives"] = 0
+    (tmp_path / "a.json").write_text(json.dumps(value))
+    with pytest.raises(FileReadError, match="a.json: this is no record"):
+        read_records(tmp_path)
