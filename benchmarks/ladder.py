@@ -4,6 +4,7 @@
     python -m benchmarks.ladder calibrate --agents smdp-dqn+no-primitives smdp-ppo+no-primitives --primitives 20000
     python -m benchmarks.ladder calibrate --agents smdp-ppo+objects+memory+no-primitives --protocol generalise
     python -m benchmarks.ladder freeze my-ladder.json
+    python -m benchmarks.ladder costs
 
 To freeze is to generate the rooms of every rung, to skip those that look alike, and to write the manifest's roots. A
 manifest needs a name and, for each rung, a name and a schematic; counts have defaults. Whoever changes a frozen
@@ -13,6 +14,8 @@ In a calibration every agent is tested in the same few test rooms. Learners trai
 the protocol generalise in as many training rooms. A rung asks for something only where chance stays below 0.5, it is
 sound where the planner, which knows the graph, reaches 1, and it is a step too high where a learner falls there from
 above 0.9 on the rung before to below 0.1. The exit code is 1 if any of this does not hold.
+
+Costs are seconds of training that the lines of studies tell, `hrl_escape/comparison/costs.json`.
 """
 
 from __future__ import annotations
@@ -20,26 +23,30 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.agents.registry import list_agents
 from hrl_escape.cli import run_script
 from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.comparison.summary import summarise
+from hrl_escape.files import write_json
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from hrl_escape.ladder.certificate import freeze_manifest
 from hrl_escape.ladder.manifest import load_manifest
 from hrl_escape.version import __version__
 from studies.ladder.calibration import find_miscalibration, find_steps
 
+_ROOT = Path(__file__).parents[1]
 _YARDSTICKS = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives", "smdp-index-order+no-primitives",
                "planner")
 
@@ -78,6 +85,43 @@ class Freeze:
 
     manifest: Annotated[Path, tyro.conf.Positional]
     """Manifest file; it is written anew, with roots, skipped indices and task overlaps."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Costs:
+    """Options of the table of costs."""
+
+    out: Path = _ROOT / "hrl_escape/comparison/costs.json"
+    """File to write."""
+
+
+def collect_rates(lines: Iterable[Mapping[str, Any]]) -> dict[str, dict[int, float]]:
+    """Seconds for a thousand primitives, of agents by their registered names, by the number of buttons.
+
+    Args:
+        lines: of studies, with `agent`, `buttons`, `primitives` and `seconds`; two or more make a number.
+    """
+    known = {name for plain in list_agents() for name in (plain, f"smdp-{plain}")}
+    found: dict[str, dict[int, list[tuple[float, int]]]] = defaultdict(lambda: defaultdict(list))
+    for line in lines:
+        if line["agent"] in known:
+            found[line["agent"]][line["buttons"]].append((line["seconds"], line["primitives"]))
+    return {agent: {buttons: round(1000 * sum(seconds for seconds, _ in runs) / sum(count for _, count in runs), 4)
+                    for buttons, runs in sorted(own.items()) if len(runs) > 1} for agent, own in sorted(found.items())}
+
+
+def read_lines() -> list[dict[str, Any]]:
+    """Lines of the studies that tell seconds of single runs."""
+    return [json.loads(line) for study in ("scaling", "price")
+            for line in (_ROOT / f"studies/{study}/raw.jsonl").read_text(encoding="utf-8").splitlines()
+            if '"seconds"' in line]
+
+
+def write_costs(args: Costs) -> int:
+    """Write the table of costs."""
+    write_json(args.out, collect_rates(read_lines()), indent=1)
+    print(f"wrote {args.out}")
+    return 0
 
 
 def freeze(args: Freeze) -> int:
@@ -123,9 +167,10 @@ def _measure(bench: Benchmark, rung: str, learners: Sequence[AgentSpec], args: C
     return found
 
 
-def run(args: Calibrate | Freeze) -> int:
-    """Calibrate a benchmark or freeze a manifest; the exit code is 1 if a rung is not calibrated."""
-    return freeze(args) if isinstance(args, Freeze) else calibrate(args)
+def run(args: Calibrate | Freeze | Costs) -> int:
+    """Calibrate a benchmark, freeze a manifest or write costs; the exit code is 1 if a rung is not calibrated."""
+    return (freeze(args) if isinstance(args, Freeze) else write_costs(args) if isinstance(args, Costs)
+            else calibrate(args))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""List the rungs of a benchmark: rooms, what each rung asks for, and the size of its sets.
+"""List the rungs of a benchmark: rooms, what each rung asks for, the size of its sets, and what training costs.
+
+Core hours are those of smdp-dqn by published rates, with ten seeds in each of ten test rooms (protocol per-instance);
+the other protocols take a tenth for each number of training rooms. `hrl-escape ladder run --dry-run` tells any other.
 
 Examples:
     hrl-escape ladder list
@@ -13,9 +16,13 @@ import json
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.comparison.cost import count_buttons, estimate_hours, load_rates
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.protocols import get_budget
 from hrl_escape.env.presets import describe_schematic
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.manifest import ROLES
+from hrl_escape.ladder.rung import Rung
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,12 +46,19 @@ def run(args: LadderListArgs) -> None:
         "sets": {role: record.count for role in ROLES if (record := rung.record.get_record(role))},
         "skipped": sum(len(record.skipped) for role in ROLES if (record := rung.record.get_record(role))),
         "task_overlap": rung.record.task_overlap,
+        "core_hours": _estimate(rung),
     } for rung in bench]
     if args.json:
         print(json.dumps({"benchmark": bench.name, "rungs": rows}, indent=2))
         return
-    table = Table("rung", "rooms", "/".join(ROLES), "task overlap", box=None, pad_edge=False)
+    table = Table("rung", "rooms", "/".join(ROLES), "task overlap", "core hours", box=None, pad_edge=False)
     for row in rows:
         counts = "/".join(str(row["sets"].get(role, "-")) for role in ROLES)
-        table.add_row(row["rung"], row["rooms"], counts, f"{row['task_overlap']:.0%}")
+        table.add_row(row["rung"], row["rooms"], counts, f"{row['task_overlap']:.0%}",
+                      f"{row['core_hours']:.1f}")
     Console(width=120).print(table)
+
+
+def _estimate(rung: Rung) -> float:
+    rooms = [count_buttons(rung.config)] * min(10, rung.record.test.count)
+    return round(estimate_hours([AgentSpec("smdp-dqn")], get_budget(rung.name), rooms, 10, load_rates())[0], 2)

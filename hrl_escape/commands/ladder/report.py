@@ -74,6 +74,7 @@ def run(args: ReportArgs) -> None:
         return
     console = Console(width=120, highlight=False)
     table = Table("rung", "agent", "runs", "efficiency", "learned", "trained in", "escapes", "passed",
+                  "core hours",
                   *(("floors climbed",) if args.protocol == TOWER else ()), box=None, pad_edge=False)
     for standing in standings:
         agent, (share, low, high) = standing.agent, standing.escapes
@@ -82,7 +83,8 @@ def run(args: ReportArgs) -> None:
             f"{agent.efficiency.value:.3f} ({agent.efficiency.low:.3f} to {agent.efficiency.high:.3f})",
             "" if standing.learned is None else f"{standing.learned:.2f}",
             "" if agent.seen is None else f"{agent.seen.value:.3f}", f"{share:.0%} ({low:.0%} to {high:.0%})",
-            "yes" if standing.is_passed else "no", *([_describe_climb(standing)] if args.protocol == TOWER else []))
+            "yes" if standing.is_passed else "no", f"{_count_hours(standing):.2g}",
+            *([_describe_climb(standing)] if args.protocol == TOWER else []))
     console.print(table)
     if any(standing.agent.trials for standing in standings):
         console.print(_make_trial_table(standings))
@@ -92,6 +94,11 @@ def run(args: ReportArgs) -> None:
     console.print(f"Ladder score {over}")
     for label, score in scores.items():
         console.print(f"{label}: {score.value:.3f} ({score.low:.3f} to {score.high:.3f})", markup=False)
+
+
+def _count_hours(standing: RungStanding) -> float:
+    """Core hours of training of all its runs."""
+    return standing.agent.seconds * standing.agent.runs / 3600
 
 
 def _describe_climb(standing: RungStanding) -> str:
@@ -112,6 +119,7 @@ def _to_json(standing: RungStanding) -> dict[str, object]:
     return {"rung": standing.rung, "agent": agent.label, "runs": agent.runs,
             "efficiency": agent.efficiency._asdict(), "seen": None if agent.seen is None else agent.seen._asdict(),
             "escapes": standing.escapes, "passed": standing.is_passed, "learned": standing.learned,
+            "core_hours": _count_hours(standing),
             "trials": [trial._asdict() for trial in agent.trials],
             **({"floors": standing.floors, "climbed": standing.escapes[0] * standing.floors}
                if standing.floors > 1 else {})}

@@ -61,8 +61,9 @@ def test_a_room_of_the_small_benchmark_can_be_shown(capsys, tmp_path):
 def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     options = ["--rung", "doormat", "--protocol", "generalise", "--rooms", "2", "--train-sizes", "2", "--runs", "1",
                "--primitives", "10", "--workers", "1", "--out", str(tmp_path)]
-    code, out, _ = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
+    code, out, err = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
     assert code == 0 and "doormat: 2 runs finished, 0 failed" in out
+    assert err.startswith("ladder-1-doormat-generalise: about 0 core hours of training by published rates\n")
     code, out, err = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
     assert code == 0 and "2 of 2 runs were finished before" in err
     assert (tmp_path / "generalise" / "doormat" / "report.html").exists()
@@ -71,6 +72,7 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     assert code == 0 and told["highest"] == {"smdp-random+no-primitives": "none", "planner": "none"}
     planner = next(row for row in told["rungs"] if row["agent"] == "planner")
     assert planner["efficiency"]["value"] == 1.0 and planner["escapes"][0] == 1.0 and not planner["passed"]
+    assert all(row["core_hours"] >= 0 for row in told["rungs"])
     assert told["score_rungs"] == ["doormat"] and told["scores"]["planner"]["value"] == 1.0
     code, _, err = call(capsys, "report", str(tmp_path), "--protocol", "per-instance")
     assert code == 2 and "no rung was run here" in err
@@ -107,7 +109,8 @@ def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
 def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
     options = ["run", "smdp-random+no-primitives", "planner", "--rung", "doormat", "--rooms", "1", "--runs", "1",
                "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
-    assert "doormat: 2 runs, 2 to be made" in call(capsys, *options, "--dry-run")[1]
+    told = call(capsys, *options, "--dry-run")[1]
+    assert "doormat: 2 runs, 2 to be made" in told and "core hours of training by published rates" in told
     code, out, _ = call(capsys, *options, "--shard", "2/2")
     assert code == 0 and "doormat: 1 runs finished" in out
     code, out, _ = call(capsys, *options, "--report")

@@ -1,0 +1,81 @@
+"""Cost of training before it begins: seconds of one core, by the rates of published runs.
+
+`costs.json` holds the seconds that a thousand primitives took each agent, by the number of buttons, as studies measured
+them; `python -m benchmarks.ladder costs` writes it. Between these numbers rates are interpolated, beyond them
+the nearest holds. Evaluations come on top.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+
+from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.places import RunPlace
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.ladder.tower import list_sets
+
+__all__ = ["Rates", "count_buttons", "describe_cost", "estimate_hours", "estimate_rate", "load_rates"]
+
+Rates = Mapping[str, Mapping[int, float]]
+"""Seconds of one core for a thousand primitives, by agent and number of buttons."""
+
+
+@cache
+def load_rates() -> Rates:
+    """Published rates."""
+    text = (files("hrl_escape.comparison") / "costs.json").read_text(encoding="utf-8")
+    return {agent: {int(buttons): rate for buttons, rate in known.items()} for agent, known in json.loads(text).items()}
+
+
+def estimate_rate(agent: str, buttons: float, rates: Rates) -> float | None:
+    """Seconds of one core for a thousand primitives; None for an agent without published runs."""
+    known = rates.get(agent)
+    return None if known is None else float(np.interp(buttons, list(known), list(known.values())))
+
+
+def count_buttons(config: RoomConfig) -> float:
+    """Mean number of targets in rooms of a schematic, over ten of them."""
+    return float(np.mean([sample_puzzle(config, seed)[0].puzzle.count_targets() for seed in range(10)]))
+
+
+def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterable[float], runs: int, rates: Rates
+                   ) -> tuple[float, list[str]]:
+    """Core hours of training.
+
+    Args:
+        agents: each trains wherever there are `buttons`; what does not learn costs nothing.
+        primitives: of a run.
+        buttons: number of buttons of each room, or mean number of each set.
+        runs: of each agent in each place.
+        rates: see `load_rates`.
+
+    Returns:
+        The hours of those agents whose rate is known, and the labels of the others.
+    """
+    seconds, unknown, places = 0.0, [], list(buttons)
+    for agent in agents:
+        found = [estimate_rate(agent.name, count, rates) for count in places if agent.learns]
+        known = [rate for rate in found if rate is not None]
+        seconds += sum(known) * runs * primitives / 1000
+        unknown += [agent.label] * (len(known) < len(found))
+    return seconds / 3600, unknown
+
+
+def describe_cost(grid: Grid) -> str:
+    """Words on the core hours that training in a grid takes."""
+    hours, unknown = estimate_hours(grid.agents, grid.primitives, map(_count_at, grid.make_places()), grid.runs,
+                                    load_rates())
+    but = f", and those of {', '.join(unknown)}, of which no rate is published" if unknown else ""
+    return f"about {hours:.2g} core hours of training by published rates{but}"
+
+
+def _count_at(place: RunPlace) -> float:
+    if place.split is None:
+        return len(place.instance.targets)
+    return float(np.mean([count_buttons(rooms.config) for rooms in list_sets(place.split.train)]))
