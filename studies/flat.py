@@ -1,7 +1,7 @@
-"""Flat learners in many copies of a room at once: runs, where their time goes, and actions that are repeated.
+"""Flat learners, most of them in many copies of a room at once: runs, where their time goes, repeated actions.
 
-Shared by the studies of flat learners. A run's environment is stepped by the batched engine; its evaluations are
-episodes of the greedy policy in the ordinary environment, with the same repeats.
+Shared by the studies of flat learners. Copies of a room are stepped by the batched engine; evaluations are episodes of
+the greedy policy in the ordinary environment, with the same repeats.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -24,6 +24,7 @@ from torch import Tensor
 from hrl_escape.agents.registry import get_recipe
 from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.streams import EndedDecisions
+from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
@@ -31,20 +32,24 @@ from hrl_escape.agents.training.vector_streams import VectorStreams
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.files import read_text
+from hrl_escape.ladder.goals import GoalsEnv
 from hrl_escape.planning.best_known import find_best_known
 from hrl_escape.settings import read_record, replace_settings
 from hrl_escape.version import find_versions
+from studies.archive import ArchiveSettings, explore
 from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Study
 
-__all__ = ["CORNER", "TENTHS", "FlatArgs", "FlatLearner", "FlatRun", "RepeatedStreams", "list_learners",
-           "measure_flat_runs", "run_flat"]
+__all__ = ["ARCHIVE", "CORNER", "TENTHS", "FlatArgs", "FlatJob", "FlatLearner", "FlatRun", "RepeatedStreams", "find_until",
+           "list_learners", "measure_flat_runs", "run_flat"]
 
 CORNER = 0.8
 """Share of the way from the middle to a wall from which on, along both walls, the robot is in a corner: 4 % of the
 floor."""
 TENTHS = 10
+ARCHIVE = "archive"
+"""Name of the learner that is no agent: `studies.archive`."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ class FlatLearner:
 
     Attributes:
         label: in tables.
-        agent: name.
+        agent: name, or `ARCHIVE`.
         settings: fields to change.
         streams: copies of the room that it learns in at once, compiled; 0 for one ordinary environment.
         repeat: primitives for which each chosen action is repeated; only with streams.
@@ -93,7 +98,7 @@ class FlatRun:
         buttons: of the room.
         seed: of training; chooses the room where the study has several.
         fewest: primitives of the best known escape.
-        budget: primitives.
+        budget: primitives; a run that ended early has spent what its last evaluation says.
         first_escape: primitives, of all streams together, at the end of the first training episode that escaped; None
             if none did.
         curve: (primitives, efficiency) of each evaluation of the greedy policy.
@@ -126,6 +131,11 @@ class FlatRun:
     def efficiency(self) -> float:
         """Mean of the evaluations in the last fifth."""
         return float(np.mean([value for at, value in self.curve if at >= 0.8 * self.budget]))
+
+    @property
+    def spent(self) -> int:
+        """Primitives that it trained for."""
+        return self.curve[-1][0]
 
     def find_threshold(self, least: float) -> int | None:
         """Primitives at the first of two evaluations in a row of at least this efficiency; None without such a pair."""
@@ -251,21 +261,76 @@ class _RepeatedEnv(gymnasium.Wrapper):
         return observation, sum(rewards), terminated, truncated, {**info, **told}
 
 
-def run_flat(learner: FlatLearner, room: RoomInstance, seed: int, budget: int, eval_every: int) -> FlatRun:
-    """Train a learner in a room for the whole budget."""
+class FlatJob(NamedTuple):
+    """A run to be made.
+
+    Attributes:
+        learner: that learns.
+        room: in which.
+        seed: of training.
+        budget: primitives.
+        eval_every: primitives between evaluations.
+        until: efficiency that ends it once it is reached at two evaluations in a row; 0 for none, which is reached at
+            the first evaluation after the first escape; None runs for the whole budget.
+    """
+
+    learner: FlatLearner
+    room: RoomInstance
+    seed: int
+    budget: int
+    eval_every: int
+    until: float | None = None
+
+
+class _UntilEscape(Callback):
+    """Ends a run with the first evaluation after an escape in training."""
+
+    def __init__(self) -> None:
+        self._has_escaped = False
+
+    def on_row(self, row: Mapping[str, Any]) -> None:
+        """An episode or a segment ended."""
+        self._has_escaped |= bool(row.get("train/success") or row.get("train/successes"))
+
+    def on_evaluation(self, agent: Any, evaluation: Any) -> bool:
+        """True once it has escaped."""
+        return self._has_escaped
+
+
+def find_until(room: RoomInstance, fewest: int, efficiency: float, has_goals: bool) -> float:
+    """Return of an escape of this efficiency: -1 a primitive and 0 for the last where goals are asked for."""
+    most = fewest / efficiency
+    return 1 - most - 1e-9 if has_goals else room.reward.exit + room.reward.step * most
+
+
+def run_flat(learner: FlatLearner, room: RoomInstance, seed: int, budget: int, eval_every: int,
+             until: float | None = None) -> FlatRun:
+    """Train a learner in a room; see `FlatJob`."""
     single: Any = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=room, observation="features",
                                  disable_env_checker=True)
     single.reset(seed=0)
     fewest = find_best_known(room, single.unwrapped.get_state()).primitives
     assert fewest is not None, "rooms of these studies can be escaped from"
+    key = make_key(learner, room, seed, budget, eval_every, until)
+    started = time.process_time()
+    if learner.agent == ARCHIVE:
+        found = explore(single.unwrapped, read_record(ArchiveSettings, learner.settings), seed, budget, eval_every,
+                        int(fewest / until + 1e-9) if until else 0, until == 0)
+        curve = tuple((at, 0.0 if length is None else round(min(1.0, fewest / length), 4)) for at, length in found.lengths)
+        return FlatRun(learner.label, len(room.targets), seed, fewest, budget, found.first_escape, curve, (), (), (),
+                       round(time.process_time() - started, 1), key)
     env, watched, gamma = single, None, getattr(get_recipe(learner.agent), "gamma", 0.99)
+    if has_goals := "hindsight_goals" in learner.settings:
+        env = single = GoalsEnv(single, escapes=1.0)
     if learner.streams:
         env = watched = RepeatedStreams(_make_many(room, learner.streams), learner.repeat, gamma)
-    started = time.process_time()
+        started = time.process_time()
     tested = _RepeatedEnv(single, learner.repeat, gamma) if learner.repeat > 1 else single
     with tempfile.TemporaryDirectory() as folder:
         result = train(learner.agent, env, primitives=budget, seed=seed, settings=learner.settings, eval_env=tested,
-                       eval_every=eval_every, eval_episodes=1, progress=False, out=folder, checkpoint_seconds=1e9)
+                       eval_every=eval_every, eval_episodes=1, progress=False, out=folder, checkpoint_seconds=1e9,
+                       until_return=find_until(room, fewest, until, has_goals) if until else None,
+                       callbacks=[_UntilEscape()] if until == 0 else [])
         rows = [json.loads(row) for row in read_text(Path(folder) / "log.jsonl").splitlines()]
     seconds = time.process_time() - started
     single.close()
@@ -274,10 +339,10 @@ def run_flat(learner: FlatLearner, room: RoomInstance, seed: int, budget: int, e
                    watched.first_escape if watched else result.first_escape, curve,
                    _list_escapes(result, budget), _split(watched.corners) if watched else (),
                    _split([row["train/entropy"] for row in rows if row.get("train/entropy") is not None]),
-                   round(seconds, 1), make_key(learner, room, seed, budget, eval_every))
+                   round(seconds, 1), key)
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _make_many(room: RoomInstance, streams: int) -> Any:
     """Copies of a room whose kernels are compiled, kept for the next run in it."""
     many = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=streams, instance=room, observation="features",
@@ -287,14 +352,17 @@ def _make_many(room: RoomInstance, streams: int) -> Any:
     return many
 
 
-def make_key(learner: FlatLearner, room: RoomInstance, seed: int, budget: int, eval_every: int) -> str:
+def make_key(learner: FlatLearner, room: RoomInstance, seed: int, budget: int, eval_every: int,
+             until: float | None = None) -> str:
     """Hash of everything that decides a run's numbers."""
-    defaults = dataclasses.asdict(get_recipe(learner.agent))
-    settings = dataclasses.asdict(replace_settings(get_recipe(learner.agent), learner.settings))
+    recipe: Any = ArchiveSettings() if learner.agent == ARCHIVE else get_recipe(learner.agent)
+    defaults = dataclasses.asdict(recipe)
+    settings = dataclasses.asdict(replace_settings(recipe, learner.settings))
     return compute_digest({
         "versions": find_versions(), "agent": learner.agent, "streams": learner.streams, "repeat": learner.repeat,
         "settings": {name: value for name, value in settings.items() if value != defaults[name]},
-        "room": room.id, "seed": seed, "budget": budget, "eval_every": eval_every})
+        "room": room.id, "seed": seed, "budget": budget, "eval_every": eval_every,
+        **({} if until is None else {"until": until})})
 
 
 def _measure_efficiency(evaluation: Any, fewest: int) -> float:
@@ -325,8 +393,8 @@ def list_learners(study: Study, args: FlatArgs) -> list[FlatLearner]:
     Raises:
         UnknownNameError: the study has no learner of that label.
     """
-    tables = [{name: value for name, value in table.items() if name != "candidates"}
-              for table in study.data["learners"]]
+    fields = {field.name for field in dataclasses.fields(FlatLearner)}
+    tables = [{name: value for name, value in table.items() if name in fields} for table in study.data["learners"]]
     every = {table["label"]: read_record(FlatLearner, table) for table in tables}
     for label in args.agents:
         if label not in every:
@@ -334,13 +402,12 @@ def list_learners(study: Study, args: FlatArgs) -> list[FlatLearner]:
     return [learner for label, learner in every.items() if label in (args.agents or every)]
 
 
-def measure_flat_runs(store: Store, jobs: Sequence[tuple[FlatLearner, RoomInstance, int, int, int]],
-                      minutes: float | None = None) -> None:
+def measure_flat_runs(store: Store, jobs: Sequence[FlatJob], minutes: float | None = None) -> None:
     """Make the runs that a store lacks, keep each there at once, and print a line a run.
 
     Args:
         store: of the lines.
-        jobs: arguments of `run_flat`, those in the same room one after another.
+        jobs: those in the same room one after another.
         minutes: after which no further run is begun; None for no limit.
     """
     end = None if minutes is None else time.monotonic() + 60 * minutes
@@ -352,4 +419,4 @@ def measure_flat_runs(store: Store, jobs: Sequence[tuple[FlatLearner, RoomInstan
         made = run_flat(*job)
         store.add([made])
         print(f"[{number}/{len(jobs)}] {made.agent}, {made.buttons} buttons, seed {made.seed}: first escape "
-              f"{made.first_escape}, {made.seconds:.0f} s")
+              f"{made.first_escape}, {made.seconds:.0f} s", flush=True)

@@ -14,11 +14,27 @@ from scipy import special, stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.comparison.statistics import Floats
 
-__all__ = ["compute_restricted_mean", "compute_sign_flip_p", "compute_slope", "compute_survival",
+__all__ = ["compute_median_interval", "compute_restricted_mean", "compute_sign_flip_p", "compute_slope", "compute_survival",
            "correct_by_benjamini_hochberg", "find_visible_difference", "list_subset_means"]
 
 MOST_SIGNS = 14
 """Differences whose signs are all tried."""
+
+
+def compute_median_interval(values: ArrayLike, level: float = 0.95) -> tuple[float, float, float]:
+    """Median with its interval from order statistics, whatever the distribution; of ten numbers the second and ninth.
+
+    Args:
+        values: (n,); infinite where an event did not come.
+        level: probability that the interval holds the median, at least (binomial).
+
+    Returns:
+        Median, lower and upper end; the ends are 0 and infinity where n is too small.
+    """
+    ordered = np.sort(np.asarray(values, dtype=np.float64))
+    outside = int(stats.binom.ppf((1 - level) / 2, len(ordered), 0.5))
+    low, high = (ordered[outside - 1], ordered[-outside]) if outside else (0.0, np.inf)
+    return float(ordered[(len(ordered) - 1) // 2 : len(ordered) // 2 + 1].mean()), float(low), float(high)
 
 
 def compute_restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float) -> float:

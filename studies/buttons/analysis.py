@@ -24,6 +24,7 @@ from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.drawing import palette
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from studies.figures import FIGURE_STYLE, finish_axes
@@ -34,8 +35,8 @@ from studies.scaling.rounds import make_room
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["LINES", "Args", "EscapeRun", "FirstEscape", "Growth", "analyse", "fit_growth", "measure", "run_once",
-           "tell_growth", "tell_reach"]
+__all__ = ["LINES", "Args", "EscapeRun", "FirstEscape", "Growth", "analyse", "find_first_escape", "fit_growth",
+           "measure", "run_once", "tell_growth", "tell_reach"]
 
 RESAMPLES = 2_000
 LEAST_SIZES = 4
@@ -117,8 +118,13 @@ class FirstEscape:
 
 def run_once(agent: str, graph: str, rule: str, buttons: int, seed: int, budget: int) -> EscapeRun:
     """Run an agent in a room of its own until its first escape, or to the end of the budget."""
-    spec = AgentSpec.parse(agent)
     room = generate(make_room(RoomKind(graph, buttons, rule)), seed)
+    return EscapeRun(agent, buttons, seed, budget, find_first_escape(agent, room, seed, budget))
+
+
+def find_first_escape(agent: str, room: RoomInstance, seed: int, budget: int) -> int | None:
+    """Primitives at the end of an agent's first episode that escapes; None if none does within the budget."""
+    spec = AgentSpec.parse(agent)
     env, recorder = make_env(spec, room, "objects" if "objects" in agent else "features")
     try:
         player = make_reference(spec.name, env, recorder) if spec.is_reference else spec.name
@@ -126,7 +132,7 @@ def run_once(agent: str, graph: str, rule: str, buttons: int, seed: int, budget:
                        eval_episodes=0, probe=FirstEscape(), progress=False)
     finally:
         env.close()
-    return EscapeRun(agent, buttons, seed, budget, result.first_escape)
+    return result.first_escape
 
 
 def measure(study: Study, args: Args, store: Store) -> None:

@@ -24,7 +24,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import join_words
 from studies.figures import FIGURE_STYLE, finish_axes
-from studies.flat import TENTHS, FlatArgs, FlatRun, list_learners, measure_flat_runs
+from studies.flat import TENTHS, FlatArgs, FlatJob, FlatRun, list_learners, measure_flat_runs
 from studies.page import make_table
 from studies.statistics import list_subset_means
 from studies.store import Store
@@ -43,7 +43,7 @@ def measure(study: Study, args: FlatArgs, store: Store) -> None:
     """Make the runs that are missing, seed by seed."""
     data, room = study.data, generate(get_preset(study.data["room"]), 0)
     seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
-    measure_flat_runs(store, [(learner, room, seed, data["budget"], data["eval_every"])
+    measure_flat_runs(store, [FlatJob(learner, room, seed, data["budget"], data["eval_every"])
                               for seed in seeds for learner in list_learners(study, args)], args.minutes)
 
 

@@ -29,6 +29,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known
 from hrl_escape.settings import replace_settings
 from hrl_escape.version import __version__, find_versions
+from studies.flat import find_until
 from studies.price.contestants import CONTESTANTS, EFFICIENT, FRESH, Contestant, sample_replicate_room
 from studies.store import Store
 
@@ -156,9 +157,7 @@ def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -
     fewest = find_best_known(room, single.unwrapped.get_state()).primitives
     if fewest is None:
         raise ComparisonError(f"{room.name}#{room.seed}: no escape is known, so efficiency cannot be measured")
-    least = room.reward.exit + room.reward.step * (fewest / EFFICIENT)
-    if contestant.has_goals:  # -1 a primitive, and 0 for the last
-        least = 1 - fewest / EFFICIENT - 1e-9
+    least = find_until(room, fewest, EFFICIENT, contestant.has_goals)
     env = _make_training_env(contestant, room, single)
     started = time.process_time()
     result = train(contestant.agent, env, primitives=contestant.budget, seed=replicate, settings=contestant.settings,
