@@ -412,7 +412,7 @@ def measure_flat_runs(store: Store, jobs: Sequence[FlatJob], minutes: float | No
     """
     end = None if minutes is None else time.monotonic() + 60 * minutes
     for number, job in enumerate(jobs, 1):
-        if make_key(*job) in {line.key for line in store.load()}:
+        if make_key(*job) in {line.key for line in store.load() if isinstance(line, FlatRun)}:
             continue
         if end is not None and time.monotonic() >= end:
             return

@@ -21,22 +21,26 @@ from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
+from hrl_escape.names import join_words
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
+from studies.price.ratios import CostRatio, LogRange, Middle, correct_prices, find_middle
+from studies.price.words import tell_factor
 from studies.running import StudyArgs
 from studies.scaling.results import RoomKind
 from studies.scaling.rounds import make_room
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["LINES", "Args", "EscapeRun", "FirstEscape", "Growth", "analyse", "find_first_escape", "fit_growth",
-           "measure", "run_once", "tell_growth", "tell_reach"]
+__all__ = ["LINES", "Args", "EscapeRun", "FirstEscape", "Growth", "advise", "analyse", "compare_searchers",
+           "find_first_escape", "fit_growth", "measure", "run_once", "tell_growth", "tell_reach", "tell_searchers"]
 
 RESAMPLES = 2_000
 LEAST_SIZES = 4
@@ -167,6 +171,7 @@ class Growth(NamedTuple):
         factor: c.
         power: share of resamples in which the power law fits better than an exponential.
         largest: most buttons with which at least half of the runs escaped.
+        band: (buttons, low, high), the 95 % interval of the law at each number of buttons that was fitted.
     """
 
     exponent: float
@@ -175,6 +180,7 @@ class Growth(NamedTuple):
     factor: float
     power: float
     largest: int
+    band: tuple[tuple[float, float, float], ...] = ()
 
 
 def list_times(runs: Sequence[EscapeRun]) -> dict[int, NDArray[np.float64]]:
@@ -208,8 +214,10 @@ def fit_growth(runs: Sequence[EscapeRun], rng: np.random.Generator) -> Growth | 
     exponent, factor, _ = fit(list(times.values()))
     resampled = [fit([rng.choice(values, len(values)) for values in times.values()]) for _ in range(RESAMPLES)]
     low, high = np.quantile([slope for slope, *_ in resampled], [0.025, 0.975])
+    ends = np.quantile([start * sizes**slope for slope, start, _ in resampled], [0.025, 0.975], axis=0)
     return Growth(float(exponent), float(low), float(high), float(factor),
-                  float(np.mean([better for *_, better in resampled])), int(sizes[-1]))
+                  float(np.mean([better for *_, better in resampled])), int(sizes[-1]),
+                  tuple(zip(sizes.tolist(), *ends.tolist(), strict=True)))
 
 
 def tell_reach(largest: Mapping[str, int | None], words: Mapping[str, str], most: int) -> str:
@@ -225,14 +233,10 @@ def tell_reach(largest: Mapping[str, int | None], words: Mapping[str, str], most
     for agent, reach in largest.items():
         if reach != most:
             stops.setdefault(reach or 0, []).append(words[agent])
-    there = f"{_join(arrived) or 'nobody'} still escape{'' if len(arrived) > 1 else 's'} with {most} buttons"
-    rest = [f"{_join(names)} stop{'' if len(names) > 1 else 's'} "
+    there = f"{join_words(arrived) or 'nobody'} still escape{'' if len(arrived) > 1 else 's'} with {most} buttons"
+    rest = [f"{join_words(names)} stop{'' if len(names) > 1 else 's'} "
             + (f"at {reach}" if reach else "before the smallest room") for reach, names in sorted(stops.items())[::-1]]
     return (there[0].upper() + there[1:]) + ("; " + ", ".join(rest) if rest else "") + "."
-
-
-def _join(names: Sequence[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def tell_growth(growths: Mapping[str, Growth | None], largest: Mapping[str, int | None], words: Mapping[str, str],
@@ -262,18 +266,50 @@ def tell_growth(growths: Mapping[str, Growth | None], largest: Mapping[str, int 
                "; these sizes do not tell a power law from an exponential")
         yield (f"{text}, after a number of primitives that grows as n^{growth.exponent:.1f} "
                f"({growth.low:.1f} to {growth.high:.1f}){law}.")
-    known = {agent: growth for agent, growth in growths.items() if growth is not None and growth.largest == most}
-    learners = [agent for agent in known if not AgentSpec.parse(agent).is_reference]
-    searchers = [agent for agent in known if AgentSpec.parse(agent).is_reference]
-    for learner in learners:
-        for searcher in searchers:
-            ratio = _predict(known[searcher], most) / _predict(known[learner], most)
-            yield (f"With {most} buttons **{words[searcher]}** needs {ratio:.1f} times the primitives of "
-                   f"**{words[learner]}** until its first escape (ratio of the fits).")
 
 
-def _predict(growth: Growth, size: int) -> float:
-    return growth.factor * size**growth.exponent
+def compare_searchers(of: Mapping[str, Sequence[EscapeRun]], largest: Mapping[str, int | None], most: int
+                      ) -> dict[tuple[str, str], Middle]:
+    """Ratios of the primitives that each searcher and each learner need with the most buttons, room by room.
+
+    Only who escapes there in half of the rooms or more is compared; all ratios are one family (Holm).
+    """
+    arrived = [agent for agent, reach in largest.items() if reach == most]
+    waits = {agent: {run.run: (math.log(run.first_escape or run.budget), run.first_escape is not None)
+                     for run in of[agent] if run.buttons == most} for agent in arrived}
+    searchers = [agent for agent in arrived if AgentSpec.parse(agent).is_reference]
+    ratios = {(searcher, learner): CostRatio(most, logs, find_middle(list(logs.values())))
+              for searcher in searchers for learner in arrived if learner not in searchers
+              if (logs := {run: _subtract(waits[searcher][run], waits[learner][run])
+                           for run in sorted(waits[searcher].keys() & waits[learner].keys())})}
+    (corrected,), _ = correct_prices([list(ratios.values())])
+    return {pair: ratio.middle for pair, ratio in zip(ratios, corrected, strict=True)}
+
+
+def _subtract(one: tuple[float, bool], other: tuple[float, bool]) -> LogRange:
+    return (-math.inf if not other[1] else one[0] - other[0]), (math.inf if not one[1] else one[0] - other[0])
+
+
+def tell_searchers(ratios: Mapping[tuple[str, str], Middle], words: Mapping[str, str], most: int) -> Iterator[str]:
+    """A sentence a ratio."""
+    for (searcher, learner), middle in ratios.items():
+        told = (f"needs {tell_factor(middle)} times the primitives of" if middle.p < ALPHA else
+                "is not shown to need more or fewer primitives than")
+        yield (f"With {most} buttons **{words[searcher]}** {told} **{words[learner]}** until its first escape, room by "
+               "room.")
+
+
+def advise(ratios: Mapping[tuple[str, str], Middle], words: Mapping[str, str], most: int) -> str:
+    """What follows for a user, by whether a learner is shown to need fewer primitives than searching."""
+    cheaper = [words[learner] for (_, learner), middle in ratios.items() if middle.p < ALPHA and middle.low > 1]
+    if cheaper:
+        return (f"Begin with {join_words(cheaper)}: with {most} buttons it needs fewer primitives than a searcher that "
+                "learns nothing, which is what a learner has to show.")
+    if not ratios:
+        return f"With {most} buttons no learner stands beside a searcher, so compare them where both escape."
+    return ("Compare your learner with the searcher, not with chance: the searcher keeps a list of what it has tried, "
+            "forgets it after each episode, and learns nothing. What it needs is the price of finding the order in a new "
+            f"room; no learner here is shown to need less with {most} buttons, so yours has to, or to keep what it found.")
 
 
 # --- page ------------------------------------------------------------------------------------
@@ -294,9 +330,10 @@ def analyse(study: Study, lines: Sequence[EscapeRun]) -> Page:
     sizes = study.data["sizes"]
     rows = [[f"{words[agent]} (`{agent}`)", *(_describe([run for run in own if run.buttons == size])
                                               for size in sizes)] for agent, own in of.items()]
-    sentences = list(tell_growth(growths, largest, words, max(sizes)))
+    ratios = compare_searchers(of, largest, max(sizes))
+    sentences = [*tell_growth(growths, largest, words, max(sizes)), *tell_searchers(ratios, words, max(sizes))]
     headline = tell_reach(largest, words, max(sizes))
-    return Page({"headline": headline, "sentences": sentences, "table": make_table(["agent", *map(str, sizes)], rows),
+    return Page({"headline": headline, "advice": advise(ratios, words, max(sizes)), "sentences": sentences, "table": make_table(["agent", *map(str, sizes)], rows),
                  "runs": max(sum(run.buttons == sizes[0] for run in own) for own in of.values()),
                  "budget": study.data["budget"], "graph": study.data["graph"], "rule": study.data["rule"]},
                 {"buttons": draw(of, growths, words)}, [headline, *sentences])
@@ -325,6 +362,8 @@ def draw(of: Mapping[str, Sequence[EscapeRun]], growths: Mapping[str, Growth | N
                 f"{words[agent]}\n$n^{{{growth.exponent:.1f}}}$  ({growth.low:.1f} to {growth.high:.1f})")
             axes.plot(list(times), [np.median(values) for values in times.values()], "o-", color=colour, markersize=5,
                       linewidth=1.8, label=label)
+            if growth is not None:
+                axes.fill_between(*zip(*growth.band, strict=True), color=colour, alpha=0.15, linewidth=0)
             failed = [run.buttons for run in own if run.first_escape is None]
             axes.scatter(failed, [own[0].budget * 1.35 ** (number + 1)] * len(failed), marker="x", s=20, color=colour,
                          linewidths=1)

@@ -16,7 +16,19 @@ from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.sampling.generation import generate
-from studies.buttons.analysis import Args, EscapeRun, fit_growth, list_times, measure, run_once, tell_growth, tell_reach
+from studies.buttons.analysis import (
+    Args,
+    EscapeRun,
+    advise,
+    compare_searchers,
+    fit_growth,
+    list_times,
+    measure,
+    run_once,
+    tell_growth,
+    tell_reach,
+    tell_searchers,
+)
 from studies.running import open_store
 from studies.scaling.results import RoomKind
 from studies.scaling.rounds import make_room
@@ -45,6 +57,8 @@ def test_a_power_law_is_found_with_its_exponent_and_told_from_an_exponential():
     growth = fit(make_runs(lambda n: 20 * n**1.6))
     assert growth is not None and growth.low < 1.6 < growth.high and growth.high - growth.low < 0.4
     assert growth.power > 0.99 and growth.largest == 20
+    low, high = growth.band[-1][1:]
+    assert growth.band[-1][0] == 20 and low < 20 * 20**1.6 < high < 2 * low, "the band holds the law"
     exact = fit(make_runs(lambda n: 2.5 * n**2, spread=0))
     assert exact is not None and (exact.exponent, exact.factor) == pytest.approx((2, 2.5), rel=0.02)
 
@@ -68,14 +82,26 @@ def test_sentences_follow_the_data():
         return list(tell_growth({agent: fit(runs) for agent, runs in both.items()}, largest, WORDS, 20))
 
     slow, quick = make_runs(lambda n: 40 * n**1.5), make_runs(lambda n: 10 * n**1.5, SEARCHER)
-    one, two, ratio = write(slow, quick)
+    one, two = write(slow, quick)
     assert re.search(r"up to 20 of 20 buttons, .* n\^1\.5 \(1\.\d to 1\.\d\); a power law fits better", one)
-    assert "**a searcher** needs 0.2 times" in ratio or "**a searcher** needs 0.3 times" in ratio
-    assert "**a searcher** needs 4." in write(give_to(quick, LEARNER), give_to(slow, SEARCHER))[2]
     steep, *_ = write(make_runs(lambda n: 30 * 2.2**n), quick)
     assert "up to 10 of 20 buttons" in steep and "an exponential fits better" in steep
-    never, *rest = write(make_runs(lambda n: 2 * BUDGET), quick)
-    assert "fewer than half of the runs escape" in never and len(rest) == 1, "no ratio with who does not arrive"
+    assert "fewer than half of the runs escape" in write(make_runs(lambda n: 2 * BUDGET), quick)[0]
+
+
+@pytest.mark.parametrize(("learner", "sentence", "advice"), [
+    (40, "**a searcher** needs 0.2", "Compare your learner with the searcher, not with chance"),
+    (10, "**a searcher** is not shown to need more or fewer primitives than **a learner**", "Compare your learner with"),
+    (2, "**a searcher** needs 5", "Begin with a learner: with 20 buttons it needs fewer primitives than a searcher"),
+    (BUDGET, "", "With 20 buttons no learner stands beside a searcher"),
+])
+def test_the_searcher_is_held_against_learners_room_by_room(learner: float, sentence: str, advice: str):
+    of = {LEARNER: make_runs(lambda n: learner * n**1.5), SEARCHER: make_runs(lambda n: 10 * n**1.5, SEARCHER)}
+    of[LEARNER] = [dataclasses.replace(run, first_escape=run.first_escape and round(run.first_escape * (
+        1 + 0.3 * (-1) ** run.run))) for run in of[LEARNER]]
+    largest = {agent: max(list_times(runs), default=None) for agent, runs in of.items()}
+    ratios = compare_searchers(of, largest, 20)
+    assert sentence in " ".join(tell_searchers(ratios, WORDS, 20)) and advise(ratios, WORDS, 20).startswith(advice)
 
 
 def give_to(runs: list[EscapeRun], agent: str) -> list[EscapeRun]:

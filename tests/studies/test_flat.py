@@ -16,9 +16,25 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from studies.__main__ import main
-from studies.flat import CORNER, FlatLearner, FlatRun, RepeatedStreams, run_flat
+from studies.flat import ARCHIVE, CORNER, FlatLearner, FlatRun, RepeatedStreams, run_flat
 from studies.flat_ppo.analysis import tell_fall, tell_learning, tell_remedies
-from studies.league.analysis import choose_candidate, list_candidates, tell_league
+from studies.league.analysis import (
+    Attempt,
+    SearcherRun,
+    advise,
+    choose_candidate,
+    choose_course,
+    compare,
+    find_source,
+    list_candidates,
+    read_flat,
+    read_price,
+    tell_arrivals,
+    tell_cheapest,
+    tell_quickest,
+    tell_searcher,
+)
+from studies.price.runs import PriceRun
 from studies.study import find_study
 from tests.studies.pages import load, save, tell
 
@@ -98,6 +114,19 @@ def test_a_run_measures_escapes_corners_and_entropy(repeat: int):
     assert dataclasses.replace(run_flat(learner, room, 0, 2_000, 500), seconds=run.seconds) == run
 
 
+def test_a_run_ends_once_it_is_efficient_or_has_escaped():
+    room = generate(get_preset("paper-one-button"), 0)
+    learner = FlatLearner("x", ARCHIVE, {"cell": 1.0, "headings": 1}, streams=0)
+    whole, efficient, escaped = (run_flat(learner, room, 0, 20_000, 500, until) for until in (None, 0.4, 0.0))
+    at = whole.find_threshold(0.4)
+    assert whole.spent >= 20_000 > efficient.spent and at is not None and efficient.find_threshold(0.4) == at
+    assert efficient.curve == whole.curve[: len(efficient.curve)] and min(efficient.curve[-1][1], efficient.curve[-2][1]) >= 0.4
+    assert escaped.first_escape == escaped.spent == whole.first_escape and len({whole.key, efficient.key, escaped.key}) == 3
+    streams = FlatLearner("x", "ppo", {"rollout": 64, "epochs": 1}, streams=4)
+    run = run_flat(streams, room, 0, 60_000, 500, 0.0)
+    assert run.first_escape is not None and run.spent < 60_000, "with the first evaluation after it"
+
+
 def test_advantages_as_they_are_make_the_loss_their_mean():
     """With a ratio of 1 the loss is -mean(A), which normalising makes 0; a ratio of 2 is clipped to 1.2 for A > 0."""
     advantage, log = torch.tensor([0.01, 0.03]), torch.zeros(2)
@@ -167,14 +196,82 @@ def test_the_page_on_ppo_follows_its_lines(tmp_path: Path):
 # --- the league ------------------------------------------------------------------------------
 
 
+def make_cells(label: str, buttons: int, first: float | None, half: float | None, ninety: float | None, runs: int = 10,
+               spent: int = 1_000_000) -> dict[tuple[str, int], list[Attempt]]:
+    """A cell whose runs spread by 2 % about these waits; None for a level that none reaches."""
+    def wait(time: float | None, seed: int) -> tuple[float, bool]:
+        return (spent, False) if time is None else (time * (1 + 0.02 * ((7 * seed) % 10)), True)
+
+    return {(label, buttons): [Attempt(label, buttons, seed, 20, spent, {
+        0.0: wait(first, seed), 0.5: wait(half, seed), 0.9: wait(ninety, seed)}) for seed in range(runs)]}
+
+
+GOOD, LATE = make_cells("a", 1, 100, 500, 900), make_cells("b", 1, 100, 900, 5_000)
+LOST = make_cells("c", 1, 100, None, None)
+
+
+def test_a_run_of_the_league_is_read_by_its_first_escape_and_pairs_of_evaluations():
+    run = dataclasses.replace(LINE, first_escape=None, fewest=600, curve=((0, 0.0), (500, 0.95), (900, 0.9), (950, 0.2)))
+    assert read_flat(run, (0.5, 0.9)).waits == {0.0: (950, False), 0.5: (600, True), 0.9: (600, True)}, "an escape at least"
+    assert read_flat(dataclasses.replace(LINE, curve=((0, 0.0), (500, 0.95), (1_000, 0.8))), (0.5, 0.9)).waits == {
+        0.0: (500, True), 0.5: (500, True), 0.9: (1_000, False)}
+    price = PriceRun("dqn", 1, 3, 20, 60_000, 9_000, 400, 6_500, 0.9, 9, 9, 1.0, "a")
+    told = read_price(price, "dqn, patient", (0.5, 0.9))
+    assert told.waits == {0.0: (400, True), 0.9: (6_500, True)} and told.agent == "dqn, patient", "no curve, no 0.5"
+    assert read_price(dataclasses.replace(price, curve=((0, 0.0), (500, 0.6), (750, 0.6))), "x", (0.5, 0.9)).waits[0.5] == (
+        500, True)
+
+
 def test_a_league_is_told_by_runs_that_stay_efficient():
-    good, late = ((0, 0.0), (500, 0.95), (1_000, 0.95)), ((0, 0.0), (500, 0.95), (1_000, 0.0))
-    cells = {("a", 1): [dataclasses.replace(LINE, curve=good)] * 6 + [LINE] * 4,
-             ("b", 1): [dataclasses.replace(LINE, curve=late)] * 10, ("a", 2): [LINE] * 10, ("b", 3): [LINE] * 9}
-    assert tell_league(cells, (1, 2, 3), 0.9, 1_000) == (
-        "An efficiency of 0.9 in most runs within 1,000 primitives: with 1 button `a` reaches it; with 2 buttons none "
-        "of 1 does.")
-    assert "Nothing is concluded" in tell_league({("a", 1): [LINE] * 9}, (1,), 0.9, 1_000)
+    told = tell_arrivals({**LOST, **LATE, **GOOD, **make_cells("a", 2, 100, None, None), **make_cells("b", 3, 1, 1, 1, 9)},
+                         (1, 2, 3), 0.9, 1_000_000)
+    assert told == ("Flat learners that are efficient in half of their runs or more within 1,000,000 primitives: with 1 "
+                    "button `a` (10 of 10) and `b` (10 of 10) of 3; with 2 buttons none of 1.")
+    assert "Nothing is concluded" in tell_arrivals(make_cells("a", 1, 1, 1, 1, 9), (1,), 0.9, 1_000)
+
+
+def test_the_quickest_is_told_apart_only_where_the_runs_do():
+    apart = tell_quickest(tell_cheapest({**LATE, **GOOD}, (1, 2), 0.9))
+    assert apart.startswith("Efficient after the fewest primitives: with 1 button `a`, where `b` needs 5.6 (5.6 to 5.6)")
+    near = make_cells("b", 1, 100, 900, 905)
+    near["b", 1] = [run._replace(waits={**run.waits, 0.9: (run.waits[0.9][0] * (1 + 0.1 * (-1) ** run.seed), True)})
+                    for run in near["b", 1]]
+    assert "not shown to be quicker than" in tell_quickest(tell_cheapest({**near, **GOOD}, (1,), 0.9))
+    assert tell_quickest(tell_cheapest(GOOD, (1,), 0.9)) == "", "nobody beside it"
+
+
+@pytest.mark.parametrize(("searched", "words"), [
+    (20, "Every flat learner escapes later than `s`, which chooses among planned options and learns nothing: the soonest, "
+         "`a` with 1 button, after 5 (5 to 5) times its primitives."),
+    (500, "Sooner than `s`, which chooses among planned options and learns nothing, escape `a` with 1 button and `c` wi"),
+])
+def test_first_escapes_are_held_against_the_searcher(searched: int, words: str):
+    others = {seed: (searched * (1 + 0.02 * ((7 * seed) % 10)), True) for seed in range(10)}
+    ratios = {label: [compare(runs, others, 0.0)] for (label, _), runs in {**GOOD, **LOST}.items()}
+    assert tell_searcher(ratios, "s").startswith(words), tell_searcher(ratios, "s")
+    level = {seed: (100 * (1 + 0.3 * (-1) ** seed), True) for seed in range(10)}
+    assert "No flat learner is shown to escape later or sooner" in tell_searcher({"a": [compare(GOOD["a", 1], level, 0.0)]},
+                                                                                "s")
+
+
+def test_advice_follows_how_far_learners_got():
+    far = advise({**GOOD, **LATE, **LOST, **make_cells("a", 2, 100, None, None)}, (1, 2), (0.5, 0.9), 1_000_000)
+    assert far == ("If you must learn over primitives, begin with `a`, the quickest to be efficient with 1 button; with 2 "
+                   "buttons 1,000,000 primitives were not enough, so give it options. An escape in training is not yet "
+                   "learning: `a` and `c` escaped in every run of some size, and reached an efficiency of 0.5 in none.")
+    assert advise(GOOD, (1,), (0.5, 0.9), 1_000_000) == (
+        "If you must learn over primitives, begin with `a`, the quickest to be efficient with 1 button.")
+    assert advise(LOST, (1,), (0.5, 0.9), 1_000_000).startswith("Give a learner options before you give it a larger bud")
+
+
+def test_hopeless_cells_are_not_run():
+    data = {"sizes": [1, 2, 3], "runs": 10, "efficient": [0.5, 0.9]}
+    assert choose_course(data, [], 1) == "whole" and choose_course(data, GOOD["a", 1][:9], 2) == "later"
+    assert choose_course(data, GOOD["a", 1], 2) == "whole", "some reached 0.5"
+    assert choose_course(data, LOST["c", 1], 2) == "first escape", "all escaped, none reached 0.5"
+    never = make_cells("d", 1, None, None, None)["d", 1]
+    assert choose_course(data, never, 2) == choose_course(data, never, 3) == "none"
+    assert choose_course(data, [*LOST["c", 1], *make_cells("c", 2, 300, None, None)["c", 2]], 3) == "first escape"
 
 
 def test_settings_are_those_of_the_best_trials(tmp_path: Path):
@@ -185,9 +282,13 @@ def test_settings_are_those_of_the_best_trials(tmp_path: Path):
     lines = [dataclasses.replace(LINE, agent=name, seed=seed, buttons=1, first_escape=900 - 100 * number)
              for number, name in enumerate(names) for seed in LEAGUE.data["trials"]["seeds"]]
     chosen = [choose_candidate(LEAGUE, lines, label).settings]
+    assert find_source(LEAGUE, choose_candidate(LEAGUE, lines, label)) is None, "the price study has other settings"
+    lines[2] = dataclasses.replace(lines[2], escapes=(0.1,) * 9 + (0.2,))
+    chosen.append(choose_candidate(LEAGUE, lines, label).settings)
     lines[0] = dataclasses.replace(lines[0], curve=((0, 0.0), (1_000, 0.4)))
     chosen.append(choose_candidate(LEAGUE, lines, label).settings)
-    assert chosen == [list(list_candidates(LEAGUE, label))[number].settings for number in (2, 0)]
+    assert chosen == [list(list_candidates(LEAGUE, label))[number].settings for number in (2, 1, 0)]
+    assert find_source(LEAGUE, choose_candidate(LEAGUE, lines, label)) == "dqn", "the first has the price study's settings"
     with pytest.raises(ComparisonError, match="has 1 trial: run python -m studies league --trials"):
         choose_candidate(LEAGUE, lines[:-1], label)
 
@@ -195,20 +296,25 @@ def test_settings_are_those_of_the_best_trials(tmp_path: Path):
 def test_trials_and_runs_resume_and_make_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                                   capsys: pytest.CaptureFixture[str]):
     (table,) = [table for table in LEAGUE.data["learners"] if table["label"] == "q-learning, counts"]
-    small = {**LEAGUE.data, "learners": [table], "budget": 400, "eval_every": 100, "runs": 1, "sizes": [1],
+    small = {**LEAGUE.data, "learners": [table], "budget": 400, "eval_every": 100, "runs": 1, "sizes": [1, 2],
              "trials": {"seeds": [100], "buttons": 1, "budget": 300, "eval_every": 100}}
     monkeypatch.setattr("studies.study.read_toml", lambda *_: small)
     assert main(["league", "--trials", "--docs", str(tmp_path)]) == 0
     assert len(load("league", tmp_path)) == 3
-    assert main(["league", "--docs", str(tmp_path)]) == 0 and len(load("league", tmp_path)) == 4
-    capsys.readouterr()
+    assert main(["league", "--docs", str(tmp_path)]) == 0
+    runs = [line for line in load("league", tmp_path) if isinstance(line, FlatRun)]
+    searched = {line.buttons: line.escaped_at for line in load("league", tmp_path) if isinstance(line, SearcherRun)}
+    assert len(runs) == 4 and searched.keys() == {1, 2} and searched[1] <= searched[2] <= 400
+    assert "q-learning, counts, 2 buttons: none" in capsys.readouterr().out, "no run escaped with one"
     assert main(["league", "--docs", str(tmp_path)]) == 0 and "first escape" not in capsys.readouterr().out
     page = (tmp_path / "league.md").read_text()
     assert "q-learning, counts / 3" in page and "Nothing is concluded, as no learner has 10 runs" in page
-    save("league", [dataclasses.replace(run, curve=((0, 0.95), (100, 0.95)), seed=seed, key=str(seed))
-                    for run in load("league", tmp_path) if run.seed == 0 for seed in range(1, 10)], tmp_path)
+    assert "with 2 buttons: not run, as no run escaped with fewer" in page
+    small["runs"] = 10
+    save("league", [dataclasses.replace(run, curve=((0, 0.95), (100, 0.95)), first_escape=90, seed=seed, key=str(seed))
+                    for run in runs if run.seed == 0 for seed in range(10)], tmp_path)
     assert main(["league", "--from-raw", "--docs", str(tmp_path)]) == 0
-    assert "with 1 button `q-learning, counts` reaches it." in (tmp_path / "league.md").read_text()
+    assert "with 1 button `q-learning, counts` (10 of 10) of 1." in (tmp_path / "league.md").read_text()
 
 
 def test_shares_are_of_the_floor():
