@@ -32,9 +32,26 @@ from studies.page import make_table
 from studies.statistics import find_visible_difference
 from studies.study import Page, Study
 
-__all__ = ["Contrast", "Question", "analyse", "compare_with_chance", "compare_with_searchers", "compare_twins",
-           "find_forced", "find_repeated_rooms", "group", "list_questions", "tell_beyond", "tell_question",
-           "tell_visible"]
+__all__ = ["Advice", "Contrast", "Question", "analyse", "choose_advice", "compare_twins", "compare_with_chance",
+           "compare_with_searchers", "find_forced", "find_repeated_rooms", "group", "list_questions", "tell_beyond",
+           "tell_question", "tell_visible"]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What follows from a question for a user, in the words of its answer.
+
+    Attributes:
+        question: its heading; empty for the one whether learners beat the best searcher.
+        gains: said where some agent is shown to gain; `{names}` are those that do, and `{first}` gains most.
+        loses: said where none gains and some is shown to lose; `{names}` are those.
+        open: said otherwise.
+    """
+
+    question: str
+    gains: str
+    open: str
+    loses: str = ""
 
 
 @dataclass(frozen=True)
@@ -130,9 +147,11 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     headline = tell_beyond(beyond, len(rooms))
     told = [tell_question(question, contrasts, beyond, chance) for question, contrasts in questions]
     (grid,) = study.grids
+    answers = {"": beyond, **{question.heading: contrasts for question, contrasts in questions}}
     visible = tell_visible([contrast for _, contrasts in questions for contrast in contrasts])
     return Page({
-        "headline": headline, "budget": budget, "visible": visible, "beyond": list(map(_tell_contrast, beyond)),
+        "headline": headline, "budget": budget, "visible": visible,
+        "advice": choose_advice([read_record(Advice, table) for table in study.data["advice"]], answers), "beyond": list(map(_tell_contrast, beyond)),
         "questions": [{"heading": question.heading, "words": question.words, "told": sentence,
                        "pairs": list(map(_tell_contrast, contrasts))}
                       for (question, contrasts), sentence in zip(questions, told, strict=True)],
@@ -305,6 +324,19 @@ def tell_question(question: Question, contrasts: Sequence[Contrast], beyond: Seq
         twins = "its twin" if len(same) == 1 else "their twins"
         parts.append(f"{names} and {twins} run alike in every room, so nothing was compared")
     return f"{question.heading}: {', '.join(parts)}."
+
+
+def choose_advice(advice: Sequence[Advice], answers: Mapping[str, Sequence[Contrast]]) -> str:
+    """A sentence for each question, by its answer."""
+    said = []
+    for part in advice:
+        contrasts = sorted(answers[part.question], key=lambda contrast: -contrast.gain)
+        better, worse = ([f"`{contrast.agent}`" for contrast in contrasts if getattr(contrast, name)]
+                         for name in ("is_better", "is_worse"))
+        words, names = ((part.gains, better) if better else (part.loses, worse) if worse and part.loses else
+                        (part.open, []))
+        said.append(words.format(names=join_words(names), first="".join(names[:1])))
+    return " ".join(said)
 
 
 def tell_visible(contrasts: Sequence[Contrast]) -> str:

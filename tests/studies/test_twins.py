@@ -61,6 +61,22 @@ def tell_page(study: Study, lines: list[BaselineRun]) -> str:
     return render(study, analyse(study, lines))
 
 
+@pytest.mark.parametrize(("better", "words"), [
+    ({"smdp-q": 0.1, "+planned": 0.9}, ("feudal-rl+planned` gain by it. A hierarchy alone is not shown", "searching are `")),
+    ({"+learned": 0.9}, ("Planned leaves are not shown to help", "gain by structure alone")),
+    ({"smdp-q": 0.1, "q-learning": 0.4}, ("A hierarchy alone does harm: ", "None is shown to beat searching, though")),
+])
+def test_advice_follows_the_answers(better: dict[str, float], words: tuple[str, ...]):
+    advice = analyse(GIVEN_HIERARCHIES, make_lines(better, searcher=0.5)).values["advice"]
+    assert all(part in advice for part in words), advice
+
+
+@STUDIES
+def test_advice_answers_questions_of_the_study(study: Study):
+    assert {table["question"] for table in study.data["advice"]} - {""} < {
+        question.heading for question in list_questions(study)}
+
+
 @STUDIES
 def test_every_learner_of_the_grid_is_asked_about_or_a_twin_and_nobody_else(study):
     grid = study.grids[0]
