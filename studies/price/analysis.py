@@ -25,6 +25,7 @@ from studies.price.ratios import COSTS, RunCost, compare_costs, measure_growth
 from studies.price.runs import PriceRun, measure_price_runs
 from studies.price.trials import describe_trials, tell_exploration
 from studies.price.words import (
+    advise,
     compare_with_chance,
     conclude_prices,
     conclude_variants,
@@ -85,6 +86,7 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
     ready = tell_ready(runs, flat, options, COSTS[0])
     return Page({
         "conclusions": conclusions, "others": [told for own in others for told in own], "walk": walk[0], "ready": ready,
+        "advice": advise(runs, flat, options, _CHANCE, COSTS[:2]),
         "longest": tell_longest(runs), "EFFICIENT": EFFICIENT, "factors": _tabulate_factors(runs),
         "curves": sum(bool(run.curve) for run in runs), "count": len(runs),
         "to_efficiency": _tabulate(runs, "Primitives to efficiency", lambda own: _tell_cost(own, COSTS[0])),

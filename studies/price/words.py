@@ -21,7 +21,7 @@ from studies.price.ratios import (
 )
 from studies.price.runs import PriceRun
 
-__all__ = ["compare_with_chance", "conclude", "conclude_prices", "conclude_variants", "tell_factor", "tell_longest",
+__all__ = ["advise", "compare_with_chance", "conclude", "conclude_prices", "conclude_variants", "tell_factor", "tell_longest",
            "tell_number", "tell_ready"]
 
 
@@ -69,6 +69,31 @@ def conclude_variants(runs: Sequence[PriceRun], one: str, other: str, costs: Seq
     """
     ratios, _ = correct_prices(_compare(runs, one, other, costs))
     return [conclude(own, one, other, cost) for own, cost in zip(ratios, costs, strict=True)]
+
+
+def advise(runs: Sequence[PriceRun], flat: str, options: str, chance: str, costs: Sequence[RunCost]) -> str:
+    """What follows for a user: from the first escape beside a random walk, the price, and rooms that chance solves.
+
+    Args:
+        runs: of all learners.
+        flat: label of a learner over primitives.
+        options: label of the same over options.
+        chance: label of the random walk over primitives.
+        costs: of efficiency, and of the first escape.
+    """
+    walk, price = ({_classify(ratio.middle) for ratio in correct_prices(_compare(runs, flat, other, [cost]))[0][0]
+                    if not ratio.is_short} for other, cost in ((chance, costs[1]), (options, costs[0])))
+    said = ["A flat learner that waits longer for its first escape than a random walk does wants more exploration first"
+            if walk & {"dearer", "beyond"} else
+            "This learner finds the exit sooner than a random walk, so keep its exploration" if walk & {"cheaper", "below"}
+            else "A flat learner's first escape is not shown to come sooner than a random walk's, and what it pays "
+                 "afterwards is the price of learning to repeat it: give it a long exploration and a large budget"]
+    if price & {"dearer", "beyond"}:
+        said[0] += ", or give it options, which cost a fraction"
+    if tell_ready(runs, flat, options, costs[0]):
+        said.append("A room that chance over options escapes from efficiently says nothing about learning, so test in "
+                    "rooms with more buttons")
+    return "".join(f"{sentence}. " for sentence in said).strip()
 
 
 def _compare(runs: Sequence[PriceRun], one: str, other: str, costs: Sequence[RunCost]) -> list[list[CostRatio]]:

@@ -36,6 +36,7 @@ from studies.price.runs import (
 )
 from studies.price.trials import SettingsTrial, load_trials, tell_exploration
 from studies.price.words import (
+    advise,
     compare_with_chance,
     conclude_prices,
     conclude_variants,
@@ -109,6 +110,21 @@ def test_intervals_of_a_family_are_corrected_with_their_verdicts():
     assert {ratio.middle.p < 0.05 for ratio in together} == {True, False}, "some of each"
     for ratio in together:
         assert (ratio.middle.low > 1 or ratio.middle.high < 1) == (ratio.middle.p < 0.05)
+
+
+@pytest.mark.parametrize(("flat", "chance", "words"), [
+    (1.0, 1.0, "A flat learner's first escape is not shown to come sooner than a random walk's"),
+    (9.0, 1.0, "A flat learner that waits longer for its first escape than a random walk does wants more exploration"),
+    (1.0, 9.0, "This learner finds the exit sooner than a random walk, so keep its exploration"),
+])
+def test_advice_follows_the_random_walk_the_price_and_the_rooms(flat: float, chance: float, words: str):
+    lines = make_truth(price=50, growth=1)
+    walks = [dataclasses.replace(line, agent=agent, first_escape=round(1_000 * factor * (1 + 0.2 * (-1) ** line.replicate)))
+             for line in lines if line.agent == "f" for agent, factor in (("f", flat), ("random", chance))]
+    told = advise([*walks, *(line for line in lines if line.agent == "o")], "f", "o", "random", COSTS[:2])
+    assert told.startswith(words) and told.endswith(", or give it options, which cost a fraction.")
+    ready = [*(line for line in lines if line.agent == "f"), *(make_line("o", 2, number, 0) for number in range(10))]
+    assert "A room that chance over options escapes from" in advise(ready, "f", "o", "random", COSTS[:2])
 
 
 def test_rooms_in_which_chance_over_options_is_efficient_are_told_apart():
