@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Literal
 
@@ -15,7 +15,8 @@ from scipy import special, stats  # pyright: ignore[reportMissingTypeStubs]
 from hrl_escape.comparison.statistics import Floats
 
 __all__ = ["compute_median_interval", "compute_restricted_mean", "compute_sign_flip_p", "compute_slope", "compute_survival",
-           "correct_by_benjamini_hochberg", "find_visible_difference", "list_subset_means"]
+           "correct_by_benjamini_hochberg", "cut_signs", "find_visible_difference", "find_visible_shift", "list_subset_means",
+           "tell_power"]
 
 MOST_SIGNS = 14
 """Differences whose signs are all tried."""
@@ -103,6 +104,18 @@ def list_subset_means(values: ArrayLike) -> Floats:
     return np.sort(means)
 
 
+def cut_signs(values: ArrayLike, level: float) -> tuple[float, float]:
+    """Interval of a mean by flipped signs, which leaves out 0 just where their two-sided test does (Hartigan 1969).
+
+    Args:
+        values: (n,); infinite numbers are ends that are not known.
+        level: probability that it holds the mean, at least.
+    """
+    means = list_subset_means(values)
+    outside = int((1 - level) / 2 * (len(means) + 1))
+    return (float(means[outside - 1]), float(means[-outside])) if outside else (-np.inf, np.inf)
+
+
 @lru_cache(maxsize=8)
 def _list_signs(count: int) -> Floats:
     """All signs of so many numbers, (2^count, count), or drawn ones of many; those of the first row are plus."""
@@ -161,3 +174,60 @@ def find_visible_difference(differences: Sequence[NDArray[np.float64]], alpha: f
     edge = float(stats.t.ppf(1 - alpha / 2, freedom))
     distance = special.nctdtrinc(freedom, 1 - power, edge)  # the far side of the test counts for nothing here
     return float(distance) * spread
+
+
+def find_visible_shift(differences: ArrayLike, alpha: float, power: float = 0.8, draws: int = 400) -> float:
+    """Smallest true mean that the test by flipped signs sees with this probability, by simulated studies.
+
+    A study draws its differences from these ones about their mean, each with either sign, and adds the true mean.
+
+    Args:
+        differences: (n,), finite.
+        alpha: level of the two-sided test; its share of a family's, where it is one of several.
+        power: share of the studies that see it.
+        draws: simulated studies.
+
+    Returns:
+        The mean; 0 where all differences are equal, infinite where n is too small for any p-value below alpha.
+    """
+    values = np.asarray(differences, dtype=np.float64)
+    residuals = values - values.mean()
+    signs, count, spread = _list_signs(len(values)), len(values), float(residuals.std())
+    if 2 / len(signs) > alpha:
+        return np.inf
+    if spread <= 1e-12:
+        return 0.0
+    rng = np.random.default_rng(2019)
+    made = rng.choice(residuals, (draws, count)) * rng.choice([-1.0, 1.0], (draws, count))
+
+    def sees(mean: float) -> bool:
+        sums = (made + mean) @ signs.T
+        p = 2 * np.minimum(np.mean(sums >= sums[:, :1] - 1e-9, axis=1), np.mean(sums <= sums[:, :1] + 1e-9, axis=1))
+        return float(np.mean(p <= alpha)) >= power
+
+    low, high = 0.0, spread
+    while not sees(high):
+        low, high = high, 2 * high
+    for _ in range(8):
+        middle = (low + high) / 2
+        low, high = (low, middle) if sees(middle) else (middle, high)
+    return high
+
+
+def tell_power(sizes: Sequence[float], what: str, tell: Callable[[float], str]) -> str:
+    """A sentence: what 80 % of such studies would have seen; empty where nothing that varies was compared.
+
+    Args:
+        sizes: smallest visible difference of each comparison; 0 where runs do not vary, infinite where none is visible.
+        what: of a difference, such as `a gain of`.
+        tell: of a size.
+    """
+    known = sorted(size for size in sizes if size > 0)
+    if not known:
+        return ""
+    if np.isinf(known[-1]):
+        lost = sum(map(np.isinf, known))
+        return f"In {lost} of {len(known)} of these comparisons there were too few runs to see any difference."
+    middle = float(np.median(known))
+    return (f"Of such studies 80 % would have seen {what} {tell(middle)} in half of these comparisons, and of "
+            f"{tell(known[-1])} in all of them.")

@@ -29,7 +29,7 @@ from hrl_escape.settings import read_record
 from studies.baseline import BaselineRun
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
-from studies.statistics import find_visible_difference
+from studies.statistics import find_visible_difference, tell_power
 from studies.study import Page, Study
 
 __all__ = ["Advice", "Contrast", "Question", "analyse", "choose_advice", "compare_twins", "compare_with_chance",
@@ -341,12 +341,8 @@ def choose_advice(advice: Sequence[Advice], answers: Mapping[str, Sequence[Contr
 
 def tell_visible(contrasts: Sequence[Contrast]) -> str:
     """Differences that the tests could have seen, by the spread of the runs; empty where nothing was compared."""
-    sizes = sorted(contrast.visible for contrast in contrasts if not contrast.is_same)
-    if not sizes:
-        return ""
-    middle = float(np.median(sizes))
-    return (f"Of such studies 80 % would have seen a gain of {middle:.2f} in half of these comparisons, and of "
-            f"{sizes[-1]:.2f} in all of them.")
+    return tell_power([contrast.visible for contrast in contrasts if not contrast.is_same], "a gain of",
+                      "{:.2f}".format)
 
 
 def _tell_contrast(contrast: Contrast) -> str:

@@ -14,7 +14,12 @@ from rich.console import Console
 
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.inference import compare_pairs, compute_wilson_interval, correct_by_holm
+from hrl_escape.comparison.inference import (
+    choose_holm_levels,
+    compare_pairs,
+    compute_wilson_interval,
+    correct_by_holm,
+)
 from hrl_escape.comparison.ladder_score import compute_ladder_score
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, TOWER, get_budget
@@ -38,10 +43,11 @@ from studies.ladder.baselines import (
 )
 from studies.ladder.calibration import KNOWN, average_rooms, tell_calibration
 from studies.page import make_table
+from studies.statistics import find_visible_difference, tell_power
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["Args", "analyse", "describe", "measure", "tell_beyond_searching"]
+__all__ = ["Args", "analyse", "describe", "measure", "tell_bar", "tell_beyond_searching", "tell_visible"]
 
 Args = BaselineArgs
 _Cells: TypeAlias = Mapping[tuple[str, str], Sequence[BaselineRun]]
@@ -85,18 +91,18 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
     tower = [line for line in lines if line.protocol == TOWER]
     lines = [line for line in lines if line.protocol != TOWER]
     alone = _part([line for line in lines if line.protocol == "per-instance"])
+    over = _group(alone.get("Over options", ()))
     return Page({
         "PASSED_ESCAPES": PASSED_ESCAPES, "PASSED_EFFICIENCY": PASSED_EFFICIENCY, "MOST_TO_PASS": MOST_TO_PASS,
         "TOWER_HORIZON": TOWER_HORIZON,
-        "beyond": tell_beyond_searching(_group(lines_alone), rungs) if (lines_alone := alone.get("Over options")) else
-        NOTHING_BEYOND,
+        "beyond": tell_beyond_searching(over, rungs), "visible": tell_visible(over, rungs), "advice": tell_bar(over, rungs),
         "lines": lines, "rungs": {line.rung for line in lines}, "mastery": _find_mastery(lines, rungs),
         "has_three_parents": any("+three-parents" in line.agent for line in lines),
         "protocols": {name: _describe_protocol(own, rungs) for name in ("per-instance", "generalise")
                       if (own := [line for line in lines if line.protocol == name])},
         "calibration": tell_calibration(_group(next(iter(alone.values()))), rungs, noisy) if alone else [],
         "tower": _describe_tower(tower, max(map(get_budget, rungs))), "commands": _list_options(lines, rungs),
-    }, {"ladder": draw(_group(alone["Over options"]), rungs)} if "Over options" in alone else {})
+    }, {"ladder": draw(over, rungs)} if over else {})
 
 
 def tell_beyond_searching(cells: _Cells, rungs: Sequence[str]) -> str:
@@ -105,26 +111,60 @@ def tell_beyond_searching(cells: _Cells, rungs: Sequence[str]) -> str:
     On each rung the searcher that does best there counts; a learner is one test, with rungs as strata and rooms as
     pairs, and all learners are one family (Holm).
     """
-    agents = _sort_agents(agent for _, agent in cells)  # of equal searchers the first, whatever the order of a set
-    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCHERS]
-    best = {rung: max((agent for agent in searchers if len(cells.get((rung, agent), ())) >= LEAST_RUNS),
-                      key=lambda agent, rung=rung: compute_run_efficiency(cells[rung, agent]), default=None)
-            for rung in rungs}
-    tests = {}
-    for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives):
-        gains = [gain for rung in rungs if (other := best[rung]) is not None
-                 and len(gain := _subtract(cells.get((rung, agent), ()), cells[rung, other])) >= LEAST_RUNS]
-        if gains:
-            tests[agent] = compare_pairs(gains), len(gains)
+    tests = {agent: (compare_pairs(gains), gains) for agent, gains in _list_gains(cells, rungs).items()}
     if not tests:
         return NOTHING_BEYOND
-    p = correct_by_holm([test.p for test, _ in tests.values()])
-    better = [f"`{agent}` ({test.difference:+.2f} over {count_nouns(count, 'rung')})"
-              for (agent, (test, count)), corrected in zip(tests.items(), p, strict=True)
-              if corrected < ALPHA and test.difference > 0]
+    raw = [test.p for test, _ in tests.values()]
+    better = [f"`{agent}` ({test.difference:+.2f}, {test.low:+.2f} to {test.high:+.2f}, over "
+              f"{count_nouns(len(gains), 'rung')})" for (agent, (_, gains)), p, level in
+              zip(tests.items(), correct_by_holm(raw), choose_holm_levels(raw), strict=True)
+              if (test := compare_pairs(gains, level)).difference > 0 and p < ALPHA]
     if not better:
         return "No learner is shown to beat the best searcher that learns nothing over the rungs that it was run on."
     return (f"{len(better)} of {len(tests)} learners beat the best searcher that learns nothing: {join_words(better)}.")
+
+
+def tell_visible(cells: _Cells, rungs: Sequence[str]) -> str:
+    """A sentence: the gains that these tests would have seen."""
+    every = list(_list_gains(cells, rungs).values())
+    return tell_power([find_visible_difference(gains, ALPHA / len(every)) for gains in every], "a gain of",
+                      "{:.2f}".format)
+
+
+def tell_bar(cells: _Cells, rungs: Sequence[str]) -> str:
+    """What an agent has to beat: the best searcher, or where that does worse, whatever else learns nothing."""
+    agents = _sort_agents(agent for _, agent in cells)
+    blind = [agent for agent in agents if not (spec := AgentSpec.parse(agent)).learns and spec.name not in
+             ("planner", "smdp-bayes")]
+    above: dict[str, list[str]] = {}
+    for rung, best in find_best_searchers(cells, rungs).items():
+        known = [agent for agent in blind if (rung, agent) in cells]
+        first = max(known, key=lambda agent, rung=rung: compute_run_efficiency(cells[rung, agent]), default="")
+        if best and compute_run_efficiency(cells[rung, first]) > compute_run_efficiency(cells[rung, best]):
+            above.setdefault(first, []).append(f"`{rung}`")
+    said = "What your agent has to beat on a rung is the best searcher that learns nothing"
+    return said + ("".join(f", but on {join_words(own)} `{agent}`" for agent, own in above.items()) + "; the columns stand in "
+                   "the table below." if above else ", and not chance or a round in the order of the numbers; its column "
+                   "stands in the table below.")
+
+
+def find_best_searchers(cells: _Cells, rungs: Sequence[str]) -> dict[str, str | None]:
+    """The searcher that does best on each rung, of equal ones the first whatever the order of a set; None without."""
+    agents = _sort_agents(agent for _, agent in cells)
+    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCHERS]
+    return {rung: max((agent for agent in searchers if len(cells.get((rung, agent), ())) >= LEAST_RUNS),
+                      key=lambda agent, rung=rung: compute_run_efficiency(cells[rung, agent]), default=None)
+            for rung in rungs}
+
+
+def _list_gains(cells: _Cells, rungs: Sequence[str]) -> dict[str, list[NDArray[np.float64]]]:
+    """Differences of each learner from the best searcher, room by room on each rung where both have enough."""
+    best, found = find_best_searchers(cells, rungs), {}
+    for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives):
+        if gains := [gain for rung in rungs if (other := best[rung]) is not None
+                     and len(gain := _subtract(cells.get((rung, agent), ()), cells[rung, other])) >= LEAST_RUNS]:
+            found[agent] = gains
+    return found
 
 
 def _subtract(runs: Sequence[BaselineRun], others: Sequence[BaselineRun]) -> NDArray[np.float64]:

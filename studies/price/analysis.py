@@ -33,6 +33,7 @@ from studies.price.words import (
     tell_longest,
     tell_number,
     tell_ready,
+    tell_visible,
 )
 from studies.running import StudyArgs
 from studies.statistics import compute_restricted_mean, compute_survival
@@ -86,6 +87,7 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
     ready = tell_ready(runs, flat, options, COSTS[0])
     return Page({
         "conclusions": conclusions, "others": [told for own in others for told in own], "walk": walk[0], "ready": ready,
+        "visible": tell_visible(runs, flat, options, COSTS[:2]),
         "advice": advise(runs, flat, options, _CHANCE, COSTS[:2]),
         "longest": tell_longest(runs), "EFFICIENT": EFFICIENT, "factors": _tabulate_factors(runs),
         "curves": sum(bool(run.curve) for run in runs), "count": len(runs),

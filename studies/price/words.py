@@ -20,9 +20,10 @@ from studies.price.ratios import (
     measure_growth,
 )
 from studies.price.runs import PriceRun
+from studies.statistics import find_visible_shift, tell_power
 
 __all__ = ["advise", "compare_with_chance", "conclude", "conclude_prices", "conclude_variants", "tell_factor", "tell_longest",
-           "tell_number", "tell_ready"]
+           "tell_number", "tell_ready", "tell_visible"]
 
 
 def tell_number(value: float) -> str:
@@ -94,6 +95,16 @@ def advise(runs: Sequence[PriceRun], flat: str, options: str, chance: str, costs
         said.append("A room that chance over options escapes from efficiently says nothing about learning, so test in "
                     "rooms with more buttons")
     return "".join(f"{sentence}. " for sentence in said).strip()
+
+
+def tell_visible(runs: Sequence[PriceRun], flat: str, options: str, costs: Sequence[RunCost]) -> str:
+    """A sentence: the factors that these costs' tests would have seen, of sizes in which every run got there."""
+    ratios = [ratio for own in _compare(runs, flat, options, costs) for ratio in own if not ratio.is_short
+              and len(ratio.logs) >= LEAST_RUNS]
+    logs = [[low for low, _ in ratio.logs.values()] for ratio in ratios if ratio.middle.knowledge == "measured"
+            and all(low == high for low, high in ratio.logs.values())]
+    return tell_power([float(np.exp(find_visible_shift(own, ALPHA / len(ratios)))) for own in logs], "a factor of",
+                      "{:.1f}".format)
 
 
 def _compare(runs: Sequence[PriceRun], one: str, other: str, costs: Sequence[RunCost]) -> list[list[CostRatio]]:

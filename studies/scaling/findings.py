@@ -21,7 +21,7 @@ from studies.scaling.rounds import (
     SIZES,
 )
 
-__all__ = ["tell_replication", "tell_sizes"]
+__all__ = ["advise_sizes", "tell_replication", "tell_sizes"]
 
 
 def tell_sizes(results: Sequence[ScalingRun]) -> list[str]:
@@ -40,6 +40,19 @@ def tell_sizes(results: Sequence[ScalingRun]) -> list[str]:
         if parts:
             sentences.append(f"With the {rule} rule all planned runs escape {'; '.join(parts)}.")
     return sentences
+
+
+def advise_sizes(results: Sequence[ScalingRun]) -> str:
+    """What follows for a user: the agents that come furthest whatever the rule, and how far."""
+    reach = {agent: min(_find_reach([run for run in results if (run.agent, run.rule) == (agent, rule)])[0]
+                        for rule in RULES if any((run.agent, run.rule) == (agent, rule) for run in results))
+             for agent in AGENTS if any(run.agent == agent for run in results)}
+    most = max(reach.values())
+    if not most:
+        return "Begin with fewer buttons: no agent escapes in all runs of any size."
+    names = [f"`{agent.removeprefix('smdp-')}`" for agent, size in reach.items() if size == most]
+    return (f"For many buttons take {join_words(names, 'or')}, which {'comes' if len(names) == 1 else 'come'} furthest "
+            f"whatever the rule, up to {most} buttons.")
 
 
 def _find_reach(own: Sequence[ScalingRun]) -> tuple[int, bool]:

@@ -12,15 +12,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hrl_escape.comparison.inference import correct_by_holm
+from hrl_escape.comparison.inference import choose_holm_levels, correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.scaling.results import ScalingRun
-from studies.scaling.rounds import MAX_PARENTS, TOLD, TOLD_TASKS
-from studies.statistics import compute_restricted_mean, compute_sign_flip_p
+from studies.scaling.rounds import BAR_AGENT, MAX_PARENTS, TOLD, TOLD_TASKS
+from studies.statistics import compute_restricted_mean, compute_sign_flip_p, cut_signs, find_visible_shift, tell_power
 
-__all__ = ["HOLDS", "ToldCost", "compute_told_costs", "list_told_rows", "tell_told"]
+__all__ = ["HOLDS", "ToldCost", "advise_told", "compute_told_costs", "list_told_rows", "tell_told"]
 
 HOLDS = f"all-on, {MAX_PARENTS}"
 """Label of the learner that is told just what holds in these rooms."""
@@ -36,6 +36,9 @@ class ToldCost(NamedTuple):
         more: mean difference from `HOLDS`; runs that do not get there count with the budget.
         agreeing: pairs that differ to the same side as the mean.
         p: two-sided, by the signs of the differences, corrected over the study; 1 with too few runs.
+        low: lower end of its interval, of the corrected level, which leaves out 0 where the test shows a difference.
+        high: upper end.
+        visible: smallest difference that the test would have seen in 80 % of such studies.
     """
 
     rule: str
@@ -44,6 +47,9 @@ class ToldCost(NamedTuple):
     more: float
     agreeing: int
     p: float
+    low: float = -np.inf
+    high: float = np.inf
+    visible: float = np.inf
 
     @property
     def is_shown(self) -> bool:
@@ -53,7 +59,7 @@ class ToldCost(NamedTuple):
 
 def compute_told_costs(results: Sequence[ScalingRun]) -> list[ToldCost]:
     """Costs of all labels but `HOLDS` that have a run beside one of it, room kind by room kind."""
-    found, raw = [], []
+    found, raw, differences = [], [], []
     for task in TOLD_TASKS:
         waits = {spec.label: {run.run: _wait_for_graph(run) for run in results
                               if (run.task, run.agent) == (task, spec.label)} for spec in TOLD}
@@ -67,7 +73,10 @@ def compute_told_costs(results: Sequence[ScalingRun]) -> list[ToldCost]:
             found.append(ToldCost(task.rule, label, len(seeds), float(more.mean()), agreeing, 1.0))
             p = 2 * min(compute_sign_flip_p(more, "above"), compute_sign_flip_p(more, "below"))
             raw.append(min(1.0, p) if len(seeds) >= LEAST_RUNS else 1.0)
-    return [cost._replace(p=p) for cost, p in zip(found, correct_by_holm(raw), strict=True)]
+            differences.append(more)
+    ends = [cut_signs(more, level) for more, level in zip(differences, choose_holm_levels(raw), strict=True)]
+    return [cost._replace(p=p, low=low, high=high, visible=find_visible_shift(more, ALPHA / len(found)))
+            for cost, p, (low, high), more in zip(found, correct_by_holm(raw), ends, differences, strict=True)]
 
 
 def _wait_for_graph(run: ScalingRun) -> int:
@@ -93,7 +102,8 @@ def tell_told(results: Sequence[ScalingRun]) -> list[str]:
         words = (f"{_tell_graphs(runs)} {_tell_costs([cost for cost in costs if cost.rule == task.rule])}"
                  if fewest >= LEAST_RUNS else f"nothing is concluded from {count_nouns(fewest, 'run')} of a label.")
         sentences.append(f"Rule {task.rule}: {words}")
-    return sentences
+    power = tell_power([cost.visible for cost in costs if cost.runs >= LEAST_RUNS], "a difference of", "{:,.0f}".format)
+    return [*sentences, *filter(None, [power])]
 
 
 def _tell_graphs(runs: dict[str, list[ScalingRun]]) -> str:
@@ -121,7 +131,21 @@ def _tell_costs(costs: Sequence[ToldCost]) -> str:
 
 
 def _tell_cost(cost: ToldCost) -> str:
-    return f"`{cost.label}` ({abs(cost.more):,.0f}, in {cost.agreeing} of {cost.runs} pairs)"
+    low, high = sorted((abs(cost.low), abs(cost.high)))
+    return f"`{cost.label}` ({abs(cost.more):,.0f}, {low:,.0f} to {high:,.0f}, in {cost.agreeing} of {cost.runs} pairs)"
+
+
+def advise_told(results: Sequence[ScalingRun]) -> str:
+    """What follows for a user: what to tell a learner of structure, by what being told otherwise costs."""
+    costs = [cost for cost in compute_told_costs(results) if cost.runs >= LEAST_RUNS]
+    learner = f"`{BAR_AGENT.removeprefix('smdp-')}`"
+    dearer, cheaper = ([f"`{cost.label}`" for cost in costs if cost.is_shown and cost.more * sign > 0] for sign in (1, -1))
+    if cheaper:
+        return f"Tell {learner} {join_words(dict.fromkeys(cheaper), 'or')}, which is shown to help beyond what holds."
+    if dearer:
+        return (f"Tell {learner} what holds and nothing else: told {join_words(dict.fromkeys(dearer), 'or')} it takes "
+                "longer.")
+    return f"What {learner} is told is not shown to matter." if costs else ""
 
 
 def list_told_rows(results: Sequence[ScalingRun]) -> list[list[Any]]:

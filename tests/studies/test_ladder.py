@@ -251,17 +251,22 @@ def test_baselines_run_join_what_is_there_ship_the_best_agent_and_need_no_runs_f
 
 
 @pytest.mark.parametrize(("learner", "nearest", "finding"), [
-    (0.9, 0.7, "**1 of 1 learners beat the best searcher that learns nothing: `smdp-dqn+no-primitives` (+0.20 over "),
+    (0.9, 0.7, "**1 of 1 learners beat the best searcher that learns nothing: `smdp-dqn+no-primitives` (+0.20, +0."),
     (0.6, 0.7, "**No learner is shown to beat the best searcher that learns nothing over the rungs that it was run"),
 ])
 def test_learners_are_held_against_the_best_searcher(learner: float, nearest: float, finding: str):
     def make(agent: str, efficiency: float, primitives: int) -> list[BaselineRun]:
         return [dataclasses.replace(LINE, rung=rung, rooms=f"x/{rung}/test[{room}]", agent=agent, primitives=primitives,
-                                    efficiency=efficiency + 0.01 * ((3 * room + primitives) % 10))
+                                    efficiency=efficiency + 0.01 * ((3 * room + primitives // 500) % 10))
                 for rung in RUNGS[:2] for room in range(10)]
 
     lines = [*make("smdp-dqn+no-primitives", learner, 1000), *make(CHANCE, 0.1, 0), *make(ROUND, nearest - 0.3, 0),
              *make("smdp-untried-nearest+no-primitives", nearest, 0)]
-    assert finding in tell(lines, RUNGS)
+    page = tell(lines, RUNGS)
+    assert finding in page and "80 % would have seen a gain of 0.0" in page
+    assert "is the best searcher that learns nothing, and not chance or a round in the order of the numbers" in page
+    lucky = [dataclasses.replace(line, efficiency=0.95) if line.agent == CHANCE and line.rung == RUNGS[1] else line
+             for line in lines]
+    assert f"but on `{RUNGS[1]}` `{CHANCE}`; the columns stand in the table" in tell(lucky, RUNGS)
     alone = [line for line in lines if line.agent in (CHANCE, "smdp-dqn+no-primitives")]
     assert "Nothing is concluded, as no learner has 10 rooms on a rung beside a searcher" in tell(alone, RUNGS)

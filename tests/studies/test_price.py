@@ -43,6 +43,7 @@ from studies.price.words import (
     tell_longest,
     tell_number,
     tell_ready,
+    tell_visible,
 )
 from studies.statistics import compute_sign_flip_p
 from studies.store import Store
@@ -125,6 +126,17 @@ def test_advice_follows_the_random_walk_the_price_and_the_rooms(flat: float, cha
     assert told.startswith(words) and told.endswith(", or give it options, which cost a fraction.")
     ready = [*(line for line in lines if line.agent == "f"), *(make_line("o", 2, number, 0) for number in range(10))]
     assert "A room that chance over options escapes from" in advise(ready, "f", "o", "random", COSTS[:2])
+
+
+def test_visible_factors_grow_with_the_spread_and_with_the_family():
+    """Logs of the ratios have a deviation of 0.2 sqrt(2); a factor of exp(0.28) and more is seen by ten pairs."""
+    lines = make_truth(price=50, growth=1)
+    told = tell_visible(lines, "f", "o", COSTS[:1])
+    factor = float(told.split("a factor of ")[1].split(" ")[0])
+    assert 1.2 < factor < 1.8 and told.endswith("in all of them.")
+    wide = [dataclasses.replace(line, efficient_at=round(line.efficient_at * 3 ** (-1) ** line.replicate))
+            if line.agent == "f" and line.efficient_at else line for line in lines]
+    assert float(tell_visible(wide, "f", "o", COSTS[:1]).split("a factor of ")[1].split(" ")[0]) > 2
 
 
 def test_rooms_in_which_chance_over_options_is_efficient_are_told_apart():

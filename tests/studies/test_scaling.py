@@ -20,7 +20,7 @@ from hrl_escape.errors import ComparisonError, RunBusyError, UnknownNameError
 from studies.__main__ import main
 from studies.scaling import rounds as scaling
 from studies.scaling.difficulty import compute_rank_correlations, tell_difficulty
-from studies.scaling.findings import tell_replication, tell_sizes
+from studies.scaling.findings import advise_sizes, tell_replication, tell_sizes
 from studies.scaling.followed_runs import count_spared, follow_runs, list_bins
 from studies.scaling.results import (
     RoomKind,
@@ -37,7 +37,7 @@ from studies.scaling.rounds import (
     make_room,
     run_scaling,
 )
-from studies.scaling.told import HOLDS, compute_told_costs, tell_told
+from studies.scaling.told import HOLDS, advise_told, compute_told_costs, tell_told
 from studies.store import Store
 from studies.study import find_study
 from tests.comparison.small import break_checkpoint
@@ -326,6 +326,11 @@ def test_sizes_that_all_runs_master_are_told_agent_by_agent():
     assert tell_sizes(results) == [
         "With the ignore rule all planned runs escape up to 20 buttons for `factored-r-max`; up to 4 buttons for "
         "`r-max`; up to 2 buttons for `dqn` (not tried with more); with no number of buttons for `q-learning`."]
+    assert advise_sizes(results).startswith("For many buttons take `factored-r-max`, which comes furthest whatever the")
+    hard = [*results, *(make_result(AGENTS[0], buttons, rule="reset", first=None if buttons > 2 else 400)
+                        for buttons in SIZES)]
+    assert "take `r-max`, which comes furthest whatever the rule, up to 4 buttons" in advise_sizes(hard)
+    assert "Begin with fewer buttons" in advise_sizes(results[-2:-1])
 
 
 def test_what_structure_learners_are_told_is_what_the_labels_say():
@@ -366,11 +371,16 @@ def test_being_told_less_costs_what_the_runs_show():
     told = make_told({label: 900 for label in LABELS} | {"all-on, 1": None, "any, 4": 700})
     told = [dataclasses.replace(run, primitives=600 + 100 * (run.run % 7)) if run.agent == "all-on, 3" else run
             for run in told]
-    sentence, = tell_told(told)
+    sentence, power = tell_told(told)
+    assert power.startswith("Of such studies 80 % would have seen a difference of "), "one varies"
+    assert advise_told(told) == "Tell `factored-r-max` `any, 4`, which is shown to help beyond what holds."
+    slow = make_told({label: 900 for label in LABELS} | {"all-on, 1": None})
+    assert advise_told(slow) == ("Tell `factored-r-max` what holds and nothing else: told `all-on, 1` it takes longer.")
+    assert "is not shown to matter" in advise_told(make_told({label: 900 for label in LABELS}))
     assert "all runs have the whole graph told `all-on, 2`, `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2`, `any, 3` " \
         "or `any, 4`; not all do told `all-on, 1` (0 of 10)." in sentence
-    assert "it takes more primitives told `all-on, 1` (19,100, in 10 of 10 pairs); it takes fewer primitives told " \
-        "`any, 4` (200, in 10 of 10 pairs); no difference is shown told `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2` " \
+    assert "it takes more primitives told `all-on, 1` (19,100, 19,100 to 19,100, in 10 of 10 pairs); it takes fewer primitives told " \
+        "`any, 4` (200, 200 to 200, in 10 of 10 pairs); no difference is shown told `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2` " \
         "or `any, 3`." in sentence
     costs = {cost.label: cost for cost in compute_told_costs(told)}
     assert HOLDS not in costs and costs["all-on, 1"].p == pytest.approx(7 * 2 / 2**10) == costs["any, 4"].p
