@@ -1,4 +1,4 @@
-"""Archive exploration of one room: return to a cell, explore from there (Go-Explore's first phase, Ecoffet et al. 2021).
+"""Archive exploration of one room: return to a cell, explore from it (Go-Explore's first phase, Ecoffet et al. 2021).
 
 A cell is a rounded pose and what is lit; the archive holds the shortest known way to each, the whole state at its end,
 and how often exploration began there since that way was found. What it has learned is the shortest escape it knows: its

@@ -41,8 +41,8 @@ from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Study
 
-__all__ = ["ARCHIVE", "CORNER", "TENTHS", "FlatArgs", "FlatJob", "FlatLearner", "FlatRun", "RepeatedStreams", "find_until",
-           "list_learners", "measure_flat_runs", "run_flat"]
+__all__ = ["ARCHIVE", "CORNER", "TENTHS", "FlatArgs", "FlatJob", "FlatLearner", "FlatRun", "RepeatedStreams",
+           "find_until", "list_learners", "measure_flat_runs", "run_flat"]
 
 CORNER = 0.8
 """Share of the way from the middle to a wall from which on, along both walls, the robot is in a corner: 4 % of the
@@ -316,7 +316,8 @@ def run_flat(learner: FlatLearner, room: RoomInstance, seed: int, budget: int, e
     if learner.agent == ARCHIVE:
         found = explore(single.unwrapped, read_record(ArchiveSettings, learner.settings), seed, budget, eval_every,
                         int(fewest / until + 1e-9) if until else 0, until == 0)
-        curve = tuple((at, 0.0 if length is None else round(min(1.0, fewest / length), 4)) for at, length in found.lengths)
+        curve = tuple((at, 0.0 if length is None else round(min(1.0, fewest / length), 4))
+                      for at, length in found.lengths)
         return FlatRun(learner.label, len(room.targets), seed, fewest, budget, found.first_escape, curve, (), (), (),
                        round(time.process_time() - started, 1), key)
     env, watched, gamma = single, None, getattr(get_recipe(learner.agent), "gamma", 0.99)

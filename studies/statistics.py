@@ -14,9 +14,9 @@ from scipy import special, stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.comparison.statistics import Floats
 
-__all__ = ["compute_median_interval", "compute_restricted_mean", "compute_sign_flip_p", "compute_slope", "compute_survival",
-           "correct_by_benjamini_hochberg", "cut_signs", "find_visible_difference", "find_visible_shift", "list_subset_means",
-           "tell_power"]
+__all__ = ["compute_median_interval", "compute_restricted_mean", "compute_sign_flip_p", "compute_slope",
+           "compute_survival", "correct_by_benjamini_hochberg", "cut_signs", "find_visible_difference",
+           "find_visible_shift", "list_subset_means", "tell_power"]
 
 MOST_SIGNS = 14
 """Differences whose signs are all tried."""

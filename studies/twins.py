@@ -151,7 +151,8 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     visible = tell_visible([contrast for _, contrasts in questions for contrast in contrasts])
     return Page({
         "headline": headline, "budget": budget, "visible": visible,
-        "advice": choose_advice([read_record(Advice, table) for table in study.data["advice"]], answers), "beyond": list(map(_tell_contrast, beyond)),
+        "advice": choose_advice([read_record(Advice, table) for table in study.data["advice"]], answers),
+        "beyond": list(map(_tell_contrast, beyond)),
         "questions": [{"heading": question.heading, "words": question.words, "told": sentence,
                        "pairs": list(map(_tell_contrast, contrasts))}
                       for (question, contrasts), sentence in zip(questions, told, strict=True)],

@@ -308,8 +308,9 @@ def advise(ratios: Mapping[tuple[str, str], Middle], words: Mapping[str, str], m
     if not ratios:
         return f"With {most} buttons no learner stands beside a searcher, so compare them where both escape."
     return ("Compare your learner with the searcher, not with chance: the searcher keeps a list of what it has tried, "
-            "forgets it after each episode, and learns nothing. What it needs is the price of finding the order in a new "
-            f"room; no learner here is shown to need less with {most} buttons, so yours has to, or to keep what it found.")
+            "forgets it after each episode, and learns nothing. What it needs is the price of finding the order in a "
+            f"new room; no learner here is shown to need less with {most} buttons, so yours has to, or to keep what it "
+            "found.")
 
 
 # --- page ------------------------------------------------------------------------------------
@@ -333,7 +334,8 @@ def analyse(study: Study, lines: Sequence[EscapeRun]) -> Page:
     ratios = compare_searchers(of, largest, max(sizes))
     sentences = [*tell_growth(growths, largest, words, max(sizes)), *tell_searchers(ratios, words, max(sizes))]
     headline = tell_reach(largest, words, max(sizes))
-    return Page({"headline": headline, "advice": advise(ratios, words, max(sizes)), "sentences": sentences, "table": make_table(["agent", *map(str, sizes)], rows),
+    return Page({"headline": headline, "advice": advise(ratios, words, max(sizes)),
+                 "sentences": sentences, "table": make_table(["agent", *map(str, sizes)], rows),
                  "runs": max(sum(run.buttons == sizes[0] for run in own) for own in of.values()),
                  "budget": study.data["budget"], "graph": study.data["graph"], "rule": study.data["rule"]},
                 {"buttons": draw(of, growths, words)}, [headline, *sentences])

@@ -95,7 +95,8 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
     return Page({
         "PASSED_ESCAPES": PASSED_ESCAPES, "PASSED_EFFICIENCY": PASSED_EFFICIENCY, "MOST_TO_PASS": MOST_TO_PASS,
         "TOWER_HORIZON": TOWER_HORIZON,
-        "beyond": tell_beyond_searching(over, rungs), "visible": tell_visible(over, rungs), "advice": tell_bar(over, rungs),
+        "beyond": tell_beyond_searching(over, rungs), "visible": tell_visible(over, rungs),
+        "advice": tell_bar(over, rungs),
         "lines": lines, "rungs": {line.rung for line in lines}, "mastery": _find_mastery(lines, rungs),
         "has_three_parents": any("+three-parents" in line.agent for line in lines),
         "protocols": {name: _describe_protocol(own, rungs) for name in ("per-instance", "generalise")
@@ -143,9 +144,10 @@ def tell_bar(cells: _Cells, rungs: Sequence[str]) -> str:
         if best and compute_run_efficiency(cells[rung, first]) > compute_run_efficiency(cells[rung, best]):
             above.setdefault(first, []).append(f"`{rung}`")
     said = "What your agent has to beat on a rung is the best searcher that learns nothing"
-    return said + ("".join(f", but on {join_words(own)} `{agent}`" for agent, own in above.items()) + "; the columns stand in "
-                   "the table below." if above else ", and not chance or a round in the order of the numbers; its column "
-                   "stands in the table below.")
+    if not above:
+        return f"{said}, and not chance or a round in the order of the numbers; its column stands in the table below."
+    others = "".join(f", but on {join_words(own)} `{agent}`" for agent, own in above.items())
+    return f"{said}{others}; the columns stand in the table below."
 
 
 def find_best_searchers(cells: _Cells, rungs: Sequence[str]) -> dict[str, str | None]:

@@ -312,7 +312,8 @@ def tell_searcher(ratios: Mapping[str, Sequence[CostRatio]], searcher: str) -> s
     if not later:
         return f"No flat learner is shown to escape later or sooner than {name}."
     label, least = min(later, key=lambda part: part[1].middle.factor)
-    verdict = "Every flat learner" if len(later) == len(every) else f"In {len(later)} of {len(every)} cells a flat learner"
+    verdict = ("Every flat learner" if len(later) == len(every) else
+               f"In {len(later)} of {len(every)} cells a flat learner")
     return (f"{verdict} escapes later than {name}: the soonest, `{label}` with {count_nouns(least.buttons, 'button')}, "
             f"after {tell_number(least.middle.factor)} ({tell_number(least.middle.low)} to "
             f"{tell_number(least.middle.high)}) times its primitives.")
@@ -332,12 +333,13 @@ def advise(cells: Cells, sizes: Sequence[int], levels: Sequence[float], budget: 
         said.append(f"If you must learn over primitives, begin with `{best}`, the quickest to be efficient with "
                     f"{count_nouns(far[-1], 'button')}")
         if beyond := [size for size in by_size if size > far[-1]]:
-            said[-1] += f"; with {count_nouns(beyond[0], 'button')} {budget:,} primitives were not enough, so give it options"
+            said[-1] += f"; with {count_nouns(beyond[0], 'button')} {budget:,} primitives were not enough, so give "
+            said[-1] += "it options"
     elif by_size:
         said.append("Give a learner options before you give it a larger budget: none over primitives became efficient")
     if idle:
-        said.append(f"An escape in training is not yet learning: {join_words(f'`{label}`' for label in idle)} escaped in "
-                    f"every run of some size, and reached an efficiency of {levels[0]:g} in none")
+        said.append(f"An escape in training is not yet learning: {join_words(f'`{label}`' for label in idle)} escaped "
+                    f"in every run of some size, and reached an efficiency of {levels[0]:g} in none")
     return " ".join(f"{sentence}." for sentence in said)
 
 
@@ -412,7 +414,8 @@ def tell_left(study: Study, cells: Cells) -> Iterator[str]:
         for size in data["sizes"]:
             runs, where = cells.get((label, size), ()), f"`{label}` with {count_nouns(size, 'button')}"
             course = choose_course(data, own, size) if "price" not in table else "whole"
-            short = [run.spent for run in runs if run.spent < data["budget"] and not run.waits[data["efficient"][-1]][1]]
+            short = [run.spent for run in runs
+                     if run.spent < data["budget"] and not run.waits[data["efficient"][-1]][1]]
             if course == "none":
                 yield f"{where}: not run, as no run escaped with fewer"
             elif len(runs) < data["runs"]:

@@ -22,8 +22,8 @@ from studies.price.ratios import (
 from studies.price.runs import PriceRun
 from studies.statistics import find_visible_shift, tell_power
 
-__all__ = ["advise", "compare_with_chance", "conclude", "conclude_prices", "conclude_variants", "tell_factor", "tell_longest",
-           "tell_number", "tell_ready", "tell_visible"]
+__all__ = ["advise", "compare_with_chance", "conclude", "conclude_prices", "conclude_variants", "tell_factor",
+           "tell_longest", "tell_number", "tell_ready", "tell_visible"]
 
 
 def tell_number(value: float) -> str:
@@ -86,9 +86,10 @@ def advise(runs: Sequence[PriceRun], flat: str, options: str, chance: str, costs
                     if not ratio.is_short} for other, cost in ((chance, costs[1]), (options, costs[0])))
     said = ["A flat learner that waits longer for its first escape than a random walk does wants more exploration first"
             if walk & {"dearer", "beyond"} else
-            "This learner finds the exit sooner than a random walk, so keep its exploration" if walk & {"cheaper", "below"}
-            else "A flat learner's first escape is not shown to come sooner than a random walk's, and what it pays "
-                 "afterwards is the price of learning to repeat it: give it a long exploration and a large budget"]
+            "This learner finds the exit sooner than a random walk, so keep its exploration"
+            if walk & {"cheaper", "below"} else
+            "A flat learner's first escape is not shown to come sooner than a random walk's, and what it pays "
+            "afterwards is the price of learning to repeat it: give it a long exploration and a large budget"]
     if price & {"dearer", "beyond"}:
         said[0] += ", or give it options, which cost a fraction"
     if tell_ready(runs, flat, options, costs[0]):

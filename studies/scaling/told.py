@@ -139,7 +139,8 @@ def advise_told(results: Sequence[ScalingRun]) -> str:
     """What follows for a user: what to tell a learner of structure, by what being told otherwise costs."""
     costs = [cost for cost in compute_told_costs(results) if cost.runs >= LEAST_RUNS]
     learner = f"`{BAR_AGENT.removeprefix('smdp-')}`"
-    dearer, cheaper = ([f"`{cost.label}`" for cost in costs if cost.is_shown and cost.more * sign > 0] for sign in (1, -1))
+    dearer, cheaper = ([f"`{cost.label}`" for cost in costs if cost.is_shown and cost.more * sign > 0]
+                       for sign in (1, -1))
     if cheaper:
         return f"Tell {learner} {join_words(dict.fromkeys(cheaper), 'or')}, which is shown to help beyond what holds."
     if dearer:

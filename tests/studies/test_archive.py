@@ -74,7 +74,7 @@ def test_cells_of_single_states_lead_to_the_shortest_escape(env: CountedEnv):
     """With a cell for each state, shorter ways replace longer ones until the shortest escape is left."""
     fewest = find_fewest(env)
     found = explore(env, ArchiveSettings(cell=0.5, headings=4, steps=6, repeat=0.5), 0, 200_000, 5_000, enough=fewest)
-    assert found.lengths[-1][1] == found.lengths[-2][1] == fewest and found.primitives < 200_000, (found.lengths, fewest)
+    assert found.lengths[-1][1] == found.lengths[-2][1] == fewest and found.primitives < 200_000
     assert min(length for _, length in found.lengths if length) >= fewest
 
 

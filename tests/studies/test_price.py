@@ -120,7 +120,8 @@ def test_intervals_of_a_family_are_corrected_with_their_verdicts():
 ])
 def test_advice_follows_the_random_walk_the_price_and_the_rooms(flat: float, chance: float, words: str):
     lines = make_truth(price=50, growth=1)
-    walks = [dataclasses.replace(line, agent=agent, first_escape=round(1_000 * factor * (1 + 0.2 * (-1) ** line.replicate)))
+    walks = [dataclasses.replace(line, agent=agent,
+                                 first_escape=round(1_000 * factor * (1 + 0.2 * (-1) ** line.replicate)))
              for line in lines if line.agent == "f" for agent, factor in (("f", flat), ("random", chance))]
     told = advise([*walks, *(line for line in lines if line.agent == "o")], "f", "o", "random", COSTS[:2])
     assert told.startswith(words) and told.endswith(", or give it options, which cost a fraction.")

@@ -379,8 +379,10 @@ def test_being_told_less_costs_what_the_runs_show():
     assert "is not shown to matter" in advise_told(make_told({label: 900 for label in LABELS}))
     assert "all runs have the whole graph told `all-on, 2`, `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2`, `any, 3` " \
         "or `any, 4`; not all do told `all-on, 1` (0 of 10)." in sentence
-    assert "it takes more primitives told `all-on, 1` (19,100, 19,100 to 19,100, in 10 of 10 pairs); it takes fewer primitives told " \
-        "`any, 4` (200, 200 to 200, in 10 of 10 pairs); no difference is shown told `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2` " \
+    assert "it takes more primitives told `all-on, 1` (19,100, 19,100 to 19,100, in 10 of 10 pairs); it takes " \
+        "fewer primitives told " \
+        "`any, 4` (200, 200 to 200, in 10 of 10 pairs); no difference is " \
+        "shown told `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2` " \
         "or `any, 3`." in sentence
     costs = {cost.label: cost for cost in compute_told_costs(told)}
     assert HOLDS not in costs and costs["all-on, 1"].p == pytest.approx(7 * 2 / 2**10) == costs["any, 4"].p

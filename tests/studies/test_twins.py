@@ -62,7 +62,7 @@ def tell_page(study: Study, lines: list[BaselineRun]) -> str:
 
 
 @pytest.mark.parametrize(("better", "words"), [
-    ({"smdp-q": 0.1, "+planned": 0.9}, ("feudal-rl+planned` gain by it. A hierarchy alone is not shown", "searching are `")),
+    ({"smdp-q": 0.1, "+planned": 0.9}, ("planned` gain by it. A hierarchy alone is not shown", "searching are `")),
     ({"+learned": 0.9}, ("Planned leaves are not shown to help", "gain by structure alone")),
     ({"smdp-q": 0.1, "q-learning": 0.4}, ("A hierarchy alone does harm: ", "None is shown to beat searching, though")),
 ])
