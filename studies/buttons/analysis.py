@@ -365,7 +365,8 @@ def draw(of: Mapping[str, Sequence[EscapeRun]], growths: Mapping[str, Growth | N
             axes.plot(list(times), [np.median(values) for values in times.values()], "o-", color=colour, markersize=5,
                       linewidth=1.8, label=label)
             if growth is not None:
-                axes.fill_between(*zip(*growth.band, strict=True), color=colour, alpha=0.15, linewidth=0)
+                at, low, high = zip(*growth.band, strict=True)
+                axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0)
             failed = [run.buttons for run in own if run.first_escape is None]
             axes.scatter(failed, [own[0].budget * 1.35 ** (number + 1)] * len(failed), marker="x", s=20, color=colour,
                          linewidths=1)
