@@ -30,7 +30,7 @@ from hrl_escape.agents import evaluate, make_agent
 from hrl_escape.agents.agent import count_actions, make_transition, read_action_mask
 from hrl_escape.agents.streams import StreamAgent, gather_decisions
 from hrl_escape.agents.training.evaluation import compute_episode_seed
-from hrl_escape.agents.training.vector_streams import make_streams
+from hrl_escape.agents.training.stream_run import make_streams
 from hrl_escape.comparison.inference import PairedTest, compare_pairs, correct_by_holm
 
 EVALUATIONS = 8

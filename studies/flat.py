@@ -27,8 +27,8 @@ from hrl_escape.agents.streams import EndedDecisions
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.agents.training.results import TrainResult
+from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.agents.training.train import train
-from hrl_escape.agents.training.vector_streams import VectorStreams
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.files import read_text

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hrl_escape.agents.hierarchy.tabular_model import TabularModel, enumerate_model
+from hrl_escape.agents.hierarchy.price import TabularModel, enumerate_model
 from hrl_escape.env.config import ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.puzzles.base import Panels, Place

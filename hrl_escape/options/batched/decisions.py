@@ -1,7 +1,7 @@
 """Decisions of a batch of rooms as plain tensors, rooms first.
 
 `Transitions` holds the finished ones, for learners: the fields of `OptionsEnv`'s transitions, one
-row a room. `OpenDecisions` holds those in progress. `policy.py` chooses for options, `env.py`
+row a room. `OpenDecisions` holds those in progress. `stepping.py` chooses for options, `env.py`
 steps the rooms.
 """
 

@@ -10,8 +10,7 @@ from gymnasium import spaces
 from hrl_escape.agents.agent import SMDPTransition, make_transition
 from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
 from hrl_escape.agents.algorithms.r_max import RMax, RMaxSettings
-from hrl_escape.agents.factored.durations import DurationHistory, fit_durations
-from hrl_escape.agents.factored.model import FactoredModel
+from hrl_escape.agents.factored.model import DurationHistory, FactoredModel, fit_durations
 from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.env.puzzles.base import Contacts

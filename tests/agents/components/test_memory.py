@@ -11,7 +11,7 @@ from hrl_escape.agents import evaluate, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
 from hrl_escape.agents.components.memory import cut_stretches
 from hrl_escape.agents.streams import gather_decisions
-from hrl_escape.agents.training.vector_streams import VectorStreams
+from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.checks.agent import check_agent
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import UnsupportedSpaceError

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hrl_escape.agents.hierarchy.machine import choose, do, machine
-from hrl_escape.agents.hierarchy.price import HierarchyPrice, compute_price
-from hrl_escape.agents.hierarchy.tabular_model import TabularModel
+from hrl_escape.agents.hierarchy.price import HierarchyPrice, TabularModel, compute_price
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.synthesis import synthesise
 from tests.agents.hierarchy import taxi_program

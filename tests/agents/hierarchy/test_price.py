@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrl_escape.agents.hierarchy.goals import make_goal_hierarchy, make_goals
-from hrl_escape.agents.hierarchy.price import compute_price
-from hrl_escape.agents.hierarchy.tabular_model import TabularModel, enumerate_model, read_model
+from hrl_escape.agents.hierarchy.price import TabularModel, compute_price, enumerate_model, read_model
 from hrl_escape.agents.hierarchy.task_graph import flat, maxq
 from hrl_escape.errors import UnsupportedError
 from tests.agents.hierarchy import taxi_program

@@ -13,7 +13,7 @@ from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
 from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.components.policy_gradient import compute_advantages, compute_log_policy, compute_next_values
 from hrl_escape.agents.streams import StreamTransitions
-from hrl_escape.agents.training.vector_streams import VectorStreams
+from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv

@@ -7,10 +7,9 @@ import pytest
 import torch
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.env.batched.cameras import BatchedCamera
+from hrl_escape.env.batched.cameras import LABELS, BatchedCamera
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
-from hrl_escape.env.batched.scenery import LABELS
 from hrl_escape.env.bullet import cameras as bullet_cameras
 from hrl_escape.env.bullet.cameras import BulletRenderer
 from hrl_escape.env.bullet.engine import BulletRoom

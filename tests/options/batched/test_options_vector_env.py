@@ -7,7 +7,7 @@ import torch
 
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents import train
-from hrl_escape.agents.training.vector_streams import VectorStreams
+from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.errors import ActionError
 from hrl_escape.options.batched.env import ENDINGS
 from hrl_escape.options.batched.vector_env import OptionsVectorEnv
