@@ -4,6 +4,9 @@ Every web page in the user's browser can send requests to this machine, and vise
 all. Here a request needs a Host that names this server (a DNS name rebound to this machine does
 not), the same origin if it says from where it comes, and a token. The token stands in the printed
 address; the first answer turns it into a cookie, which other sites cannot send along.
+
+An admitted page may send its camera, a value of a control that it shows, and a hotkey. viser would set whatever
+attribute of whatever control a message names, so messages are read here first, and all others are dropped.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ import hmac
 import html
 import http
 import ipaddress
+import math
 import secrets
 import socket
 import threading
@@ -22,9 +26,82 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.viewer.extra import viser, websockets
+from hrl_escape.viewer.extra import msgspec, viser, websockets
 
-__all__ = ["LARGEST_MESSAGE", "Guard", "guard_servers"]
+__all__ = ["Guard", "LARGEST_MESSAGE", "guard_servers", "is_expected"]
+
+_Three = tuple[float, float, float]
+
+
+class _Camera(msgspec.Struct, tag="ViewerCameraMessage", tag_field="type", forbid_unknown_fields=True):
+    wxyz: tuple[float, float, float, float]
+    position: _Three
+    fov: float
+    near: float
+    far: float
+    image_height: int
+    image_width: int
+    look_at: _Three
+    up_direction: _Three
+
+    def is_finite(self) -> bool:
+        numbers = (*self.wxyz, *self.position, *self.look_at, *self.up_direction, self.fov, self.near, self.far)
+        return all(map(math.isfinite, numbers)) and 0 < self.image_height < 2**16 and 0 < self.image_width < 2**16
+
+
+class _Value(msgspec.Struct, forbid_unknown_fields=True):
+    value: bool | int | float | str
+
+
+class _Update(msgspec.Struct, tag="GuiUpdateMessage", tag_field="type", forbid_unknown_fields=True):
+    uuid: str
+    updates: _Value
+
+
+class _Trigger(msgspec.Struct, tag="CommandTriggerMessage", tag_field="type", forbid_unknown_fields=True):
+    uuid: str
+
+
+_DECODER = msgspec.msgpack.Decoder(_Camera | _Update | _Trigger)
+
+
+def is_expected(server: Any, client: int | None, raw: object) -> bool:
+    """True for a message that the viewer's own page could have sent.
+
+    Args:
+        server: the viser server.
+        client: number of the client that sent it; None if it is not known.
+        raw: the message as it came.
+    """
+    if not isinstance(raw, bytes):
+        return False
+    try:
+        message = _DECODER.decode(raw)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return False
+    if isinstance(message, _Camera):
+        return message.is_finite()
+    if isinstance(message, _Trigger):
+        return True  # viser knows its commands, and a trigger carries nothing else
+    handle = server.gui._gui_input_handle_from_uuid.get(message.uuid)
+    own = server.get_clients().get(client)
+    if handle is None and own is not None:
+        handle = own.gui._gui_input_handle_from_uuid.get(message.uuid)
+    return handle is not None and _may_set(handle, message.updates.value)
+
+
+def _may_set(handle: Any, value: bool | int | float | str) -> bool:
+    """True if a page can give this value to this control."""
+    if handle.disabled or not handle.visible:
+        return False
+    if isinstance(handle, (viser.GuiButtonGroupHandle, viser.GuiDropdownHandle)):
+        return isinstance(value, str) and value in handle.options
+    if isinstance(handle, (viser.GuiButtonHandle, viser.GuiCheckboxHandle)):
+        return isinstance(value, bool)
+    if isinstance(handle, viser.GuiSliderHandle):
+        return not isinstance(value, (bool, str)) and handle.min <= value <= handle.max
+    return False
+
 
 LARGEST_MESSAGE = 2**16
 """Bytes of the largest message that a page may send."""

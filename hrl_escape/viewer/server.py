@@ -12,8 +12,7 @@ from typing import Any
 
 from hrl_escape.errors import AddressError
 from hrl_escape.viewer.extra import viser
-from hrl_escape.viewer.guard import Guard, guard_servers
-from hrl_escape.viewer.incoming import is_expected
+from hrl_escape.viewer.guard import Guard, guard_servers, is_expected
 
 __all__ = ["DEFAULT_PORT", "HOST", "Server", "get_url", "open_server"]
 

@@ -191,10 +191,10 @@ MUTATIONS = [
                "enumerate((1.0, -1.0))", "enumerate((1.0, 1.0))",
                "algorithms/skills/test_discovery.py"
                "::test_eigenoptions_of_a_graph_that_was_met_are_those_of_the_graph_that_is"),
-    _discovery("the constant direction counts", "spectral",
+    _discovery("the constant direction counts", "state_graph",
                "values[1 : count + 1], _orient(vectors[:, 1 : count + 1])",
                "values[:count], _orient(vectors[:, :count])", "discovery/test_spectral.py"),
-    _discovery("directions of the walk keep the root of the degree", "spectral",
+    _discovery("directions of the walk keep the root of the degree", "state_graph",
                "        vectors = vectors / np.sqrt(adjacency.sum(axis=1))[:, None]\n", "        pass\n",
                "discovery/test_spectral.py"),
     _discovery("an eigenoption never ends", "found_option",

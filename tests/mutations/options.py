@@ -8,7 +8,7 @@ TESTS = "options/test_options_env.py"
 MUTATIONS = [
     Mutation(
         "a batch follows a plan on after a slip",
-        "options/batched/host_planner.py",
+        "options/batched/env.py",
         "kept = 1 if self._room.layout.is_random else PLAN_LENGTH",
         "kept = PLAN_LENGTH",
         "options/batched/test_batched_env.py::test_a_plan_is_not_followed_on_after_a_slip",

@@ -33,7 +33,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a page may set a slider beyond its ends",
-        "viewer/incoming.py",
+        "viewer/guard.py",
         "return not isinstance(value, (bool, str)) and handle.min <= value <= handle.max",
         "return not isinstance(value, (bool, str))",
         "viewer/test_guard.py",
@@ -103,7 +103,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a disabled control can be set",
-        "viewer/incoming.py",
+        "viewer/guard.py",
         "if handle.disabled or not handle.visible:",
         "if not handle.visible:",
         "viewer/test_guard.py::test_a_disabled_control_takes_nothing",
@@ -145,7 +145,7 @@ MUTATIONS = [
     ),
     Mutation(
         "the planner drives leg by leg",
-        "viewer/watch/planner_agent.py",
+        "viewer/watch/drivers.py",
         "if leg is not None and leg[0] == self.goal:",
         "if False:",
         "viewer/watch/test_minds.py::test_the_planner_drives_the_escape_that_it_solves_for",

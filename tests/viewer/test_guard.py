@@ -17,7 +17,7 @@ from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 from websockets.typing import Origin, Subprotocol
 
-from hrl_escape.viewer.incoming import is_expected
+from hrl_escape.viewer.guard import is_expected
 from hrl_escape.viewer.pages.play import MOST_WAITING, PlayPage
 from hrl_escape.viewer.play.controls import Command
 from hrl_escape.viewer.play.episode import Episode

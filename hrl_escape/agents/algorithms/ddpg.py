@@ -38,10 +38,10 @@ from hrl_escape.agents.components.replay import (
     Experience,
     ReplayBuffer,
     ReplaySettings,
+    ReplayStreamAgent,
     UpdateSchedule,
     make_experience,
 )
-from hrl_escape.agents.components.replay_streams import ReplayStreamAgent
 from hrl_escape.agents.larg2019.linear_relaxation import LinearRelaxation
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError

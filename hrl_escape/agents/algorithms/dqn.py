@@ -47,10 +47,10 @@ from hrl_escape.agents.components.replay import (
     NStep,
     ReplayBuffer,
     ReplaySettings,
+    ReplayStreamAgent,
     UpdateSchedule,
     make_experience,
 )
-from hrl_escape.agents.components.replay_streams import ReplayStreamAgent
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.errors import AgentSettingsError

@@ -24,8 +24,13 @@ from hrl_escape.agents.components.exploration import (
     sample_index,
 )
 from hrl_escape.agents.components.networks import ObservationEncoder
-from hrl_escape.agents.components.replay import Experience, ReplayBuffer, UpdateSchedule, make_experience
-from hrl_escape.agents.components.replay_streams import ReplayStreamAgent
+from hrl_escape.agents.components.replay import (
+    Experience,
+    ReplayBuffer,
+    ReplayStreamAgent,
+    UpdateSchedule,
+    make_experience,
+)
 from hrl_escape.agents.larg2019.late_terminal import LateTerminal
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError

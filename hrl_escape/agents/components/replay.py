@@ -5,11 +5,16 @@ cannot be lost or applied twice (see `agent.compute_backup`). One environment ha
 `NStep`; many have their twins on one device, `StreamReplay` and `StreamNStep`, to which a stream adds what one
 environment would. On one CPU core `ReplayBuffer` samples several times faster than TorchRL's ReplayBuffer over
 LazyTensorStorage (`python -m benchmarks.agents`).
+
+Agents with the replay of many streams share `ReplayStreamAgent`. Where many updates are due after a step of all of
+them, minibatches grow instead, so that every decision is learned from as often as in one environment.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -19,14 +24,16 @@ from numpy.typing import DTypeLike
 from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
+from hrl_escape.agents.components.exploration import compute_epsilon
 from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
+from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions, compute_backups
 from hrl_escape.errors import CheckpointError
 from hrl_escape.settings import Range
 
-__all__ = ["Experience", "NStep", "ReplayBuffer", "ReplaySettings", "StreamNStep", "StreamReplay", "UpdateSchedule",
-           "make_experience"]
+__all__ = ["Experience", "NStep", "ReplayBuffer", "ReplaySettings", "ReplayStreamAgent", "StreamNStep", "StreamReplay",
+           "UpdateSchedule", "make_experience", "sample_actions"]
 
 
 @dataclass(frozen=True)
@@ -328,3 +335,105 @@ class StreamNStep(Stateful):
     def forget(self) -> None:
         """Drop the decisions not yet complete: every stream begins an episode."""
         self._is_there.zero_()
+
+
+class ReplayStreams(NamedTuple):
+    """Choices in progress, replay and unfinished backups of many streams."""
+
+    open: OpenChoices
+    replay: StreamReplay
+    n_step: StreamNStep
+
+
+class ReplayStreamAgent(StreamAgent):
+    """Base of agents that learn action values or preferences by updates from replay."""
+
+    settings: Any
+    STATE = (Kept("_streams", is_left_out=True), Kept("_stream_rng", is_left_out=True))
+    _actions: int
+    _encoder: ObservationEncoder
+    _schedule: UpdateSchedule
+    _stream_rng: np.random.Generator
+    _streams: ReplayStreams | None = None
+
+    @abstractmethod
+    def move(self, device: torch.device) -> None:
+        """Move networks and optimisers to a device."""
+
+    @abstractmethod
+    def compute_scores(self, encoded: Tensor) -> Tensor:
+        """Numbers whose legal maximum is exploited, in units of return, (n, actions) from (n, *shape)."""
+
+    @abstractmethod
+    def update(self, batch: Experience) -> dict[str, float]:
+        """One gradient step on a batch of arrays or tensors; returns numbers to log."""
+
+    def compute_bonus(self, decisions: StreamTransitions) -> Tensor | None:
+        """Pay for novelty beside the rewards of decisions, in units of return, (n,); None for none."""
+        return None
+
+    def begin_streams(self, count: int, device: torch.device) -> None:
+        """Move networks and replay to a device; every stream begins an episode, and what replay holds stays."""
+        if self._streams is not None and self._streams.open.has(count, device):
+            self._streams.n_step.forget()
+            return
+        self.move(device)
+        settings, actions = self.settings, self._actions
+        example = torch.from_numpy(np.zeros((1, *self._encoder.shape), self._encoder.dtype)).to(device)
+        self._streams = ReplayStreams(
+            OpenChoices(count, actions, device, self._stream_rng),
+            StreamReplay(max(settings.replay_capacity, settings.stream_replay * count), example, actions),
+            StreamNStep(getattr(settings, "n_step", 1), count, example, actions))
+
+    def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
+        """Explore as the settings say, by the online network, for each row."""
+        assert self._streams is not None, "begin_streams comes first"
+        with torch.no_grad():
+            scores = self.compute_scores(self._encoder.encode_many(observation))
+        choices = self._streams.open
+        choices.choose(stream, mask, torch.zeros_like(scores[:, 0]), choices.memory[stream])
+        return sample_actions(scores, mask, self.settings, self._schedule.steps, choices.generator)
+
+    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
+        """Store the decisions, then make the updates that are due."""
+        assert self._streams is not None, "begin_streams comes first"
+        choices, replay, n_step = self._streams
+        settings, encoder = self.settings, self._encoder
+        reward, bootstrap = compute_backups(decisions, settings)
+        bonus = self.compute_bonus(decisions)
+        reward = reward if bonus is None else reward + bonus
+        over = decisions.terminated | decisions.truncated
+        mask, *_ = choices.end(decisions.stream, over)
+        experience = Experience(
+            encoder.encode_many(decisions.observation), mask, decisions.action, reward * settings.reward_scale,
+            bootstrap, encoder.encode_many(decisions.next_observation), decisions.next_action_mask)
+        replay.add(n_step.push(decisions.stream, experience, over))
+        steps = int(decisions.duration.sum()) if settings.clock == "primitive" else len(over)
+        due = self._schedule.advance(steps, len(replay))
+        metrics = {"epsilon": compute_epsilon(settings, self._schedule.steps)}
+        count = min(due, settings.stream_updates)
+        for _ in range(count):
+            metrics |= self.update(replay.sample(settings.batch_size * due // count, choices.generator))
+        return metrics
+
+
+def sample_actions(values: Tensor, mask: Tensor, settings: Any, steps: int,
+                   generator: torch.Generator) -> Tensor:
+    """Draw an action for each row of values (n, actions) as `sample_action` does, int64 (n,).
+
+    Args:
+        values: in units of return.
+        mask: bool (n, actions), legal.
+        settings: of exploration, as `DQNSettings` has them.
+        steps: on the clock.
+        generator: on the device of the values.
+    """
+    waits = torch.empty_like(values).exponential_(generator=generator).clamp_(min=1e-30).log()
+    if settings.exploration == "boltzmann":
+        ratio = values / settings.temperature
+        if settings.boltzmann_clip:
+            ratio = ratio.clamp(-settings.boltzmann_clip, settings.boltzmann_clip)
+        return (ratio - waits).masked_fill(~mask, -torch.inf).argmax(dim=1)
+    best, any_legal = (scores.masked_fill(~mask, -torch.inf).argmax(dim=1) for scores in (values, -waits))
+    draws = torch.rand(len(values), generator=generator, device=values.device)
+    return torch.where(draws < compute_epsilon(settings, steps), any_legal, best)

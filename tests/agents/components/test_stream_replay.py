@@ -7,8 +7,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from hrl_escape.agents import train
 from hrl_escape.agents.components.exploration import ExplorationSettings, compute_policy
-from hrl_escape.agents.components.replay import Experience, NStep, StreamNStep, StreamReplay
-from hrl_escape.agents.components.replay_streams import sample_actions
+from hrl_escape.agents.components.replay import Experience, NStep, StreamNStep, StreamReplay, sample_actions
 from tests.agents.small_envs import Outcome, SmdpEnv, solve
 
 ACTIONS = 3

@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 
 from hrl_escape.agents.discovery.found_option import NOTHING, StateModel, make_eigenoption, make_point_option
-from hrl_escape.agents.discovery.spectral import (
+from hrl_escape.agents.discovery.state_graph import (
     compute_laplacian,
     compute_successor_representation,
     find_covering_edge,

@@ -22,8 +22,7 @@ from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.launching.local import Failure
 from hrl_escape.comparison.reporting.figures import draw_curves
-from hrl_escape.comparison.reporting.page_data import choose_replays
-from hrl_escape.comparison.reporting.report import write_report
+from hrl_escape.comparison.reporting.report import choose_replays, write_report
 from hrl_escape.comparison.statistics import compute_iqm
 from hrl_escape.comparison.summary import Summary
 from hrl_escape.comparison.verdict import write_verdict

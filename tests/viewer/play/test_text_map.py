@@ -3,7 +3,7 @@
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.viewer.play.text_map import draw_map
+from hrl_escape.viewer.play.terminal import draw_map
 
 
 def test_the_map_shows_robot_walls_buttons_exit_and_trail(clutter):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent
 from hrl_escape.agents.discovery.found_option import StateModel, TableSkill, make_point_option
 from hrl_escape.agents.discovery.graph_discovery import GraphDiscovery, GraphDiscoverySettings
-from hrl_escape.agents.discovery.spectral import find_covering_edge
+from hrl_escape.agents.discovery.state_graph import find_covering_edge
 from hrl_escape.settings import Range
 
 __all__ = ["CoveringDiscovery", "CoveringOptions", "CoveringOptionsSettings"]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent
 from hrl_escape.agents.discovery.found_option import NOTHING, StateModel, TableSkill, make_eigenoption
 from hrl_escape.agents.discovery.graph_discovery import GraphDiscovery, GraphDiscoverySettings
-from hrl_escape.agents.discovery.spectral import (
+from hrl_escape.agents.discovery.state_graph import (
     compute_successor_representation,
     find_slow_directions,
     find_slow_directions_of_successors,
