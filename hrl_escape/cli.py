@@ -26,8 +26,6 @@ from hrl_escape import __version__
 from hrl_escape.commands.tree import find_commands
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError
 
-__all__ = ["main", "run_in_order", "run_script"]
-
 _PROGRAM = "hrl-escape"
 _COMMANDS = "hrl_escape.commands"
 _FOLDER = Path(__file__).parent / "commands"

@@ -12,8 +12,6 @@ import threading
 from hrl_escape.errors import ConfigError, PlanningReason
 from hrl_escape.kernels import read_clock
 
-__all__ = ["NO_LIMIT", "Clock", "OutOfTime"]
-
 
 class OutOfTime(Exception):  # noqa: N818  # a signal between parts of one call, not a defect
     """The clock of a call has run out."""

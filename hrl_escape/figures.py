@@ -17,9 +17,6 @@ from hrl_escape.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "LINES", "STYLE", "VIDEO_FORMATS", "Pictured", "check_picture_name", "get_figure_class",
-           "make_svg", "save_figure"]
-
 FORMATS = ("png", "svg", "pdf")
 VIDEO_FORMATS = ("gif", "mp4")
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")

@@ -23,8 +23,6 @@ from numba.core import config, event
 
 from hrl_escape.version import __version__
 
-__all__ = ["SOURCES", "add_sources", "find_cache_folder", "kernel", "kernel_in_place", "kernel_part", "read_clock"]
-
 SOURCES = ("agents/factored/search.py", "env/bases/disc.py", "env/bases/rectangle.py", "env/geometry.py",
            "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py", "planning/arm/search.py",
            "planning/arm/tables.py", "planning/search/a_star.py", "planning/search/joint_a_star.py")

@@ -10,8 +10,6 @@ import hashlib
 import re
 from collections.abc import Iterable
 
-__all__ = ["count_nouns", "join_words", "make_console_text", "make_file_name", "parse_whole"]
-
 LONGEST_FILE_NAME = 120
 """Bytes of a file name that is made from a name; file systems take 255, endings included."""
 LONGEST_CONSOLE_TEXT = 100

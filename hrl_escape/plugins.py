@@ -14,8 +14,6 @@ from hrl_escape.errors import PluginError
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["RUN_OBSERVERS", "load_entry_point", "load_entry_points"]
-
 RUN_OBSERVERS: list[str] = []
 """Functions, `module:name`, that `train` calls at its end as `observer(env, seeds, evaluations, source)`: the
 evaluation environment, the seeds of an evaluation's episodes, the evaluations, agent and seed in words. They are

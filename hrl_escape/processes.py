@@ -16,8 +16,6 @@ from typing import IO
 
 from hrl_escape.files import make_folder
 
-__all__ = ["die_with_parent", "take_lock", "taking_turns"]
-
 NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK, errno.EINVAL, errno.EBADF)
 """Errors of file systems without locks, such as Lustre mounted without `-o flock`, or NFS for locks of folders."""
 

@@ -6,8 +6,6 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar
 
-__all__ = ["Between", "fill_ranges", "list_ranges"]
-
 
 class Between:
     """Number that is drawn from a range, both ends included, as in `ButtonsConfig(count=Between(3, 5))`.

@@ -8,8 +8,6 @@ import math
 from collections.abc import Callable, Hashable, Iterable
 from typing import Generic, TypeVar
 
-__all__ = ["MOST_EXACT", "OpenNodes", "find_cheapest_steps"]
-
 MOST_EXACT = 10_000
 """States beyond which the search goes on greedily, so that its steps need not be the cheapest."""
 _GREED = 5

@@ -30,9 +30,6 @@ from typing_extensions import Self
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.ranges import Between, fill_ranges, list_ranges
 
-__all__ = ["FieldDescription", "Range", "Settings", "describe_fields", "read_field_documents", "read_record",
-           "replace_settings"]
-
 MOST_RANGES = 8
 """Most ranges in settings and their sections, for every combination of their ends is checked."""
 

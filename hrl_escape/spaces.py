@@ -13,8 +13,6 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-__all__ = ["ObjectsBox", "PointingDiscrete", "make_vector_space"]
-
 
 class ObjectsBox(spaces.Box):
     """Vector whose first numbers are rows of one kind, a row an object; whatever follows is context.

@@ -9,8 +9,6 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-__all__ = ["embed_json", "render_template"]
-
 
 def render_template(package: str, name: str, **values: Any) -> str:
     """Fill the template `templates/<name>` of a package; text among the values is escaped, `Markup` is not."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 
-__all__ = ["__version__", "find_versions"]
-
 __version__ = "0.3.0"
 
 LIBRARIES = ("gymnasium", "numpy", "scipy", "numba", "torch", "torchrl", "pybullet", "ompl", "pin")

@@ -23,25 +23,6 @@ from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Stateful
 from hrl_escape.errors import DiscountMismatchError, StepContractError, UnsupportedSpaceError
 
-__all__ = [
-    "Agent",
-    "GoalRule",
-    "MarkovRun",
-    "OptionPolicy",
-    "OptionRun",
-    "RunningCall",
-    "SMDPTransition",
-    "check_actions",
-    "check_observation",
-    "compute_backup",
-    "count_actions",
-    "count_steps",
-    "make_transition",
-    "read_action_mask",
-    "read_goal_rule",
-    "read_success",
-]
-
 
 class SMDPTransition(NamedTuple):
     """One decision and its outcome.

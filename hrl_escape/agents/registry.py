@@ -27,23 +27,6 @@ from hrl_escape.errors import AgentSettingsError, UnknownNameError
 from hrl_escape.plugins import load_entry_point
 from hrl_escape.settings import replace_settings
 
-__all__ = [
-    "ENTRY_POINT_GROUP",
-    "SMDP_PREFIX",
-    "find_agent_module",
-    "find_given_part",
-    "get_agent_class",
-    "get_recipe",
-    "list_agents",
-    "list_all_agents",
-    "list_given_agents",
-    "list_offline_agents",
-    "list_recipes",
-    "list_stream_agents",
-    "make_agent",
-    "read_structure",
-]
-
 ENTRY_POINT_GROUP = "hrl_escape.agents"
 SMDP_PREFIX = "smdp-"
 

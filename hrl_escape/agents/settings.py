@@ -12,8 +12,6 @@ from typing import Annotated, Literal
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["AgentSettings", "LearningSettings"]
-
 
 @dataclasses.dataclass(frozen=True)
 class AgentSettings(Settings):

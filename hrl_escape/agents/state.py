@@ -39,8 +39,6 @@ import numpy as np
 
 from hrl_escape.errors import CheckpointError
 
-__all__ = ["Columns", "Kept", "StateTree", "Stateful", "pack_keys", "read_value", "restore_value", "unpack_keys"]
-
 StateTree = dict[str, Any]
 """Content of a checkpoint: a tree of dicts and lists over numbers, strings, None and numpy arrays."""
 

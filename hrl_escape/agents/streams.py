@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
-__all__ = ["EndedDecisions", "OpenChoices", "RowStreamAgent", "SavedEpisodes", "SingleEnvSource", "StreamAgent",
-           "StreamSource", "StreamTransitions", "Streams", "compute_backups", "gather_decisions"]
-
 
 class EndedDecisions(NamedTuple):
     """Result of a step of streams: tensors (streams, ...), of which the rows in `where` count.

@@ -22,8 +22,6 @@ from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.checks.claims import Claims
 
-__all__ = ["check_agent"]
-
 LENGTH, HORIZON = 6, 60
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from hrl_escape.errors import ContractError
 
-__all__ = ["Claims"]
-
 
 class Claims:
     """Claims about one named implementation.

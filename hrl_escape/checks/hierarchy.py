@@ -22,8 +22,6 @@ from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, S
 from hrl_escape.checks.claims import Claims
 from hrl_escape.errors import ContractError, StepContractError
 
-__all__ = ["check_hierarchy"]
-
 GAMMA = 0.9
 
 

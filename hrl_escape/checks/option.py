@@ -14,8 +14,6 @@ from hrl_escape.errors import OptionError, PlanningFailed, UnsupportedError
 from hrl_escape.options.domain import OptionDomain, RoomDomain, make_option_domain
 from hrl_escape.options.option import Option
 
-__all__ = ["check_option"]
-
 StartPlace = Callable[[], Any]
 """Brings the environment to a place and returns the state there."""
 

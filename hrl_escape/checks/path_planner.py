@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from hrl_escape.planning.paths.navigator import Navigator
     from hrl_escape.planning.paths.problem import PathResult
 
-__all__ = ["check_path_planner"]
-
 Position: TypeAlias = tuple[float, float]
 PROMPT = 10.0
 """A planner whose time is up must have stopped by then, s; late enough for a busy machine."""

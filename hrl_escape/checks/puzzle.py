@@ -15,8 +15,6 @@ from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.env.puzzles.traits import Doored, Graphed, Propped, get_trait
 from hrl_escape.planning.goals import GripAction
 
-__all__ = ["check_puzzle"]
-
 Poses = tuple[tuple[float, float, float], ...]
 
 

@@ -16,8 +16,6 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.names import parse_whole
 
-__all__ = ["Drive", "drive_room", "get_names", "parse_primitives"]
-
 RANDOM = "random"
 MOST_REPEATS = 1_000_000
 

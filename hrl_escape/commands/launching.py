@@ -17,8 +17,6 @@ from hrl_escape.comparison.launching.slurm import SlurmLauncher
 from hrl_escape.errors import ConfigError
 from hrl_escape.files import make_folder
 
-__all__ = ["LaunchArgs"]
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LaunchArgs:

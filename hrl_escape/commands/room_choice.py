@@ -20,8 +20,6 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, UnsupportedError
 from hrl_escape.files import parse_json, read_json, read_toml
 
-__all__ = ["RoomChoice", "VectorObservation", "split_assignment"]
-
 if TYPE_CHECKING:
     VectorObservation: TypeAlias = str
 else:  # choices that `--help` lists

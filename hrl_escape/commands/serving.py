@@ -13,8 +13,6 @@ from hrl_escape.names import make_console_text
 if TYPE_CHECKING:
     from hrl_escape.viewer.server import Server
 
-__all__ = ["PageAddress"]
-
 
 @dataclasses.dataclass(frozen=True)
 class PageAddress:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-__all__ = ["find_commands"]
-
 
 def find_commands(folder: Path) -> dict[str, Path]:
     """Names of the commands and groups in a folder, and where they are."""

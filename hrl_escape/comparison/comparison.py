@@ -26,8 +26,6 @@ from hrl_escape.files import clear_unfinished, make_folder, open_for_writing, wr
 from hrl_escape.names import parse_whole
 from hrl_escape.processes import take_lock
 
-__all__ = ["Comparison", "Shard", "count_missing", "read_comparison", "run_grid", "run_grids"]
-
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Pictured):

@@ -13,8 +13,6 @@ from hrl_escape.agents.agent import read_success
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["StateRecorder", "find_recorder"]
-
 
 class StateRecorder(gymnasium.Wrapper):
     """Record of the room's states in the present episode; goes between a room and its `OptionsEnv`.

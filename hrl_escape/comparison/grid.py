@@ -31,8 +31,6 @@ from hrl_escape.synthesis.kinds import find_kind, list_privileges
 from hrl_escape.text.settings import TOOLS, ToolsSettings
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["AgentSpec", "Grid", "GridRun", "OptionsView", "SolvedRule", "load_grid"]
-
 LARGEST = 100_000_000
 DEFAULT_ROOMS = (RoomSpec("paper-two-button"),)
 

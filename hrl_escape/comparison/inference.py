@@ -18,20 +18,6 @@ from scipy import special  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.comparison.statistics import Floats, Scores
 
-__all__ = [
-    "Estimate",
-    "PairedTest",
-    "Statistic",
-    "choose_holm_levels",
-    "compare_pairs",
-    "compute_ends",
-    "compute_interval",
-    "compute_wilson_interval",
-    "correct_by_holm",
-    "cut_interval",
-    "draw_weights",
-]
-
 LEVEL = 0.95
 RESAMPLES = 2_000
 

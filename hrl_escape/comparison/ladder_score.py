@@ -15,8 +15,6 @@ import numpy as np
 from hrl_escape.comparison.inference import LEVEL, RESAMPLES, Estimate, draw_weights
 from hrl_escape.comparison.statistics import Floats, Scores, compute_iqm
 
-__all__ = ["LEAST_HEADROOM", "compute_ladder_score", "compute_learned_share"]
-
 LEAST_HEADROOM = 0.05
 """Efficiency between searcher and ceiling below which nothing is said of the share of it that was learned."""
 

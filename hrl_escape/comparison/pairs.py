@@ -16,8 +16,6 @@ import numpy as np
 from hrl_escape.comparison.inference import Estimate, compare_pairs, compute_interval, correct_by_holm
 from hrl_escape.comparison.statistics import Floats, compute_mean
 
-__all__ = ["ALPHA", "FEWEST_PAIRS", "Finals", "Pair", "compare_agents", "is_better"]
-
 ALPHA = 0.05
 """Highest probability that a verdict calls some agent better though all are alike."""
 FEWEST_PAIRS = 5

@@ -28,8 +28,6 @@ from hrl_escape.ladder.tower import RoomSets, Tower, list_sets, load_rooms
 from hrl_escape.names import parse_whole
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["RunPlace", "RoomSchedule", "RoomSpec", "Split"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Split:

@@ -9,8 +9,6 @@ from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.errors import UnknownNameError
 
-__all__ = ["GRIDS", "get_grid"]
-
 
 def _parse_agents(*texts: str) -> tuple[AgentSpec, ...]:
     return tuple(AgentSpec.parse(text) for text in texts)

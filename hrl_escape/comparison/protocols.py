@@ -22,9 +22,6 @@ from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.tower import TOWER_HORIZON, join_floors, list_sets
 from hrl_escape.text.settings import TOOLS
 
-__all__ = ["TOWER", "LadderSettings", "Protocol", "RungStanding", "choose_floors", "get_budget", "judge",
-           "list_standings", "make_protocol_grid", "make_tower_grid", "name_protocol", "score_standings"]
-
 Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot", "tower"]
 """`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others of the
 same rung. `transfer`: learn in training rooms of one rung, be tested in rooms of another. `few-shot`: as `generalise`,

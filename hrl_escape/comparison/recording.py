@@ -18,8 +18,6 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 
-__all__ = ["RecordedEpisode", "record_episode"]
-
 
 @dataclass(frozen=True, repr=False)
 class RecordedEpisode:

@@ -15,8 +15,6 @@ from hrl_escape.env.instance import RoomInstance
 if TYPE_CHECKING:
     from hrl_escape.env.kinematics import RoomState
 
-__all__ = ["record_escapes", "record_returns"]
-
 
 def record_returns(starts: Sequence[tuple[RoomInstance, RoomState]], best: Sequence[float],
                    evaluations: Iterable[Evaluation], source: str, records: Path | None = None) -> None:

@@ -42,9 +42,6 @@ from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.text.settings import TOOLS
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["RunResult", "execute_run", "find_starts", "get_room_file", "get_run_folder", "get_training_folder",
-           "load_run_result", "make_env", "make_player", "read_episodes"]
-
 
 @dataclass(frozen=True)
 class RunResult:

@@ -19,8 +19,6 @@ from hrl_escape.errors import EscapeError
 from hrl_escape.files import read_json, write_json
 from hrl_escape.version import __version__
 
-__all__ = ["CEILING", "PLANNER", "ScoreRange", "compute_score_range"]
-
 PLANNER, CEILING = "planner", "ceiling"
 
 

@@ -23,8 +23,6 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.graphs import find_ancestors
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
-__all__ = ["EdgeSet", "Solution", "SolvedProbe", "compare_graphs", "find_edges_that_matter"]
-
 EdgeSet = frozenset[tuple[int, int]]
 """Edges of a dependency graph, (parent, child)."""
 

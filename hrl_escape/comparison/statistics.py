@@ -13,24 +13,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "LATE",
-    "LEAST_RUNS",
-    "NEAR_BEST",
-    "Floats",
-    "Gap",
-    "Scores",
-    "compute_area",
-    "compute_efficiency",
-    "compute_final",
-    "compute_iqm",
-    "compute_mean",
-    "compute_mean_efficiency",
-    "compute_profile",
-    "compute_score",
-    "split_gap",
-]
-
 Floats: TypeAlias = NDArray[np.float64]
 Scores: TypeAlias = Sequence[Floats]
 """One float64 array (..., runs) a room; rooms may have different numbers of runs, at least one each."""

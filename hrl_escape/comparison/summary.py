@@ -36,8 +36,6 @@ from hrl_escape.comparison.statistics import (
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError
 
-__all__ = ["CURVE_METRICS", "AgentSummary", "Curve", "RoomSummary", "Summary", "summarise"]
-
 FinishedRun: TypeAlias = tuple[GridRun, RunResult]
 
 CURVE_METRICS = ("efficiency", "progress", "success", "length", "score")

@@ -20,8 +20,6 @@ from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.env.puzzles.traits import Marked, get_trait
 from hrl_escape.names import join_words
 
-__all__ = ["Sentence", "count_things", "find_leader", "tell_privileges", "write_verdict"]
-
 SETTLED = 0.9
 """From this share of escapes on, it is said how many primitives an escape takes."""
 

@@ -19,8 +19,6 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import draw_episode
 from hrl_escape.figures import STYLE, save_figure
 
-__all__ = ["describe", "draw_card", "save_card"]
-
 DRAWN = 4
 """Episodes in the picture."""
 

@@ -13,8 +13,6 @@ from pathlib import Path
 
 from hrl_escape.errors import FileReadError, UnknownNameError
 
-__all__ = ["BENCHMARK", "FOLDER", "TAPE_KINDS", "RUNGS", "DataSpec", "find_tape", "list_specs", "parse_spec"]
-
 BENCHMARK = "ladder-1"
 RUNGS = ("pair", "chain", "lattice-5", "lattice", "clutter", "code", "freight", "reach")
 TAPE_KINDS = {

@@ -19,8 +19,6 @@ from hrl_escape.data.materialise import DataLevel, DataSet
 from hrl_escape.errors import MissingExtraError, UnsupportedError
 from hrl_escape.files import atomic_writer
 
-__all__ = ["to_minari", "to_ogbench", "to_torch"]
-
 VALIDATION = 10
 """One trajectory in this many is for validation."""
 

@@ -27,8 +27,6 @@ from hrl_escape.env.observations.base import get_observation, make_observer
 from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.ladder.instance_set import InstanceSet
 
-__all__ = ["DataSet", "load_data"]
-
 DataLevel = Literal["primitives", "decisions"]
 BLOCK = 65_536
 """Primitives in a block, at least; an episode is never cut in two."""

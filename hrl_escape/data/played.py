@@ -15,8 +15,6 @@ from hrl_escape.ladder.room_sets import parse_room_set
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.viewer.play.saved_episode import load_episode
 
-__all__ = ["make_played_tape"]
-
 
 def make_played_tape(name: str, rooms: str, paths: Sequence[str | Path]) -> Tape:
     """Make a tape of saved episodes; its decisions are the moves, primitives among them.

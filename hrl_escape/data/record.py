@@ -39,8 +39,6 @@ from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.version import __version__
 
-__all__ = ["ActionLog", "TapeWriter", "measure_references", "record"]
-
 FAILURE = 0.2
 """Probability that an option of `noisy` fails at its start."""
 RANDOM_SHARE = 0.1

@@ -27,8 +27,6 @@ from hrl_escape.files import atomic_writer, open_plain, parse_json
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.room_sets import parse_room_set
 
-__all__ = ["DYNAMICS", "ENDS", "FIELDS", "TAPE_FORMAT", "Tape", "load_tape", "save_tape"]
-
 TAPE_FORMAT = 1
 DYNAMICS = "EscapeRoom-v1"
 """Version of the rules that a tape is replayed by: that of the environment's id."""

@@ -18,9 +18,6 @@ from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import RoomState, Rules, Transition
 from hrl_escape.errors import ConfigError, UnknownNameError
 
-__all__ = ["CAMERAS", "ENGINES", "LARGEST_SIDE", "Engine", "EngineEntry", "Renderer", "check_camera",
-           "check_picture_size", "film", "make_engine", "make_renderer"]
-
 CAMERAS: dict[str, str] = {
     "chase": "follows the robot from behind and above; walls in the way are cut open",
     "overhead": "the whole floor from straight above, y upwards",

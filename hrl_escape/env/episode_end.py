@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from enum import Enum
 
-__all__ = ["EpisodeEnd"]
-
 
 class EpisodeEnd(str, Enum):
     """End of an episode; `STOPPED` means that the episode could go on."""

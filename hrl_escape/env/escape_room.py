@@ -29,9 +29,6 @@ from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_in
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
 from hrl_escape.spaces import make_vector_space
 
-__all__ = ["EscapeRoomEnv"]
-
-
 _EPISODE = ("_state", "_ended", "_trail", "_stream", "_episode", "_np_random", "_np_random_seed", "action_space")
 """Attributes that a copy of an environment takes over."""
 

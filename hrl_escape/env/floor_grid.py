@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.geometry import Footprint, compute_distance_many, stack_footprints
 
-__all__ = ["FloorGrid", "coarsen", "compute_extent_radius", "join_cells", "label_parts", "spread_waves"]
-
 
 def compute_extent_radius(shape: Footprint) -> float:
     """Radius of the smallest circle round a footprint's centre that holds it, m."""

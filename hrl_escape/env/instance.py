@@ -39,9 +39,6 @@ from hrl_escape.figures import Pictured
 from hrl_escape.files import read_json, write_json
 from hrl_escape.settings import Range
 
-__all__ = ["SCHEMA_VERSION", "SpaceLayout", "PlacedProp", "Rectangle", "RoomInstance", "Start", "Target", "check_room",
-           "does_base_fit", "is_on_floor"]
-
 SCHEMA_VERSION = 1
 _OVERLAP = 1e-6
 """Length by which the alcove behind a door counts as reaching into the floor, m."""

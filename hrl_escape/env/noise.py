@@ -9,9 +9,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["CHANCE_PURPOSE", "EPISODE_PURPOSE", "PUZZLE_PURPOSE", "compute_noise", "draw_chance", "draw_episode",
-           "draw_puzzle_start", "philox"]
-
 _MASK = 0xFFFFFFFF
 _MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 _WEYL = (0x9E3779B9, 0xBB67AE85)

@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.robot import make_robot
 
-__all__ = ["RobotPoses", "RoomState", "get_planar_pose", "list_touched"]
-
 
 class RoomState(NamedTuple):
     """Everything that decides the future of an episode; hashable and comparable.

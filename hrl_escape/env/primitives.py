@@ -18,10 +18,6 @@ from numpy.typing import NDArray
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["ActionTable", "DriveKind", "JointActions", "Move", "Primitive", "SlipKind", "list_slips",
-           "make_action_table"]
-
-
 DriveKind = Literal["strafing", "differential"]
 """Drives of the base: one that moves along and across its heading, or one that moves along it only."""
 

@@ -24,8 +24,6 @@ from hrl_escape.env.config import RobotConfig
 from hrl_escape.errors import RobotError
 from hrl_escape.files import check_files
 
-__all__ = ["BASE_LINK", "Robot", "load_urdf", "make_robot", "sample_hand_positions", "sample_joint_steps"]
-
 MESH_ENDINGS, LARGEST_MESHES = (".stl", ".obj", ".dae"), 2**25  # bytes of all meshes together: some 600,000 faces
 BASE_LINK = "mobile-base"
 _MOUNT_JOINT = "mobile-base-mount"

@@ -12,8 +12,6 @@ from typing import Any
 
 from hrl_escape.settings import Settings
 
-__all__ = ["Schematic"]
-
 _ALWAYS_WRITTEN = {
     "BitFlipConfig": "count buttons",
     "BitFlipPuzzle": "count",

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
 
-__all__ = ["SIGHT_SLACK", "Scanner", "list_hiders"]
-
 SIGHT_SLACK = 1e-3
 """Distance from an object within which nothing hides it, m, in addition to its own half thickness."""
 _TINY = 1e-30  # replaces a zero component of a direction

@@ -11,8 +11,6 @@ from hrl_escape.env.instance import is_on_floor
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import StateError, show_value
 
-__all__ = ["check_fields", "check_state"]
-
 _LARGEST_COUNT = 2**31
 _SOFT_CONTACT = 0.1
 """Share of the body's radius by which physics lets it press into a solid."""

@@ -21,9 +21,6 @@ from torch import Tensor
 
 from hrl_escape.env.geometry import Footprint
 
-__all__ = ["Shapes", "SplitShapes", "as_flags", "cast_rays", "compute_distance", "compute_first_contact",
-           "refine_first_contact", "stack_shapes", "store"]
-
 _NEVER = 1e6  # position of the outlines that only pad a table
 _TINY = 1e-18  # keeps a velocity from zero
 

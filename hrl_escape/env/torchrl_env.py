@@ -19,8 +19,6 @@ from hrl_escape.env.batched.engine import TensorRoom, draw_seed
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.sampling.sources import SchematicForm
 
-__all__ = ["EscapeRoomTorchRLEnv"]
-
 
 class EscapeRoomTorchRLEnv(EnvBase):
     """Many rooms that step together; see `EscapeRoomEnv` for the task itself.

@@ -30,8 +30,6 @@ from hrl_escape.spaces import make_vector_space
 if TYPE_CHECKING:
     from hrl_escape.env.escape_room import EscapeRoomEnv
 
-__all__ = ["EscapeRoomVectorEnv"]
-
 _AUTORESETS: dict[AutoresetMode, Autoreset] = {
     AutoresetMode.NEXT_STEP: "next-step",
     AutoresetMode.SAME_STEP: "same-step",

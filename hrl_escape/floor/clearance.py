@@ -29,8 +29,6 @@ from hrl_escape.env.geometry import (
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.poses import RobotPoses
 
-__all__ = ["CollisionMap"]
-
 FINEST = 0.02
 MOST_CELLS = 1_000_000
 

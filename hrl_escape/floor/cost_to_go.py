@@ -28,8 +28,6 @@ from hrl_escape.floor import dijkstra
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.floor.sweeps import POINT, Presser, make_sweep_scene
 
-__all__ = ["FieldMaker", "Seeds", "count_classes", "lay_grid", "make_collision"]
-
 MOST_STATES = 1_500_000
 CACHE_BYTES = 64_000_000
 """Memory for the cached fields of one grid, bytes; a field of a room of 20 m takes 0.1 to 0.3 MB."""

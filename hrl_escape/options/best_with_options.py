@@ -29,8 +29,6 @@ from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import get_pose
 from hrl_escape.search import OpenNodes
 
-__all__ = ["best_return_with_options", "find_best_with_options", "simulate"]
-
 MOST_RUNS = 20_000
 _ESCAPED = "escaped"
 

@@ -19,8 +19,6 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, Goal, check_goal, parse_goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 
-__all__ = ["ClosedLoopExecution", "pursue"]
-
 MOST_FAILURES = 5
 """Consecutive failures after which execution stops."""
 

@@ -22,8 +22,6 @@ from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["FAILURE", "STOP", "DegradedOption", "OptionDegradation"]
-
 FAILURE, STOP, _MISSING = range(3)
 """Purposes of draws, a word of their counter: failing at the start, and stopping after a primitive."""
 

@@ -22,8 +22,6 @@ from hrl_escape.errors import OptionError, StepContractError, UnsupportedError
 from hrl_escape.options.option import Option
 from hrl_escape.options.sources import MetaSource
 
-__all__ = ["DomainStep", "OptionDomain", "OptionLevel", "RoomDomain", "RoomEnv", "make_option_domain"]
-
 TERMINATIONS = 0x0971
 """Distinguishes the stream of an episode's terminations from other streams of the same seed."""
 

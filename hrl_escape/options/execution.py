@@ -18,8 +18,6 @@ from hrl_escape.options.domain import DomainStep, OptionDomain
 from hrl_escape.options.option import Option
 from hrl_escape.planning.route import PlanningReport
 
-__all__ = ["OptionCall", "OptionExecution", "RunningDecision", "TraceStep", "check_choice"]
-
 DEEPEST_NESTING = 8
 
 

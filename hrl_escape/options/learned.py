@@ -19,9 +19,6 @@ from hrl_escape.errors import OptionError
 from hrl_escape.options.option import FunctionOption, Option
 from hrl_escape.planning.route import PlanningReport
 
-__all__ = ["AgentOption", "GivenPolicy", "GivenRun", "LearnedOption", "LegalActions", "PredictingModel",
-           "TeachingAgent", "TrainedAgent", "make_learned_options"]
-
 LegalActions: TypeAlias = int | Callable[[Any], NDArray[np.bool_]]
 """Number of actions, all legal, or a function of the state that gives a bool (actions,) of the legal ones."""
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
-__all__ = ["MEMORY_WORDS", "DecisionMemory"]
-
 MEMORY_WORDS = ("failed", "recent", "rank")
 """Numbers that `DecisionMemory` appends to a row."""
 

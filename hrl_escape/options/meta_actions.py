@@ -21,8 +21,6 @@ from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
 from hrl_escape.planning.search.inner_doors import is_way_open
 
-__all__ = ["AncestorsOption", "MarkovOption", "PlannedOption", "list_goals", "make_meta_options", "make_option"]
-
 PATIENCE = 40
 """Primitives without progress after which an option fails; more where primitives slip."""
 JAM, SHAKE = 8, 3

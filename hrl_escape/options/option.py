@@ -18,8 +18,6 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import OptionError
 from hrl_escape.planning.route import PlanningReport
 
-__all__ = ["FLAVOURS", "FunctionOption", "Option", "OptionAction", "ScriptedOption", "TableOption"]
-
 FLAVOURS = ("press", "press-with-ancestors", "press-markov")
 """Kinds of meta-actions: press one target only, or its ancestors first, or press it by a policy that is a function of
 the state."""

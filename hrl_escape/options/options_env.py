@@ -35,8 +35,6 @@ from hrl_escape.options.option import Option
 from hrl_escape.options.sources import OptionsSource, make_options
 from hrl_escape.spaces import PointingDiscrete
 
-__all__ = ["OptionsEnv", "make_options_env"]
-
 
 class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     """Lets an agent choose among options and primitives; one step is one SMDP transition.

@@ -28,8 +28,6 @@ from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.props import GRAZE, get_prop_poses, list_blocks, meets
 from hrl_escape.planning.route import Route
 
-__all__ = ["PushOption", "PushField"]
-
 CELL = 0.25
 SIDES = tuple((i, j) for i in range(-2, 3) for j in range(-2, 3) if math.gcd(i, j) == 1)
 """Directions of pushes on the grid, as cells."""

@@ -16,8 +16,6 @@ from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.planning.goals import Goal, PoseGoal, PressGoal, check_goal, describe_goal, parse_goal
 from hrl_escape.planning.planner import RoomPlanner
 
-__all__ = ["PressOption", "ReachOption", "make_go_to", "make_press", "make_reach"]
-
 ARRIVAL, ARRIVAL_NOISE = 0.02, 3.0
 """Tolerance of a place: at least this many metres, and this many standard deviations of a move's noise."""
 KEPT_REACHES = 10_000

@@ -10,8 +10,6 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError, OptionError
 from hrl_escape.options.option import FLAVOURS, Option
 
-__all__ = ["MetaSource", "OptionsSource", "make_options"]
-
 OptionsSource: TypeAlias = Sequence[Option] | Callable[[Any], Sequence[Option]]
 """Options, or a function that makes them for a room's instance, or for any other environment."""
 

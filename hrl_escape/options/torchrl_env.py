@@ -19,8 +19,6 @@ from torchrl.envs import EnvBase, Transform
 from hrl_escape.env.batched.engine import draw_seed
 from hrl_escape.options.batched.vector_env import OptionsVectorEnv
 
-__all__ = ["OptionsTorchRLEnv", "SMDPTransform"]
-
 DURATION, STEPS = "duration", "steps_to_next_obs"
 
 

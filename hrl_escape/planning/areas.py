@@ -38,9 +38,6 @@ from hrl_escape.planning.goals import (
     is_reached,
 )
 
-__all__ = ["Area", "compute_goal_area", "find_headings", "get_presser", "grow_solids", "sample_places"]
-
-
 PLACES = 2_000
 """Places tested between two checks of a clock."""
 

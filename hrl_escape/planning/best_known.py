@@ -30,10 +30,6 @@ from hrl_escape.planning.plan import Plan, strip
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Pose, get_pose
 
-__all__ = ["ROLLOUTS", "BestKnown", "ExpectedEscape", "Replanner", "best_known_return", "compute_escape_return",
-           "compute_expected_escape", "compute_worst_return", "find_best_known", "find_by_plan", "improve_best_known",
-           "list_start_states", "record_return"]
-
 MOST_STARTS = 32
 """Most starts of an instance that are used."""
 ORDERS = 3

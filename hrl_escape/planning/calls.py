@@ -13,8 +13,6 @@ from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.requests import PlanningRequest, PlanningResult
 from hrl_escape.processes import die_with_parent
 
-__all__ = ["PlanningCall", "plan_many", "start_planning"]
-
 
 class PlanningCall:
     """A planning call under way in another thread.

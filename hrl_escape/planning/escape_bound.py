@@ -22,8 +22,6 @@ from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.planning.lower_bounds import LegBounds
 from hrl_escape.planning.symbolic.operator_order import EXIT, START, Leg, TaskNode, TaskSearch
 
-__all__ = ["bound_escape"]
-
 BOUND_LEGS = 20_000
 """Most legs examined in the search for the bound of an escape."""
 JOINT_LEGS = 1_000

@@ -16,8 +16,6 @@ from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.routes import Routes
 from hrl_escape.planning.search.joint_search import JointSearch
 
-__all__ = ["Escapes"]
-
 MOST_JOINTS = 4
 """Most joints of a pressing arm for joint searches: its tables then take a millisecond."""
 MOST_FLOOR = 1_000.0

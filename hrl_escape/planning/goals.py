@@ -16,25 +16,6 @@ from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.errors import GoalError, UnknownNameError, show_value
 
-__all__ = [
-    "FARTHEST",
-    "ExitGoal",
-    "Goal",
-    "GripGoal",
-    "PoseGoal",
-    "PressGoal",
-    "PushGoal",
-    "RegionGoal",
-    "check_goal",
-    "describe_goal",
-    "find_grips",
-    "find_push",
-    "get_region",
-    "is_reached",
-    "make_goal",
-    "parse_goal",
-]
-
 
 @dataclasses.dataclass(frozen=True)
 class PressGoal:

@@ -22,7 +22,6 @@ from hrl_escape.env.robot import make_robot
 from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import Goal, PressGoal
 
-__all__ = ["LegBounds"]
 
 class LegBounds:
     """Lower bounds of the legs between a room's operators.

@@ -22,8 +22,6 @@ from hrl_escape.planning.route import PlanningReport, Route, SearchSettings, get
 from hrl_escape.planning.routes import Routes
 from hrl_escape.planning.symbolic.operator_order import ExtendLeg, Leg, TaskPlan, TaskSearch
 
-__all__ = ["Orders"]
-
 REAL_LEGS = 300
 """Most legs of a task whose legs are each planned from the true end of the one before."""
 

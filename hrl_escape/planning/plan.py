@@ -22,8 +22,6 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import EscapeError
 from hrl_escape.planning.goals import Goal, describe_goal
 
-__all__ = ["Execution", "Plan", "PlanPart"]
-
 
 @dataclasses.dataclass(frozen=True)
 class PlanPart:

@@ -27,8 +27,6 @@ from hrl_escape.planning.requests import PlanningRequest, PlanningResult, bound_
 from hrl_escape.planning.route import Route, SearchSettings
 from hrl_escape.planning.routes import Routes, check_method
 
-__all__ = ["RoomPlanner", "get_planner"]
-
 ESCAPES = 8
 """Orders of the puzzle's operators that are planned in detail for a request that asks for better plans."""
 

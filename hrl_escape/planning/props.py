@@ -14,8 +14,6 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.poses import get_planar_pose
 
-__all__ = ["get_prop_poses", "list_blocks", "list_obstacles", "meets"]
-
 MARGIN = 0.1
 """Distance that routes keep from blocks where there is room, m: bodies under physics drift."""
 GRAZE = 0.01

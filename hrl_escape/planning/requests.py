@@ -33,9 +33,6 @@ from hrl_escape.planning.route import EFFORTS, PlanningReport, Route, SearchSett
 if TYPE_CHECKING:
     from hrl_escape.planning.routes import Routes
 
-__all__ = ["Objective", "PlanningRequest", "PlanningResult", "bound_cost", "compute_lacking_clearance",
-           "compute_plan_cost", "iterate_routes"]
-
 Objective = Literal["primitives", "length", "clearance", "time"]
 
 

@@ -9,8 +9,6 @@ from typing import Any, NamedTuple, TypeAlias
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import ConfigError
 
-__all__ = ["EFFORTS", "PlanningReport", "Pose", "Route", "SearchSettings", "check_budget", "get_pose"]
-
 EFFORTS = (2, 4, 8)
 """Heuristic offsets of further searches for a shorter plan, one for each step of effort that a caller asks for."""
 

@@ -45,8 +45,6 @@ from hrl_escape.planning.search.primitive_search import METHODS, PrimitiveSearch
 if TYPE_CHECKING:
     from hrl_escape.planning.arm.reacher import Reacher
 
-__all__ = ["Routes", "check_method"]
-
 MOST_POSES = 20_000
 """Most poses of all cached routes, at some 0.3 kB each; the least recently used routes are dropped first."""
 _KEY = 3

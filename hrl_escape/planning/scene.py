@@ -28,8 +28,6 @@ from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.props import get_prop_poses
 
-__all__ = ["HeldObject", "Scene", "give_to_hand", "grip"]
-
 _SINK = 0.02
 """Largest overlap of a pushing base with its block, m."""
 

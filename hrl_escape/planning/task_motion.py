@@ -21,8 +21,6 @@ from hrl_escape.planning.plan import Plan
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.symbolic.pddl import clean_name, make_domain, make_problem, read_problem, run_engine
 
-__all__ = ["TaskMotionPlanner"]
-
 START, LEAVE = "start", "leave"
 DOMAIN, ESCAPED = "task-and-motion", "escaped"
 _LEAVING = Operator(LEAVE, "exit", LEAVE, frozenset(), frozenset(), frozenset(), frozenset())

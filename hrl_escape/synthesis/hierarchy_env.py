@@ -19,8 +19,6 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.synthesis.situation import Situations
 from hrl_escape.synthesis.synthesise import make_structure
 
-__all__ = ["HierarchyEnv"]
-
 
 class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
     """Wrapper around a flat room; `train` gives its `structure` to the agent.

@@ -8,8 +8,6 @@ from typing import Literal, TypeAlias
 from hrl_escape.agents.registry import SMDP_PREFIX, find_given_part, list_given_agents
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["KINDS", "LEAVES", "PARTS", "HierarchyKind", "LeafKind", "find_kind", "list_privileges"]
-
 HierarchyKind: TypeAlias = Literal["maxq", "ham", "landmarks", "feudal"]
 LeafKind: TypeAlias = Literal["planned", "learned"]
 KINDS: tuple[HierarchyKind, ...] = ("maxq", "ham", "landmarks", "feudal")

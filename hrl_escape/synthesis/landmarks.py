@@ -24,8 +24,6 @@ from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.planning.goals import Goal
 from hrl_escape.synthesis.situation import Situations
 
-__all__ = ["OpenLandmarks", "find_landmarks", "make_landmark_goals"]
-
 Literal: TypeAlias = tuple[str, bool]
 
 

@@ -23,8 +23,6 @@ from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route
 from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
 
-__all__ = ["Situation", "Situations"]
-
 SECTORS = 8
 """Directions that learned leaves tell apart at most."""
 

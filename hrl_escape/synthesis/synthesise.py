@@ -29,8 +29,6 @@ from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, HierarchyKind, Leaf
 from hrl_escape.synthesis.landmarks import EXIT, OpenLandmarks, make_landmark_goals
 from hrl_escape.synthesis.situation import Situations
 
-__all__ = ["compute_depth", "make_region_tree", "make_structure", "synthesise"]
-
 MOST_LEVELS = 3
 KEPT = 50_000
 """Answers of the planner that are kept: every manager asks before every primitive which orders can be obeyed."""

@@ -13,8 +13,6 @@ from hrl_escape.text.managers import Model
 from hrl_escape.text.settings import ToolsSettings
 from hrl_escape.text.told_env import find_told_env
 
-__all__ = ["ToolsAgent"]
-
 
 class ToolsAgent(FixedPolicy):
     """Asks a model for a call of a tool at every decision; nothing is learned.

@@ -27,8 +27,6 @@ from hrl_escape.text.recordings import RecordedModel
 from hrl_escape.text.told_env import ToolCall, Turn
 from hrl_escape.text.words import LEAVE
 
-__all__ = ["MODELS_GROUP", "MANAGERS", "Model", "make_model"]
-
 Model: TypeAlias = Callable[[Sequence[Turn], Sequence[Mapping[str, Any]]], ToolCall]
 """Anything that reads a transcript and the tools' schemas and says which tool to call. If it has an attribute `rng`, an
 evaluation gives it the episode's generator."""

@@ -17,8 +17,6 @@ try:
 except ImportError as missing:
     raise MissingExtraError("mcp", "mcp", "The server for language models") from missing
 
-__all__ = ["make_server", "serve"]
-
 
 def make_server(session: RoomSession, after_call: Callable[[], object] = lambda: None) -> Server[Any]:
     """Make a server of a game that has begun; what is told at its beginning are the server's instructions.

@@ -22,9 +22,6 @@ from hrl_escape.text.session import RoomSession
 from hrl_escape.text.settings import Level
 from hrl_escape.text.told_env import Score, ToldEnv, ToolCall, Turn
 
-__all__ = ["Game", "RecordedModel", "ScriptedModel", "load_games", "record_game", "replay_game", "save_games",
-           "verify_games"]
-
 _SCHEMA = 1
 
 

@@ -10,8 +10,6 @@ from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.text.settings import Level
 from hrl_escape.text.told_env import Score, ToldEnv, ToolCall, Turn
 
-__all__ = ["RoomSession", "ToolResult"]
-
 
 class ToolResult(NamedTuple):
     """Answer to a call.

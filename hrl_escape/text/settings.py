@@ -8,8 +8,6 @@ from typing import Annotated, Literal, TypeAlias, get_args
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.settings import Range
 
-__all__ = ["TOLD_LEVELS", "TOOLS", "Level", "ToolsSettings"]
-
 TOOLS = "smdp-tools"
 """Name of the agent that calls tools."""
 Level: TypeAlias = Literal["names", "places", "model"]

@@ -31,8 +31,6 @@ from hrl_escape.planning.symbolic.pddl import clean_name, export_pddl
 from hrl_escape.text.settings import TOLD_LEVELS, Level
 from hrl_escape.text.words import clean, phrase_options, place, tell_changes, tell_goal, tell_room
 
-__all__ = ["Score", "ToldEnv", "ToolCall", "Turn", "count_characters", "find_told_env"]
-
 MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200
 """Looks that are free between two moves; most repeats of a primitive; characters of a wrong value that are kept."""
 

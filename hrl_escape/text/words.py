@@ -21,8 +21,6 @@ from hrl_escape.options.option import Option
 from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal, PushGoal
 from hrl_escape.planning.props import get_prop_poses
 
-__all__ = ["LEAVE", "clean", "tell_changes", "tell_goal", "tell_room", "phrase_options", "place", "quote"]
-
 LEAVE = "leave"
 """Name of the option that drives out through the exit."""
 LONGEST, LONGEST_SENTENCE = 60, 400

@@ -28,8 +28,6 @@ from urllib.parse import parse_qs, urlsplit
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.viewer.extra import msgspec, viser, websockets
 
-__all__ = ["Guard", "LARGEST_MESSAGE", "guard_servers", "is_expected"]
-
 _Three = tuple[float, float, float]
 
 

@@ -17,8 +17,6 @@ from hrl_escape.viewer.play.saved_episode import SavedEpisode
 from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.drivers import Driver
 
-__all__ = ["Recording", "record_driver", "record_saved"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Recording:

@@ -14,8 +14,6 @@ from hrl_escape.errors import AddressError
 from hrl_escape.viewer.extra import viser
 from hrl_escape.viewer.guard import Guard, guard_servers, is_expected
 
-__all__ = ["DEFAULT_PORT", "HOST", "Server", "get_url", "open_server"]
-
 HOST = "127.0.0.1"
 DEFAULT_PORT = 8080
 

@@ -15,8 +15,6 @@ import numpy as np
 from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.kinematics import RoomState
 
-__all__ = ["PrimitiveStep", "StepHooks"]
-
 
 class PrimitiveStep(NamedTuple):
     """One primitive and its transition."""

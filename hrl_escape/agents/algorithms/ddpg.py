@@ -47,8 +47,6 @@ from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
-__all__ = ["DDPG", "DDPGSettings", "OneHotRelaxation"]
-
 
 @dataclass(frozen=True)
 class DDPGSettings(ReplaySettings):

@@ -56,8 +56,6 @@ from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
-__all__ = ["DQN", "ActionValues", "DQNSettings", "ValueSettings"]
-
 
 @dataclass(frozen=True)
 class ValueSettings(ReplaySettings):

@@ -19,8 +19,6 @@ from hrl_escape.agents.factored.planning_agent import PlanningAgent, PlanningSet
 from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.settings import Range
 
-__all__ = ["FactoredRMax", "FactoredRMaxSettings"]
-
 
 @dataclass(frozen=True)
 class FactoredRMaxSettings(PlanningSettings):

@@ -16,8 +16,6 @@ from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.tables import TabularAgent, TabularAgentSettings
 from hrl_escape.errors import StepContractError
 
-__all__ = ["IntraOptionQ", "IntraOptionQSettings"]
-
 
 @dataclass(frozen=True)
 class IntraOptionQSettings(TabularAgentSettings):

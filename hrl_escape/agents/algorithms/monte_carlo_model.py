@@ -22,8 +22,6 @@ from hrl_escape.agents.factored.planning_agent import PlanningAgent, PlanningSet
 from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.settings import Range
 
-__all__ = ["MonteCarloModel", "MonteCarloModelSettings"]
-
 
 @dataclass(frozen=True)
 class MonteCarloModelSettings(PlanningSettings):

@@ -46,8 +46,6 @@ from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions
 from hrl_escape.settings import Range
 
-__all__ = ["PPO", "PPOSettings"]
-
 
 @dataclass(frozen=True)
 class PPOSettings(ClippedSettings, LearningSettings):

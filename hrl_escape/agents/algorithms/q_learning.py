@@ -17,8 +17,6 @@ from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.components.tables import TabularAgent, TabularAgentSettings
 from hrl_escape.agents.streams import RowStreamAgent
 
-__all__ = ["QLearning", "QLearningSettings"]
-
 
 @dataclass(frozen=True)
 class QLearningSettings(BonusSettings, TabularAgentSettings):

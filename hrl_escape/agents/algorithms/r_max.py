@@ -23,8 +23,6 @@ from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range
 
-__all__ = ["RMax", "RMaxSettings"]
-
 SWEEPS = 20_000
 """Bound on sweeps of value iteration, for discounts near 1."""
 

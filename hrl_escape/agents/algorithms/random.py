@@ -18,8 +18,6 @@ from hrl_escape.agents.components.exploration import make_rng, sample_legal
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.settings import Range
 
-__all__ = ["RandomAgent", "RandomSettings"]
-
 
 @dataclass(frozen=True)
 class RandomSettings(AgentSettings):

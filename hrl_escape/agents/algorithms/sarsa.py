@@ -36,8 +36,6 @@ from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
-__all__ = ["Sarsa", "SarsaSettings"]
-
 
 @dataclass(frozen=True)
 class SarsaSettings(ValueSettings):

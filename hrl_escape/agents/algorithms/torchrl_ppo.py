@@ -23,8 +23,6 @@ from hrl_escape.agents.components.torchrl_agent import TorchRLAgent, TorchRLSett
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
-__all__ = ["TorchRLPPO", "TorchRLPPOSettings"]
-
 
 @dataclass(frozen=True)
 class TorchRLPPOSettings(TorchRLSettings):

@@ -22,8 +22,6 @@ from hrl_escape.agents.components.torchrl_agent import TorchRLAgent, TorchRLRepl
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
-__all__ = ["TorchRLSAC", "TorchRLSACSettings"]
-
 
 @dataclass(frozen=True)
 class TorchRLSACSettings(TorchRLSettings):

@@ -20,8 +20,6 @@ from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.agents.state import Columns, Stateful
 from hrl_escape.settings import Range
 
-__all__ = ["BonusSettings", "CountBonus"]
-
 
 @dataclass(frozen=True)
 class BonusSettings(AgentSettings):

@@ -29,8 +29,6 @@ from hrl_escape.agents.components.networks import (
 )
 from hrl_escape.agents.state import Kept, Stateful
 
-__all__ = ["DistillationBonus", "make_bonus"]
-
 FEATURES = 32
 """Outputs of the random network."""
 BATCH = 32

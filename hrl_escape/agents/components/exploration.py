@@ -16,24 +16,6 @@ from numpy.typing import NDArray
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.settings import Range
 
-__all__ = [
-    "EpsilonSettings",
-    "ExplorationSettings",
-    "OrnsteinUhlenbeck",
-    "choose_best",
-    "compute_choice_entropy",
-    "compute_epsilon",
-    "compute_epsilon_greedy",
-    "compute_exploration_entropy",
-    "compute_policy",
-    "compute_softmax",
-    "make_rng",
-    "mask_values",
-    "sample_action",
-    "sample_index",
-    "sample_legal",
-]
-
 
 @dataclass(frozen=True)
 class EpsilonSettings(AgentSettings):

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition
 
-__all__ = ["FixedPolicy"]
-
 
 class FixedPolicy(Agent):
     """Base of such agents: a subclass gives `act`, which is evaluated as it is."""

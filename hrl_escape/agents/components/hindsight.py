@@ -21,8 +21,6 @@ from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
 from hrl_escape.errors import AgentSettingsError, StepContractError
 
-__all__ = ["HindsightReplay"]
-
 
 class _Judgement(NamedTuple):
     """Reward of a decision after which one goal was achieved and another one desired, and whether that ends it."""

@@ -17,8 +17,6 @@ from hrl_escape.agents.components.networks import Network, ObservationEncoder
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.spaces import ObjectsBox
 
-__all__ = ["Memory", "Stretches", "cut_stretches", "make_memory"]
-
 
 class GatedCell(nn.Module):
     """Gated recurrent unit from observations and states, one after the other in a row, to states."""

@@ -38,22 +38,6 @@ from hrl_escape.errors import AgentSettingsError, DivergenceError, UnsupportedSp
 from hrl_escape.settings import Range
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
-__all__ = [
-    "Learner",
-    "Network",
-    "NetworkSettings",
-    "ObjectLayers",
-    "ObservationEncoder",
-    "compute_td_loss",
-    "initialise_layer",
-    "is_goal_space",
-    "make_action_network",
-    "make_forward",
-    "make_generator",
-    "make_network",
-    "make_state_network",
-]
-
 BLOCK_ROWS = 4096
 """Rows that pass through a perceptron together: two layers of 64 units take 2 MiB, as much as a core's own cache."""
 MOST_KNOWN = 1_000

@@ -29,9 +29,6 @@ from hrl_escape.errors import AgentSettingsError, UnsupportedError
 from hrl_escape.settings import Range
 from hrl_escape.spaces import ObjectsBox
 
-__all__ = ["Batch", "Decisions", "DecisionTable", "OPTION_ENDINGS", "OfflineAgent", "OfflineData",
-           "OfflineSettings", "Primitives", "encode_all", "list_best"]
-
 OPTION_ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
 """Endings of decisions, in the words of `info["option"]["ended"]`; `Decisions.ended` is an index into it."""
 FEW_STATES = 0.1

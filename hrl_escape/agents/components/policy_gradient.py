@@ -19,10 +19,6 @@ from hrl_escape.agents.components.networks import BLOCK_ROWS, NetworkSettings, O
 from hrl_escape.agents.streams import OpenChoices, StreamTransitions, compute_backups
 from hrl_escape.settings import Range
 
-__all__ = ["ClippedSettings", "Rollout", "collect_decisions", "compute_advantages", "compute_clipped_loss",
-           "compute_clipped_parts", "compute_entropy", "compute_log_policy", "compute_next_values", "draw_minibatches",
-           "sample_policy", "stack_decisions", "take_column", "unstack_decisions"]
-
 
 @dataclass(frozen=True)
 class ClippedSettings(NetworkSettings):

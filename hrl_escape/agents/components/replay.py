@@ -32,9 +32,6 @@ from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransition
 from hrl_escape.errors import CheckpointError
 from hrl_escape.settings import Range
 
-__all__ = ["Experience", "NStep", "ReplayBuffer", "ReplaySettings", "ReplayStreamAgent", "StreamNStep", "StreamReplay",
-           "UpdateSchedule", "make_experience", "sample_actions"]
-
 
 @dataclass(frozen=True)
 class ReplaySettings(NetworkSettings, LearningSettings):

@@ -28,9 +28,6 @@ from hrl_escape.agents.state import Columns, Stateful
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range
 
-__all__ = ["QTable", "ResolutionSettings", "TabularAgent", "TabularAgentSettings", "TabularSettings", "ValueTable",
-           "make_cell_finder", "make_discretiser"]
-
 
 @dataclass(frozen=True)
 class ResolutionSettings(AgentSettings):

@@ -34,8 +34,6 @@ from hrl_escape.agents.state import Kept
 from hrl_escape.errors import DivergenceError
 from hrl_escape.settings import Range
 
-__all__ = ["TorchRLAgent", "TorchRLReplay", "TorchRLSettings"]
-
 ILLEGAL = -1e6
 """Logit of an illegal action: its probability is exactly 0, and 0 times its logarithm is 0, where minus infinity would
 make `DiscreteSACLoss` NaN."""

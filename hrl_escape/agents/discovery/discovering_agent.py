@@ -23,8 +23,6 @@ from hrl_escape.agents.discovery.state_graph import StateGraph
 from hrl_escape.agents.state import Kept, Stateful, StateTree
 from hrl_escape.settings import Range
 
-__all__ = ["DiscoveringAgent", "Discovery", "DiscoverySettings", "load_skills", "save_skills"]
-
 
 class Discovery(Stateful, ABC):
     """Finds options in what an agent has met; its state is everything beside the graph that decides what is found.

@@ -9,9 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-__all__ = ["StateModel", "TableSkill", "make_eigenoption", "make_point_option",
-           "make_subgoal_option"]
-
 NOTHING = -1
 """In place of a primitive: the option ends, or cannot be."""
 _TIE = 1e-9

@@ -16,8 +16,6 @@ from hrl_escape.agents.discovery.found_option import StateModel, TableSkill
 from hrl_escape.agents.discovery.state_graph import StateGraph
 from hrl_escape.settings import Range
 
-__all__ = ["GraphDiscovery", "GraphDiscoverySettings"]
-
 
 @dataclass(frozen=True)
 class GraphDiscoverySettings(DiscoverySettings):

@@ -17,9 +17,6 @@ from scipy.sparse import csgraph
 from hrl_escape.agents.discovery.found_option import StateModel
 from hrl_escape.agents.state import Kept, Stateful, pack_keys, unpack_keys
 
-__all__ = ["Directions", "LaplacianKind", "StateGraph", "compute_laplacian", "compute_successor_representation",
-           "find_covering_edge", "find_slow_directions", "find_slow_directions_of_successors"]
-
 
 def _list_edges(counts: dict[tuple[int, int, int], int]) -> NDArray[np.int64]:
     """Before, action, after, count of each, (edges, 4)."""

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.errors import UnsupportedSpaceError
 
-__all__ = ["MOST_BITS", "ActionModel", "ChooseHypotheses", "Packing", "Rule", "compile_action", "find_relevant"]
-
 MOST_BITS = 56
 """Bits of a state; a search keeps its place in the other eight."""
 

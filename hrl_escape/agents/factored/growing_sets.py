@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.factored.structure import StructureLearner
 
-__all__ = ["GrowingSets"]
-
 STRONG = 3.0
 """Logarithm of a likelihood ratio that is strong evidence (Kass and Raftery 1995)."""
 

@@ -35,8 +35,6 @@ from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import UnsupportedSpaceError
 
-__all__ = ["Belief", "DurationHistory", "DurationModel", "FactoredModel", "PendingPlan", "fit_durations"]
-
 NEAR = 0.15
 """A pose belongs to a place within this share of the distance that poses are apart on average."""
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.errors import UnsupportedSpaceError
 
-__all__ = ["FactorReader"]
-
 
 class FactorReader:
     """Splits observations into factors and pose.

@@ -24,8 +24,6 @@ from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
-__all__ = ["PlanningAgent", "PlanningSettings"]
-
 
 @dataclass(frozen=True)
 class PlanningSettings(AgentSettings):

@@ -14,8 +14,6 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LEVELS", "StructureLearner"]
-
 LEVELS = 8
 """Most levels of the end bonus that are told apart."""
 

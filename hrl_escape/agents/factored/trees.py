@@ -18,8 +18,6 @@ from scipy.special import digamma, xlogy
 from hrl_escape.agents.factored.compiled_model import ActionModel, ChooseHypotheses, Packing, Rule
 from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
 
-__all__ = ["Leaves", "TreeLearner", "compile_trees", "compute_information", "find_split"]
-
 GROWTH = 1.2
 """Trees of an action are grown anew each time that its samples have become so many times as many."""
 

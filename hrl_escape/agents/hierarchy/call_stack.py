@@ -15,8 +15,6 @@ from hrl_escape.agents.hierarchy.task import BaseTask, Decision, Frame, Hierarch
 from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import StepContractError
 
-__all__ = ["Return", "arrive", "descend", "load_stack", "save_stack"]
-
 Chooser = Callable[[Stack, Any, NDArray[np.bool_], Seen], int]
 """Chooses for the last frame of a stack: (stack, view, legal choices, moment) -> choice."""
 

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
 from hrl_escape.errors import UnsupportedSpaceError
 
-__all__ = ["GoalSet", "GoalView", "Manager", "Worker", "make_goal_hierarchy", "make_goals"]
-
 
 @dataclass(frozen=True)
 class GoalView:

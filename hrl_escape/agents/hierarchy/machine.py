@@ -23,9 +23,6 @@ from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.errors import StepContractError
 
-__all__ = ["Choose", "Do", "Input", "Machine", "MachineCall", "MachineRun", "choose", "do",
-           "find_machines", "machine"]
-
 
 class Choose(NamedTuple):
     """A choice point: what can be chosen, and a label where one line holds several."""

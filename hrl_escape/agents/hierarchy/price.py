@@ -30,8 +30,6 @@ from hrl_escape.agents.hierarchy.task import BaseTask, Frame, Hierarchy, Seen, S
 from hrl_escape.agents.hierarchy.task_graph import flat, freeze
 from hrl_escape.errors import StepContractError, UnsupportedError
 
-__all__ = ["HierarchyPrice", "StatefulEnv", "TabularModel", "compute_price", "enumerate_model", "read_model"]
-
 Outcomes: TypeAlias = Sequence[tuple[float, int, float, bool]]
 """Ways an action can go: (probability, next state, reward, terminated), as in Gymnasium's `P[state][action]`."""
 

@@ -12,8 +12,6 @@ from typing import Any
 
 from hrl_escape.errors import AgentSettingsError
 
-__all__ = ["DIRECTIONS", "Landmarks", "Quadtree"]
-
 DIRECTIONS = ((-1, 0), (1, 0), (0, -1), (0, 1))
 """North, south, west, east: how row and column change."""
 

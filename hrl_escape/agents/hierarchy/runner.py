@@ -25,8 +25,6 @@ from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
 
-__all__ = ["CallRunner", "StackSettings", "TabularRunner"]
-
 
 @dataclass(frozen=True)
 class StackSettings(AgentSettings):

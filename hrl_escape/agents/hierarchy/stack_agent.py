@@ -20,8 +20,6 @@ from hrl_escape.agents.hierarchy.task import BaseTask, Hierarchy, Seen, Stack, S
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import DiscountMismatchError
 
-__all__ = ["StackAgent", "make_task_transition"]
-
 
 class StackAgent(CallRunner):
     """An agent at each task, told of its task's decisions.

@@ -18,19 +18,6 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 
-__all__ = [
-    "BaseTask",
-    "Call",
-    "Decision",
-    "Frame",
-    "Hierarchy",
-    "LearnerSpec",
-    "Seen",
-    "Stack",
-    "Step",
-    "allow_only",
-]
-
 
 class Seen(NamedTuple):
     """A moment as tasks may look at it.

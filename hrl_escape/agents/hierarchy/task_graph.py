@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, LearnerSpec, Seen, Stack, allow_only
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 
-__all__ = ["GraphTask", "Policy", "Pseudo", "Until", "View", "flat", "freeze", "get_graph", "get_task", "maxq"]
-
 Until = Callable[[Seen], bool]
 """True where the task is over."""
 View = Callable[[Seen], Any]

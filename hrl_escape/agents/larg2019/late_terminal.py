@@ -13,8 +13,6 @@ from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, Stateful, StateTree
 
-__all__ = ["LateTerminal"]
-
 
 def _pack(experience: Experience) -> StateTree:
     return {name: np.asarray(field) for name, field in experience._asdict().items()}

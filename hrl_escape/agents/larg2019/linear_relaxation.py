@@ -11,8 +11,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-__all__ = ["LinearRelaxation"]
-
 
 class LinearRelaxation:
     """The action vector is the actor's output itself."""

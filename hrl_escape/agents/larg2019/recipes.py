@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["PAPER"]
-
 _DECISIONS: dict[str, Any] = {"discounting": "decision", "bootstrap_on_truncation": False}
 """One gamma a decision, the plain sum of rewards, truncation taken for termination."""
 

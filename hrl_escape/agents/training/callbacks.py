@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from hrl_escape.agents.agent import Agent
     from hrl_escape.agents.training.results import Evaluation, TrainResult
 
-__all__ = ["Callback", "MLflow", "OptunaPruning", "RunDescription", "TensorBoard", "WeightsAndBiases"]
-
 
 @dataclass(frozen=True)
 class RunDescription:

@@ -22,8 +22,6 @@ from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import CheckpointError, describe_damage
 from hrl_escape.files import atomic_writer, open_plain
 
-__all__ = ["compute_state_digest", "load_checkpoint", "save_checkpoint"]
-
 TREE = "tree"
 ARRAY = "__array__"
 

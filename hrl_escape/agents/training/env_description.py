@@ -36,9 +36,6 @@ from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.errors import CheckpointError, TrustError, describe_damage
 from hrl_escape.settings import Settings
 
-__all__ = ["OWN", "PARTS_GROUP", "DescribedEnv", "TrainedPart", "compute_digest", "describe_env", "describe_many",
-           "find_part", "hash_large_parts", "import_part", "list_foreign", "make_described_env", "name_part"]
-
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo)
 """Wrappers that change no number; others say so by the attribute `is_passive`."""
 UNKNOWN = {"unknown": True}

@@ -25,8 +25,6 @@ from hrl_escape.agents.agent import (
     read_success,
 )
 
-__all__ = ["Evaluation", "compute_episode_seed", "evaluate", "evaluate_trials", "play_episode"]
-
 LONGEST_EPISODE = 100_000
 """Primitives after which an episode ends that has no time limit."""
 

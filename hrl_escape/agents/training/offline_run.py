@@ -22,8 +22,6 @@ from hrl_escape.agents.training.run import Run, RunArguments
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import replace_settings
 
-__all__ = ["Material", "OfflineRun", "gather_material"]
-
 DATA_LOADER = "hrl_escape.data.materialise:load_data"
 """Opens a data set by its name; it stands above the agents, which know no rooms, and is imported when asked for."""
 

@@ -13,8 +13,6 @@ from typing import Protocol
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-__all__ = ["Reporter", "show_progress"]
-
 REFRESH_SECONDS = 0.2
 
 

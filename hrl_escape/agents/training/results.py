@@ -27,9 +27,6 @@ from hrl_escape.settings import read_record
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["METRICS", "EpisodeRecord", "SegmentRecord", "TrainResult", "load_episode_rows", "load_result",
-           "make_evaluation_row", "read_result", "read_row"]
-
 METRICS = {
     "train/return": "undiscounted return of a training episode, exploration included",
     "train/length": "primitives in a training episode",

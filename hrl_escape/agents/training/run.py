@@ -40,9 +40,6 @@ from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["Probe", "Run", "RunArguments", "load_agent_state", "make_origin", "refusing_damage"]
-
-
 NOTICE = b"\ninterrupted: the run is saved once this episode ends; Ctrl-C again stops it at once\n"
 NO_OPTIONS = (
     "{name} chooses options, and this environment's steps have no info['duration'], so that each counts as one "

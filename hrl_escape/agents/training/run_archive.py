@@ -26,8 +26,6 @@ from hrl_escape.errors import RunBusyError
 from hrl_escape.files import open_plain, parse_json
 from hrl_escape.processes import take_lock
 
-__all__ = ["RunSummary", "pack_run", "read_summary", "unpack_run"]
-
 RUN_FILES = ("run.json", "log.jsonl", LAST, BEST, "result.json")
 """Files of a run that an archive holds; locks and TensorBoard's files stay behind."""
 RUN_ARCHIVE = ArchiveKind("a run", re.compile("|".join(map(re.escape, RUN_FILES))),

@@ -41,8 +41,6 @@ from hrl_escape.files import (
 )
 from hrl_escape.processes import take_lock
 
-__all__ = ["BEST", "FORMAT", "LAST", "RunFolder", "check_run", "read_run"]
-
 FORMAT = 2
 """Version of the fields of `run.json`; another version is refused."""
 

@@ -43,8 +43,6 @@ from hrl_escape.agents.training.run import NO_OPTIONS, Run, RunArguments
 from hrl_escape.agents.training.run_folder import RunFolder
 from hrl_escape.errors import StepContractError
 
-__all__ = ["StreamRun", "VectorStreams", "keep_freed_memory", "make_streams"]
-
 
 class VectorStreams:
     """Streams of a vector environment, one decision of each a step.

@@ -36,8 +36,6 @@ from hrl_escape.plugins import RUN_OBSERVERS
 if TYPE_CHECKING:
     from hrl_escape.agents.components.offline import OfflineData
 
-__all__ = ["load_agent", "load_env", "train"]
-
 
 def train(
     agent: str | Agent,

@@ -25,8 +25,6 @@ from hrl_escape.comparison.grid import GridRun
 from hrl_escape.comparison.runs import RunResult, get_run_folder, get_training_folder, load_run_result
 from hrl_escape.errors import ConfigError, FileReadError
 
-__all__ = ["Failure", "Launcher", "Listener", "LocalLauncher", "choose_workers", "count_cores", "report_outcome"]
-
 TICK_SECONDS = 0.5
 THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 

@@ -19,8 +19,6 @@ from hrl_escape.comparison.launching.local import Failure
 from hrl_escape.comparison.runs import RunResult
 from hrl_escape.comparison.statistics import compute_iqm
 
-__all__ = ["Monitor"]
-
 
 @dataclass
 class _Tally:

@@ -23,8 +23,6 @@ from hrl_escape.comparison.grid import Grid, GridRun
 from hrl_escape.comparison.launching.local import TICK_SECONDS, Listener, read_progress, report_outcome
 from hrl_escape.errors import ConfigError, MissingExtraError
 
-__all__ = ["RayLauncher"]
-
 MOST_QUEUED = 1_000
 """Tasks that Ray knows of at a time: enough for a cluster to see what there is to do."""
 PROGRESS_SECONDS = 5.0

@@ -24,8 +24,6 @@ from hrl_escape.comparison.launching.local import (
 from hrl_escape.comparison.runs import RunResult, load_run_result
 from hrl_escape.errors import ConfigError, MissingExtraError
 
-__all__ = ["SlurmLauncher"]
-
 Errors = dict[str, dict[str, str]]
 """Message and traceback of failed runs, by folder."""
 

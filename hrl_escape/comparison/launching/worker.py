@@ -30,8 +30,6 @@ from hrl_escape.errors import EscapeError, FileWriteError, RunBusyError
 from hrl_escape.files import make_folder, open_for_writing
 from hrl_escape.processes import die_with_parent
 
-__all__ = ["run_guarded", "work"]
-
 NUMBA: Any = cpu_target
 """Without the type of its cached properties, which pyright does not see through."""
 NUMBA.typing_context.refresh()

@@ -8,8 +8,6 @@ from typing import NamedTuple
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.env.drawing import palette
 
-__all__ = ["AgentStyle", "choose_styles", "is_level"]
-
 GREYS = ("#8b8f98", "#5a5e67", "#b3b7bd")
 """Greys, for agents that learn nothing."""
 SPARE = ("#882255", "#999933", "#332288", "#44aa99", "#661100", "#117733")

@@ -17,8 +17,6 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import make_map
 from hrl_escape.figures import save_figure
 
-__all__ = ["draw_comparison", "save_figures"]
-
 AXES = {"primitives": "primitives of training", "decisions": "decisions of training", "seconds": "seconds of training"}
 METRIC_LABELS = {"efficiency": "efficiency (IQM, 95 % interval)", "success": "episodes that escape",
                  "score": "return score (IQM, 95 % interval)"}

@@ -39,8 +39,6 @@ from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.files import write_text
 from hrl_escape.templates import embed_json, render_template
 
-__all__ = ["choose_replays", "make_page_data", "write_report"]
-
 BEST, MEDIAN = "best", "median"
 
 

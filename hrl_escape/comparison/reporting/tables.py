@@ -20,8 +20,6 @@ from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.comparison.verdict import Sentence
 from hrl_escape.files import write_text
 
-__all__ = ["describe_place", "format_first_escape", "write_markdown", "write_tables"]
-
 MEASURES = ("efficiency", "mean_progress", "success_rate", "mean_length")
 _HEADINGS = ("efficiency", "progress", "success", "length")
 

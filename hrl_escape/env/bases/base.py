@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from hrl_escape.env.tensor_geometry import Shapes, SplitShapes
 
-__all__ = ["STANDS_IN", "Base", "TensorSolids", "TensorBase"]
-
 STANDS_IN = 1e-6
 """Overlap with a shut door, m, beyond which a base counts as standing in it: the door then lets it out."""
 

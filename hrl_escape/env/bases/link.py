@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-__all__ = ["make_box_link", "make_cylinder_link"]
-
 
 def make_cylinder_link(name: str, mass: float, radius: float, length: float, xyz: str,
                        rpy: str) -> ElementTree.Element:

@@ -14,8 +14,6 @@ from torch import Tensor
 
 from hrl_escape.env.robot import Robot
 
-__all__ = ["Arm", "compute_hand", "make_arm"]
-
 Number: TypeAlias = Tensor | float
 Vector: TypeAlias = list[Number]
 Matrix: TypeAlias = list[list[Number]]

@@ -28,9 +28,6 @@ from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.tensor_geometry import stack_shapes
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["BatchedCamera", "LABELS", "LOOKS", "LOOK_COLOURS", "LOOK_LABELS", "Pictures", "Scenery", "SceneryForm",
-           "find_look", "list_base_parts", "stack_scenery"]
-
 LABELS = ("nothing", "floor", "exit", "plate", "wall", "obstacle", "door", "target", "block", "robot")
 """Labels of a segmentation, by their number."""
 

@@ -22,8 +22,6 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from hrl_escape.env.batched.tables import list_tensors, map_tensors
 from hrl_escape.errors import BatchError, UnsupportedError
 
-__all__ = ["CompiledStep", "check_compiler"]
-
 # Keep loops over a few solids as loops, and read far ahead before storing shared results. Both halve the time of a
 # step (`python -m benchmarks.batch`). Shapes are compared here, and indices come from the tables.
 _OPTIONS: dict[str, bool] = {"size_asserts": False, "assert_indirect_indexing": False}

@@ -43,16 +43,6 @@ from hrl_escape.errors import (
     show_value,
 )
 
-__all__ = [
-    "AUTORESETS",
-    "Autoreset",
-    "Outcome",
-    "RoomInfo",
-    "TensorRoom",
-    "draw_seed",
-    "list_shapes",
-]
-
 Autoreset = Literal["next-step", "same-step", "disabled"]
 AUTORESETS = ("next-step", "same-step", "disabled")
 

@@ -13,8 +13,6 @@ from torch import Tensor
 
 from hrl_escape.env.noise import CHANCE_PURPOSE, EPISODE_PURPOSE, PUZZLE_PURPOSE, ROUNDS
 
-__all__ = ["compute_noise", "draw_chance", "draw_puzzle_start", "draw_words", "philox", "scale_word"]
-
 _MASK = 0xFFFFFFFF
 _MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 _WEYL = (0x9E3779B9, 0xBB67AE85)

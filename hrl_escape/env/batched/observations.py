@@ -21,8 +21,6 @@ from hrl_escape.env.observations.base import BatchObservation, Observer, get_obs
 from hrl_escape.env.tensor_geometry import Shapes, cast_rays
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["compute_bounds", "load_observation", "observe"]
-
 
 def observe(layout: Layout, tables: Tables, state: TensorState, observation: BatchObservation) -> Tensor:
     """Observe every room, float32, shape (rooms, numbers); numbers of one kind lie together in memory, room by room."""

@@ -17,9 +17,6 @@ from hrl_escape.env.batched.arm import compute_hand
 from hrl_escape.env.batched.tables import Layout, Tables, pick
 from hrl_escape.env.tensor_geometry import Shapes, compute_distance, store
 
-__all__ = ["TensorState", "compute_angles", "compute_heading", "compute_rotation", "compute_touching",
-           "place_base"]
-
 
 class TensorState(NamedTuple):
     """Everything that decides the future of each room; all fields are (rooms,) unless said.

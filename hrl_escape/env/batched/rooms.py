@@ -15,8 +15,6 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.errors import ConfigError
 
-__all__ = ["InstanceSource", "RoomArguments", "Rooms", "find_device"]
-
 InstanceSource: TypeAlias = InstanceForm | Sequence[InstanceForm]
 
 

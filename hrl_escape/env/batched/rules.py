@@ -22,8 +22,6 @@ from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH
 from hrl_escape.env.tensor_geometry import Shapes, as_flags, compute_distance, store
 
-__all__ = ["TensorTransition", "begin", "find_shut", "is_in_exit", "restart", "step"]
-
 
 class TensorTransition(NamedTuple):
     """The outcome of one primitive in each room.

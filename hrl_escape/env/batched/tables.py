@@ -27,18 +27,6 @@ from hrl_escape.env.sight import list_hiders
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, stack_shapes
 from hrl_escape.errors import UnsupportedError
 
-__all__ = [
-    "Layout",
-    "RoomSolids",
-    "Tables",
-    "list_tensors",
-    "make_layout",
-    "map_tensors",
-    "pick",
-    "pick_rules",
-    "stack_instances",
-]
-
 INSTEAD = "use the Bullet engine: gymnasium.make(...), or make_vec(..., vectorization_mode='sync')"
 
 

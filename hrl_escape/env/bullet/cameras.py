@@ -22,8 +22,6 @@ from hrl_escape.env.engine import check_camera, check_picture_size
 from hrl_escape.env.geometry import make_footprint
 from hrl_escape.errors import ClosedError
 
-__all__ = ["BulletRenderer"]
-
 _FINE = 3  # the trail is drawn this many times larger, for soft edges
 
 _SKY, _GROUND = "#dfe7ef", "#f7f8fa"

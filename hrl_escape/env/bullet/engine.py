@@ -24,9 +24,6 @@ from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.state_checks import check_state
 from hrl_escape.errors import ClosedError, UnsupportedError
 
-__all__ = ["BulletRoom"]
-
-
 
 class BulletRoom:
     """One room that moves. Rooms are independent; a room that is rendered owns a physics client until `close`.

@@ -32,8 +32,6 @@ from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.primitives import Primitive
 from hrl_escape.errors import StateError, show_value
 
-__all__ = ["PRESS_FORCE", "RATE", "PhysicsDynamics", "PhysicsState"]
-
 RATE = 240
 """Sub-steps of Bullet per second of simulated time."""
 PRESS_FORCE = 5.0

@@ -20,9 +20,6 @@ from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, Target
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
 
-__all__ = ["DRIVE_JOINTS", "HINGE_LIMIT", "SceneBodies", "build_scene", "show_door", "show_exit", "show_inner_door",
-           "show_lit"]
-
 DRIVE_JOINTS = tuple(f"{BASE_LINK}-{axis}" for axis in ("x", "y", "yaw"))
 HINGE_LIMIT = math.radians(120)
 """A door opens this far either way; beyond a quarter turn it stands clear of the doorway."""

@@ -28,8 +28,6 @@ from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
 
-__all__ = ["CURB", "SUN", "Stage", "Standing", "create_mesh_shape"]
-
 SUN = (-4.0, 2.6, 9.0)
 """Direction of the light; the shadows that `meshes.py` lays on the floor agree with it."""
 CURB = 0.3

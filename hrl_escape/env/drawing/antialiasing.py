@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["soften_edges"]
-
 Values = NDArray[np.floating]
 Places = NDArray[np.integer]
 

@@ -17,8 +17,6 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
-__all__ = ["compute_layers", "compute_layout", "draw_graph", "shorten"]
-
 _ROWS_A_COLUMN, _NODES_A_ROW = 12, 8
 _LARGEST_CELL = 38.0  # points
 _SWEEPS = 8

@@ -26,8 +26,6 @@ from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, get_trait
 
-__all__ = ["Trajectory", "draw_room", "get_colour"]
-
 _LABEL_POINTS = 8.0
 _HALO = (withStroke(linewidth=2.5, foreground="white"),)
 

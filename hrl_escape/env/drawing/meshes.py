@@ -21,11 +21,6 @@ from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.puzzles.places import Capsule, Prop
 from hrl_escape.env.puzzles.traits import Depicted, get_trait
 
-__all__ = ["LAYER", "Mesh", "compute_base_outline", "compute_extent", "compute_outline", "find_hinge", "format_obj",
-           "make_badges", "make_base", "make_base_column", "make_cylinder", "make_exit_area", "make_flat", "make_floor",
-           "make_inner_door", "make_leaf", "make_mat", "make_panel", "make_prism", "make_prop", "make_shadow",
-           "make_solid", "merge", "outline_capsule", "rotate_box"]
-
 Point = tuple[float, float]
 
 FACETS = 32

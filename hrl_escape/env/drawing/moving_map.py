@@ -25,8 +25,6 @@ from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
 from hrl_escape.templates import embed_json, render_template
 
-__all__ = ["PLAYER_COLOURS", "PLAYER", "describe_room", "embed_moving_map", "make_frames", "make_moving_map"]
-
 PLAYER_COLOURS = {
     "floor": palette.FLOOR, "puddle": palette.PUDDLE, "wall": palette.WALL, "obstacle": palette.OBSTACLE,
     "door": palette.DOOR, "exitOpen": palette.EXIT_OPEN, "exitLocked": palette.EXIT_LOCKED, "exitInk": palette.EXIT_INK,

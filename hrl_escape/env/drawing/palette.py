@@ -16,9 +16,6 @@ from hrl_escape.env.puzzles.marks import split_mark
 from hrl_escape.env.puzzles.traits import Depicted, Graphed, Marked, get_trait
 from hrl_escape.figures import LINES as LINES
 
-__all__ = ["TargetLook", "choose_tile", "compute_floors", "find_front", "get_inner_colour", "get_inner_share",
-           "get_target_look", "list_badge", "list_marks", "name_target", "to_rgb"]
-
 BACKGROUND = "#ffffff"
 FLOOR = "#f4f1ea"
 PUDDLE = "#8db4d6"

@@ -21,8 +21,6 @@ from hrl_escape.errors import FileWriteError, MissingExtraError, UnsupportedErro
 from hrl_escape.figures import VIDEO_FORMATS
 from hrl_escape.files import temporary_folder, write_bytes
 
-__all__ = ["Picture", "make_filmstrip", "save_picture", "save_video"]
-
 Picture = NDArray[np.uint8]
 
 

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
     from hrl_escape.env.tensor_geometry import Shapes
 
-__all__ = ["BatchObservation", "BatchView", "Observer", "clip", "get_observation", "list_observations",
-           "make_observer", "register_observation"]
-
 
 class BatchView(Protocol):
     """View of a batch of rooms for observations; the last axis of every tensor is the room."""

@@ -19,8 +19,6 @@ from hrl_escape.env.sight import SIGHT_SLACK, Scanner, list_hiders
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["LIDAR_RAYS", "EgocentricObserver"]
-
 LIDAR_RAYS = 16
 
 

@@ -14,8 +14,6 @@ from hrl_escape.env.observations.base import BatchView, Observer, clip, register
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["FeatureObserver"]
-
 
 class FeatureObserver(Observer):
     """Position over the floor's half size, sine and cosine of the heading, joint angles over their limits, the puzzle.

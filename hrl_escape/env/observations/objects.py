@@ -18,8 +18,6 @@ from hrl_escape.env.puzzles.traits import Marked, get_trait
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["OBJECT_WORDS", "ObjectObserver"]
-
 OBJECT_WORDS = ("present", "target", "block", "plate", "exit", "ahead", "left", "sin", "cos", "half-x", "half-y",
                 "lit")
 """Names of the numbers in a row of `objects`."""

@@ -10,8 +10,6 @@ from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import Observer, register_observation
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["PixelObserver"]
-
 PIXELS = (84, 84)
 
 

@@ -15,8 +15,6 @@ from hrl_escape.env.observations.base import BatchView, Observer, register_obser
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["StateObserver"]
-
 
 class StateObserver(Observer):
     """Position, heading, pitch and roll, the puzzle's numbers, joint angles."""

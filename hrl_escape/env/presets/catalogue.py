@@ -48,10 +48,6 @@ from hrl_escape.env.puzzles.sokoban import SokobanConfig
 from hrl_escape.env.puzzles.taxi import TaxiConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
 
-__all__ = ["EVERYWHERE", "FOUR_ROOMS", "KEY_CHEST", "PRESETS", "describe_schematic", "door_key", "foraging",
-           "four_rooms", "get_preset", "key_chest", "key_corridor", "make_env_name", "multi_room", "puddle_world",
-           "sokoban", "taxi"]
-
 EVERYWHERE = ExitConfig(place="fixed", width=200, depth=200)
 """An exit on the whole floor: the primitive that solves the puzzle ends the episode."""
 

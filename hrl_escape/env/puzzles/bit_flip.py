@@ -20,8 +20,6 @@ from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.settings import Range
 
-__all__ = ["BitFlipConfig", "BitFlipPuzzle"]
-
 
 @dataclasses.dataclass(frozen=True)
 class BitFlipConfig(PuzzleConfig):

@@ -13,8 +13,6 @@ from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["BitPuzzle", "GraphPuzzle"]
-
 
 class BitPuzzle(Modelled, Puzzle):
     """Base of puzzles of bits; a subclass adds names, rules, the symbolic model, and the field `count`."""

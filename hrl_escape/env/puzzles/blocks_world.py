@@ -34,8 +34,6 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.names import join_words
 from hrl_escape.settings import Range
 
-__all__ = ["BlocksWorldConfig", "BlocksWorldPuzzle"]
-
 Block = Annotated[int, Range(0, MOST_BLOCKS - 1)]
 _LETTERS = "abcdefghijkl"
 

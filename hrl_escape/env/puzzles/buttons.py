@@ -30,8 +30,6 @@ from hrl_escape.env.puzzles.traits import Doored, Marked
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["ButtonsConfig", "ButtonsPuzzle"]
-
 ViolationRule = Literal["ignore", "reset"]
 """Effect of a press with unmet parents: none, or all buttons go off."""
 _TRIES = 200

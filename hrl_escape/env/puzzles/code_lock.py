@@ -19,8 +19,6 @@ from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["CodeLockConfig", "CodeLockPuzzle"]
-
 LockMemory = Literal["reset", "slide"]
 
 

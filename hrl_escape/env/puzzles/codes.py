@@ -6,8 +6,6 @@ from typing import Any
 
 from hrl_escape.env.puzzles.base import Puzzle
 
-__all__ = ["CodePuzzle"]
-
 
 class CodePuzzle(Puzzle):
     """Base of puzzles with a code; a subclass adds names, rules, and the field `code`."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["PUSH", "USE", "Contacts"]
-
 USE = 2
 """`Contacts.grip` of the primitive `use`."""
 PUSH = 3

@@ -17,8 +17,6 @@ import numpy as np
 from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.settings import Range
 
-__all__ = ["COLUMN_BITS", "MOVE_COST", "DeepSeaConfig", "DeepSeaPuzzle"]
-
 MOVE_COST = 0.01
 """Reward lost by moving right N times."""
 COLUMN_BITS = 6

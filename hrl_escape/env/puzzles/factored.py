@@ -23,8 +23,6 @@ from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["MOST_ENUMERATED", "FactoredConfig", "FactoredPuzzle", "compute_distances"]
-
 MOST_ENUMERATED = 4096
 """Most states of a domain: arity to the power of the number of factors."""
 

@@ -16,8 +16,6 @@ from hrl_escape.env.puzzles.places import Pads
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
 from hrl_escape.settings import Range
 
-__all__ = ["CORRIDOR_COUNT", "ForagingConfig", "ForagingPuzzle"]
-
 CORRIDOR_COUNT = 3
 """Number of corridors, each with a pad at its end."""
 

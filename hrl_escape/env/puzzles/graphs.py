@@ -19,9 +19,6 @@ from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["Edges", "GraphConfig", "compute_order", "find_ancestors", "mask_parents", "sample_graph",
-           "sample_larg_graph", "sample_locks", "sample_relabelled"]
-
 Edges = tuple[tuple[int, int], ...]
 
 GraphKind = Literal["chain", "tree", "layered", "random", "larg-2019", "edges"]

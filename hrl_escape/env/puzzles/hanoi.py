@@ -15,8 +15,6 @@ from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
 from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.settings import Range
 
-__all__ = ["HAND", "PEGS", "HanoiConfig", "HanoiPuzzle"]
-
 PEGS = 3
 HAND = PEGS
 """Place of a disc that is lifted; pegs are places 0 to 2."""

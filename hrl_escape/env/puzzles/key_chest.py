@@ -10,8 +10,6 @@ import dataclasses
 from hrl_escape.env.puzzles.base import Contacts, Pads, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.codes import CodePuzzle
 
-__all__ = ["KeyChestConfig", "KeyChestPuzzle"]
-
 THINGS = ("key", "chest")
 """Names of the pads, in their order."""
 

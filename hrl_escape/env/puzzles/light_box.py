@@ -18,8 +18,6 @@ from hrl_escape.env.puzzles.bits import GraphPuzzle
 from hrl_escape.env.puzzles.graphs import GraphConfig, compute_order, sample_relabelled
 from hrl_escape.settings import Range
 
-__all__ = ["LIGHT_BOX", "LightBoxConfig", "LightBoxPuzzle"]
-
 _PARENTS = {9: (0, 3, 6), 10: (1, 4), 11: (2, 5), 12: (1, 2), 13: (4, 5), 14: (6, 7, 8), 15: (9, 10), 16: (10, 11),
             17: (12, 13), 18: (13, 14), 19: (16, 17)}
 LIGHT_BOX = tuple((parent, child) for child, parents in _PARENTS.items() for parent in parents)

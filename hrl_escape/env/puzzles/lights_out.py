@@ -22,8 +22,6 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.names import join_words
 from hrl_escape.settings import Range
 
-__all__ = ["TASKS", "LightsOutConfig", "LightsOutPuzzle", "find_fewest_presses", "list_flips"]
-
 TASKS: dict[tuple[int, int], tuple[tuple[str, str], ...]] = {
     (3, 3): (("000 000 000", "110 101 011"), ("111 111 111", "011 111 111"), ("010 111 010", "101 010 101"),
              ("010 101 010", "111 111 111"), ("111 111 111", "101 101 101")),

@@ -11,8 +11,6 @@ from functools import cached_property
 
 from hrl_escape.errors import ConfigError
 
-__all__ = ["HEADINGS", "GridMap"]
-
 HEADINGS = ">^<v"
 """Characters of a start by quarter turns from +x, counter-clockwise."""
 

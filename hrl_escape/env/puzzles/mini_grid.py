@@ -24,9 +24,6 @@ from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["DrawnLevel", "HELD", "MiniGridConfig", "MiniGridPuzzle", "PLACE_BITS", "draw_door_key", "draw_key_corridor",
-           "draw_multi_room"]
-
 _SIDES = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """Steps (column, row) out of a room, in MiniGrid's order of its doors: right, down, left, up."""
 

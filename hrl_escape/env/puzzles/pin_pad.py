@@ -17,8 +17,6 @@ from hrl_escape.env.puzzles.codes import CodePuzzle
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["PinPadConfig", "PinPadPuzzle"]
-
 
 @dataclasses.dataclass(frozen=True)
 class PinPadConfig(PuzzleConfig):

@@ -10,8 +10,6 @@ from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["Capsule", "Pads", "Panels", "Place", "Prop", "check_places"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Place(Schematic):

@@ -18,8 +18,6 @@ from hrl_escape.env.puzzles.places import Panels
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
 from hrl_escape.settings import Range
 
-__all__ = ["RULE_SHIFT", "TRIAL_SHIFT", "Brew", "PotionsConfig", "PotionsPuzzle", "list_rules"]
-
 TRIAL_SHIFT, RULE_SHIFT = 3, 8
 """First bits of the number of trials and of the number of the rule in a state."""
 

@@ -14,8 +14,6 @@ from hrl_escape.env.puzzles.places import Capsule, Pads, Place
 from hrl_escape.env.puzzles.traits import Depicted
 from hrl_escape.settings import Range
 
-__all__ = ["PUDDLES", "PuddleWorldConfig", "PuddleWorldPuzzle"]
-
 PUDDLES = (Capsule(-8, 5, -1, 5, 2), Capsule(-1, -2, -1, 6, 2))
 """The published puddles of radius 0.1, from (0.1, 0.75) to (0.45, 0.75) and from (0.45, 0.4) to (0.45, 0.8)."""
 CORNER = Pads(3, 1.5, (Place(9 + 0.75 * 0.5**0.5 - 1e-6, 9 + 0.75 * 0.5**0.5 - 1e-6, -45),))

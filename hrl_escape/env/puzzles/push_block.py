@@ -21,8 +21,6 @@ from hrl_escape.env.puzzles.traits import Propped
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["LARGEST_OFFSET", "BlockPose", "PushBlockConfig", "PushBlockPuzzle"]
-
 LARGEST_OFFSET = 300.0
 """Bound of observed offsets, m; no room is as large."""
 _OFFSETS = (-LARGEST_OFFSET, LARGEST_OFFSET)

@@ -17,8 +17,6 @@ import numpy as np
 from hrl_escape.errors import ConfigError
 from hrl_escape.search import find_cheapest_steps
 
-__all__ = ["PUSH_SIDES", "BoxMap", "Shove", "draw_level", "find_fewest_shoves", "read_boxoban", "tidy_level"]
-
 PUSH_SIDES = {"east": (0, 1), "north": (-1, 0), "west": (0, -1), "south": (1, 0)}
 """Steps (row, column) to each side; rows count from the top."""
 _MOST_SEARCHED = 300_000

@@ -16,8 +16,6 @@ from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, 
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
 from hrl_escape.env.puzzles.traits import Depicted, Graphed
 
-__all__ = ["COUNT_BITS", "MATERIALS", "MOST_KEPT", "NAMES", "RECIPES", "Recipe", "RecipesConfig", "RecipesPuzzle"]
-
 Craft = Literal["wood", "stone", "coal", "iron", "diamond", "table", "furnace", "wood-pickaxe", "stone-pickaxe",
                "iron-pickaxe"]
 MOST_KEPT = 9

@@ -21,8 +21,6 @@ from hrl_escape.env.puzzles.traits import Pushing
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["BOX_BITS", "MOST_BOXES", "SokobanConfig", "SokobanPuzzle"]
-
 BOX_BITS = 8
 """Bits of a box's cell in a state."""
 MOST_BOXES = 7

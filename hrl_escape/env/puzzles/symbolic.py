@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from hrl_escape.env.puzzles.contacts import Contacts
 
-__all__ = ["Effect", "Modelled", "Operator", "SymbolicModel"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Effect:

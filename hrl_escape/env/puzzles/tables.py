@@ -20,8 +20,6 @@ from hrl_escape.env.puzzles.base import USE, Contacts, Puzzle
 from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["GRIPS", "MOST_TABULATED", "PuzzleTable", "tabulate"]
-
 GRIPS = (1, -1, USE)
 """Values of `Contacts.grip` in a table, in order."""
 MOST_TABULATED = 200_000

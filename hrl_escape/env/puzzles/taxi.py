@@ -15,8 +15,6 @@ from hrl_escape.env.puzzles.base import Contacts, Pads, Puzzle, PuzzleConfig, re
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
 from hrl_escape.settings import Range
 
-__all__ = ["DEPOTS", "REFUSED", "RIDING", "Ride", "TaxiConfig", "TaxiPuzzle"]
-
 DEPOTS = ("red", "green", "yellow", "blue")
 RIDING = len(DEPOTS)
 """Place of a passenger in the taxi; depots are places 0 to 3."""

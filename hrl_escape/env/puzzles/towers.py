@@ -15,9 +15,6 @@ import numpy as np
 from hrl_escape.errors import ConfigError
 from hrl_escape.search import find_cheapest_steps
 
-__all__ = ["IN_HAND", "MOST_BLOCKS", "TowersGoal", "Problem", "Towers", "find_fewest_moves", "find_top", "list_moves",
-           "meets_goal", "read_towers", "sample_towers"]
-
 IN_HAND = 15
 """Stands for the hand as the support of a held block."""
 MOST_BLOCKS = 12

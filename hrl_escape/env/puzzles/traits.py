@@ -12,8 +12,6 @@ from typing import Any, TypeVar
 from hrl_escape.env.puzzles.places import Capsule, Prop
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["Barring", "Depicted", "Doored", "Graphed", "Mapped", "Marked", "Propped", "Pushing", "get_trait"]
-
 Trait = TypeVar("Trait")
 
 

@@ -20,8 +20,6 @@ from hrl_escape.env.sampling.floorplan import Rejected
 from hrl_escape.env.sampling.free_space import FreeSpace
 from hrl_escape.env.sampling.work import Work
 
-__all__ = ["Floors", "find_unmet", "has_arm_free", "make_floors"]
-
 _ARM_THICKNESS = 0.1  # m, from the line through an arm's joints
 _ENOUGH = 3  # neighbouring places that must touch a target
 

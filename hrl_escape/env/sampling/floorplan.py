@@ -18,8 +18,6 @@ from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.maps import GridMap
 from hrl_escape.env.puzzles.traits import Mapped, get_trait
 
-__all__ = ["Doorway", "Face", "Floorplan", "Rejected", "compute_cell", "is_whole_floor", "sample_floorplan"]
-
 
 class Rejected(Exception):
     """The sample breaks a constraint that another sample may meet; the message names it."""

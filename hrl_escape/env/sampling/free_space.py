@@ -26,8 +26,6 @@ from hrl_escape.env.geometry import (
 )
 from hrl_escape.env.sampling.work import Work
 
-__all__ = ["FreeSpace"]
-
 
 class FreeSpace:
     """Free cells of a floor for a body of a given radius.

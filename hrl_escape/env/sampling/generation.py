@@ -43,8 +43,6 @@ from hrl_escape.env.sampling.ranges import make_frame, sample_puzzle
 from hrl_escape.env.sampling.work import OutOfWork, Work
 from hrl_escape.errors import ConfigError, GenerationError
 
-__all__ = ["DoorPlan", "LARGEST_WORK", "generate", "sample_doors"]
-
 
 class DoorPlan(NamedTuple):
     """Doors of a floor plan.

@@ -36,8 +36,6 @@ from hrl_escape.env.robot import sample_joint_steps
 from hrl_escape.env.sampling.certificate import Floors, find_unmet, make_floors
 from hrl_escape.env.sight import list_hiders
 
-__all__ = ["find_unmet_constraint", "find_unproven", "meets_condition"]
-
 _FINEST_TURN_DEG = 15.0
 _SHIFTS = 3
 """Least length of a button's stretch and of the exit's sides, in shifts e."""

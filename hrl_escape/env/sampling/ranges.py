@@ -9,8 +9,6 @@ from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.ranges import fill_ranges, list_ranges
 
-__all__ = ["make_frame", "sample_puzzle"]
-
 
 def sample_puzzle(config: RoomConfig, seed: int) -> tuple[RoomConfig, Puzzle]:
     """Sample the numbers and the puzzle of an instance, in a fraction of the time of `generate`.

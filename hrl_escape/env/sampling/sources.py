@@ -11,8 +11,6 @@ from hrl_escape.env.instance import RoomInstance, check_room
 from hrl_escape.env.presets import get_preset
 from hrl_escape.errors import ConfigError
 
-__all__ = ["InstanceForm", "SchematicForm", "read_instance", "read_schematic"]
-
 SchematicForm: TypeAlias = str | RoomConfig | dict[str, Any]
 """Name of a preset, a schematic, or the dict form of one."""
 InstanceForm: TypeAlias = RoomInstance | dict[str, Any] | str | Path

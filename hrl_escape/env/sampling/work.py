@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["OutOfWork", "Work"]
-
 
 class OutOfWork(Exception):
     """The budget is spent."""

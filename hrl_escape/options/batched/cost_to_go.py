@@ -29,18 +29,6 @@ from hrl_escape.options.batched.postures import FAR, POSTURES, PostureLibrary, c
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 
-__all__ = [
-    "CostFields",
-    "GridPlace",
-    "Postures",
-    "check_presses",
-    "classify_headings",
-    "compute_instance_fields",
-    "locate",
-    "interpolate_cost",
-    "stack_fields",
-]
-
 MOST_BYTES = 512_000_000
 _MOST_VALUES = 8_000_000  # largest size of all fields of an instance pressed by hand
 

@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-__all__ = ["CHOSEN", "ENDINGS", "NOT_ASKED", "ORDER_LENGTH", "PLAN_LENGTH", "Transitions", "OpenDecisions"]
-
 ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
 """Endings of decisions, in the words of `info["option"]["ended"]`; `Transitions.ended` is an index into it."""
 

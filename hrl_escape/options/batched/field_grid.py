@@ -22,8 +22,6 @@ from hrl_escape.floor.sweeps import make_sweep_scene
 from hrl_escape.options.batched.value_iteration import AT_GOAL, UNREACHABLE, encode_values, iterate_values, trace_moves
 from hrl_escape.planning.goals import Goal, PressGoal
 
-__all__ = ["OTHER_PRESS_COST", "FieldGrid"]
-
 OTHER_PRESS_COST = 100.0
 """Cost of touching another target: an option does so only where nothing else leads to its goal."""
 _FINE_STATES = 600_000  # cells are halved, at most twice, up to this many (cell, heading) states

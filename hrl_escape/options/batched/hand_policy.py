@@ -29,8 +29,6 @@ from hrl_escape.options.batched.postures import FAR
 from hrl_escape.options.batched.successors import find_touched_by_hand, rotate
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
-__all__ = ["PostureChooser", "Reach", "estimate_arm_costs", "estimate_hand_costs", "find_reach"]
-
 _PARTS = 8  # parts of a batch, weighed one at a time by a compiled kernel: about as many as primitives in a press
 _SKIN = 1e-4  # margin of a predicted touch, m
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.planning.arm.reacher import Reacher
 
-__all__ = ["FAR", "POSTURES", "PostureLibrary", "choose_postures"]
-
 POSTURES = 64
 """Postures kept for a target."""
 FAR = 20_000

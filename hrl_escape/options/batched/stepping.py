@@ -49,9 +49,6 @@ from hrl_escape.options.batched.successors import (
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 from hrl_escape.options.degraded import FAILURE, STOP, OptionDegradation
 
-__all__ = ["AgentView", "Choice", "FAIL_AFTER", "MEMORY", "PLAN_AFTER", "StepSettings", "begin_decisions", "can_start",
-           "choose_primitive", "find_startable", "make_decisions", "make_view", "name_options", "step_decisions"]
-
 MEMORY = 8
 """Number of cells whose cost a room remembers."""
 _FINE_HEADINGS = 16  # robots with coarser turns look two primitives ahead: fields are less precise for them

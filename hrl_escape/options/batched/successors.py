@@ -17,9 +17,6 @@ from hrl_escape.env.batched.tables import Layout, Tables, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, compute_distance, compute_first_contact
 
-__all__ = ["compute_moves", "compute_resting_hand", "find_touched_by_body", "find_touched_by_hand", "is_in_doorway",
-           "is_solved", "make_column", "presses_by_hand", "rotate"]
-
 
 def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     """Return whether the exit is open, bool (rooms,)."""

@@ -22,8 +22,6 @@ from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedE
 from hrl_escape.options.batched.decisions import Transitions
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 
-__all__ = ["OptionsVectorEnv"]
-
 _ELSEWHERE = {
     "trace": "rooms keep no list of primitives",
     "discounted_reward": "infos['discounted_reward'] holds it beside the reward",

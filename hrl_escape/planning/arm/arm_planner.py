@@ -31,8 +31,6 @@ from hrl_escape.planning.motion.path import MotionPath
 from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
 from hrl_escape.planning.paths.problem import CheckerBudget
 
-__all__ = ["ArmPlanner", "ArmPosture", "ReachMap"]
-
 KEPT_MARGINS = (0.02, 0.005, 0.001)
 """Clearances for a path, m: the first that start and goal allow is used."""
 DISTINCT = 0.05

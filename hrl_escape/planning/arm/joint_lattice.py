@@ -14,8 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GRID", "NEVER", "UNLIMITED", "ArmLattice", "Halves", "make_halves", "make_lattice"]
-
 NEVER = 32767
 """Cost that stands for an impossible touch, the largest int16."""
 

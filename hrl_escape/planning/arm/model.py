@@ -27,8 +27,6 @@ try:
 except ImportError as missing:
     raise MissingPackageError("pin", "Planning for an arm", missing) from missing
 
-__all__ = ["ArmCollisions", "ArmKinematics"]
-
 _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
 _FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide
 

@@ -20,8 +20,6 @@ from hrl_escape.search import find_cheapest_steps
 if TYPE_CHECKING:
     from hrl_escape.planning.arm.reacher import Reacher
 
-__all__ = ["follow_path", "plan_steps"]
-
 Posture: TypeAlias = tuple[int, ...]
 PATH_TESTS = 20_000
 """Most configurations tested for one path."""

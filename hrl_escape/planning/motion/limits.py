@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import ConfigError
 
-__all__ = ["MotionLimits", "compute_duration", "compute_rest_to_rest"]
-
 
 @dataclasses.dataclass(frozen=True)
 class MotionLimits:

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 
-__all__ = ["MotionPath", "round_corners"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MotionPath:

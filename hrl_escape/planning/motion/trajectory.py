@@ -35,8 +35,6 @@ from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.path import MotionPath, round_corners
 from hrl_escape.planning.plan import Plan
 
-__all__ = ["TimedTrajectory", "make_trajectory", "smooth_plan"]
-
 LIMITED_DIRECTIONS = 8
 """Directions in the plane along which the base's speed and acceleration are limited for toppra."""
 GRID_DISTANCE = 0.02

@@ -39,8 +39,6 @@ from hrl_escape.planning.paths.problem import (
     step_aside,
 )
 
-__all__ = ["Navigator"]
-
 MOST_GOALS = 24
 POSE_PLACES = 400
 """Places of a goal at which a rectangular base is tried at all headings."""

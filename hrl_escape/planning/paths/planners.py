@@ -22,8 +22,6 @@ try:
 except ImportError as missing:
     raise MissingPackageError("ompl", "Planning of paths", missing) from missing
 
-__all__ = ["ANYTIME", "OMPL_PLANNERS", "find_joint_path", "get_factory", "list_planners", "register_planner"]
-
 util.setLogLevel(util.LogLevel.LOG_NONE)
 
 # Not AORRTC: in OMPL 2.0.1 it returns paths that do not begin at the start, and crashes when asked to continue. Not the

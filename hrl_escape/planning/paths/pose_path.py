@@ -17,8 +17,6 @@ from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
 from hrl_escape.planning.paths.problem import SPACING, CheckerBudget, step_aside
 
-__all__ = ["check_pose_planner", "find_pose_path"]
-
 _ASIDE = (1.0, 1.5, 2.0, 4.0)
 """Margins by which a pose in contact is left before the search."""
 _MOST_ENDS = 64

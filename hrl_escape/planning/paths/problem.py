@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 from hrl_escape.clock import NO_LIMIT, Clock
 from hrl_escape.floor.clearance import CollisionMap
 
-__all__ = ["CHECKER_CALLS", "DEFAULT_PLANNER", "CheckerBudget", "PathPlanner", "PathProblem", "PathResult",
-           "PlannerFactory", "Spent", "Status", "compute_spacing", "step_aside"]
-
 CHECKER_CALLS = 200_000
 """Default budget of a query: the limit that is the same on any machine."""
 DEFAULT_PLANNER = "RRTConnect"

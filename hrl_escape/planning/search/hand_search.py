@@ -27,8 +27,6 @@ from hrl_escape.planning.search.joint_search import MOST_NODES, Fields, JointSea
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 from hrl_escape.planning.search.search_run import SearchProblem, SearchResult, SearchRun
 
-__all__ = ["HandSearch"]
-
 LIKELY = 2
 """Ends ranked by the next leg's own field, for each end that is continued."""
 ENDS_TRIED = 3

@@ -19,8 +19,6 @@ from hrl_escape.env.puzzles.traits import Mapped, get_trait
 from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, is_reached
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 
-__all__ = ["DoorKey", "DoorSearches", "find_move", "is_way_open", "list_places"]
-
 MOST_SEARCHES = 16
 """Most sets of shut doors whose searches are kept."""
 _MOST_CELLS = 12

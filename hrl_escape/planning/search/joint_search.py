@@ -30,8 +30,6 @@ from hrl_escape.planning.search.joint_a_star import JointQuery, expand_until_esc
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 from hrl_escape.planning.search.search_run import HeadingTable
 
-__all__ = ["Fields", "JointSearch", "Presses"]
-
 MOST_PUZZLE_STATES = 64
 """Most puzzle states with fields: all subsets of six buttons. A puzzle with more has them along given orders only."""
 SEARCHES = ((0, 1, 20_000), (2, 1, 100_000)), ((3, 1, 300_000),), ((3, 2, 500_000), (3, 3, 500_000))

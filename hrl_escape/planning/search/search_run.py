@@ -30,8 +30,6 @@ from hrl_escape.planning.search import a_star
 if TYPE_CHECKING:
     from hrl_escape.planning.arm.reacher import Reacher, ReachTable
 
-__all__ = ["HeadingTable", "SearchProblem", "SearchResult", "SearchRun"]
-
 _SLICE = 5_000  # nodes between two checks of the clock
 _NODES = 1 << 11
 MOST_PATHS = 4

@@ -16,8 +16,6 @@ from typing import Any, NamedTuple, TypeAlias
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.search import OpenNodes
 
-__all__ = ["EXIT", "START", "ExtendLeg", "Leg", "TaskNode", "TaskPlan", "TaskSearch", "find_relevant_operators"]
-
 START, EXIT = -1, -2
 LARGEST_SEARCH = 200_000
 """Most legs of an exact search: 12 targets in any order have 135,000."""

@@ -19,9 +19,6 @@ from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import MissingExtraError, UnknownNameError, UnsupportedError
 from hrl_escape.files import write_text
 
-__all__ = ["clean_name", "export_pddl", "make_domain", "make_problem", "read_problem", "run_engine", "save_pddl",
-           "write_all", "write_atom"]
-
 _PREDICATE = re.compile(r"^([^()]+)\(([^()]*)\)$")
 
 

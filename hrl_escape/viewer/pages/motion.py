@@ -22,8 +22,6 @@ from hrl_escape.viewer.scene.poses import RoomPose, make_pose
 from hrl_escape.viewer.scene.room_scene import RoomScene
 from hrl_escape.viewer.server import open_server
 
-__all__ = ["make_motion", "save_motion"]
-
 FRAME_RATE = 30.0
 """Most frames of a saved page for each second of the motion."""
 MOST_SAMPLES = 12_000

@@ -13,9 +13,6 @@ from hrl_escape.env.drawing.graph_inset import compute_layout, shorten
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
-__all__ = ["WIDTH", "KnownEdges", "make_bars", "make_facts", "make_graph", "make_keys", "make_lines", "make_pair",
-           "make_table"]
-
 WIDTH = 350
 """Width of the control panel's drawings, pixels."""
 _STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;margin:0 0.75em"

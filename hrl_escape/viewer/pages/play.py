@@ -24,8 +24,6 @@ from hrl_escape.viewer.play.saved_episode import SavedEpisode
 from hrl_escape.viewer.server import Server
 from hrl_escape.viewer.step_hooks import PrimitiveStep
 
-__all__ = ["PlayPage"]
-
 PLAY_STRIDE = 0.18
 """Duration of one primitive on the screen, s; less while keys are waiting."""
 MOST_WAITING = 30

@@ -13,8 +13,6 @@ import base64
 import hashlib
 import re
 
-__all__ = ["add_policy"]
-
 SCRIPT = re.compile(r"""<script\b(?:"[^"]*"|'[^']*'|[^"'>])*>(.*?)</script\s*>""", re.DOTALL | re.IGNORECASE)
 UNPACKED = 'e=document.createElement("script");e.type="module";'
 """Words with which viser's client adds its script."""

@@ -27,8 +27,6 @@ from hrl_escape.viewer.scene.poses import blend, make_pose
 from hrl_escape.viewer.scene.room_scene import RoomScene, compute_overview
 from hrl_escape.viewer.server import open_server
 
-__all__ = ["make_replay", "save_replay"]
-
 REPLAY_STRIDE = 0.2
 """Duration of one primitive, s."""
 FRAMES = 5

@@ -23,8 +23,6 @@ from hrl_escape.viewer.scene.poses import RoomPose, blend, make_pose
 from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, compute_overview
 from hrl_escape.viewer.server import Server
 
-__all__ = ["VIEWS", "RoomPage", "name_room"]
-
 VIEWS = ("orbit", "follow", "robot's eye")
 FRAME_SECONDS = 1 / 30
 CONFETTI_FRAMES = 50

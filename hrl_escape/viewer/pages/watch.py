@@ -32,8 +32,6 @@ from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.preview import Preview
 from hrl_escape.viewer.watch.watch import Watch
 
-__all__ = ["WatchPage", "run_in_thread"]
-
 FASTEST = 60.0
 REFRESH = 0.1
 """Minimum time between two updates of the panel while the driver runs, s."""

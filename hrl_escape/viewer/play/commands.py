@@ -15,8 +15,6 @@ from hrl_escape.viewer.play.controls import Command
 from hrl_escape.viewer.play.episode import Episode, PlayedMove
 from hrl_escape.viewer.play.saved_episode import save_episode
 
-__all__ = ["carry_out", "praise"]
-
 PERSONAL_BESTS = "personal-bests.json"
 """File of the best returns of one's own by room, in the folder of saved episodes."""
 

@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 from hrl_escape.env.primitives import ActionTable
 
-__all__ = ["HELP", "KEYS", "Command", "Controls"]
-
 MOVES = {
     "w": "forward", "s": "back", "a": "strafe-left", "d": "strafe-right",
     "up": "forward", "down": "back", "left": "turn-left", "right": "turn-right",

@@ -12,8 +12,6 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.viewer.step_hooks import PrimitiveStep
 
-__all__ = ["PressEvidence"]
-
 
 class PressEvidence:
     """Evidence from the presses in one room, over all its episodes.

@@ -21,8 +21,6 @@ from hrl_escape.viewer.play.discovery import PressEvidence
 from hrl_escape.viewer.play.saved_episode import SavedEpisode
 from hrl_escape.viewer.step_hooks import PrimitiveStep, StepHooks
 
-__all__ = ["Episode", "PlayedMove"]
-
 
 @dataclasses.dataclass(frozen=True)
 class PlayedMove:

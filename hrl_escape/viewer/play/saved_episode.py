@@ -15,8 +15,6 @@ from hrl_escape.errors import EpisodeFileError, EscapeError, FileReadError
 from hrl_escape.files import read_json, write_json
 from hrl_escape.names import make_file_name
 
-__all__ = ["SavedEpisode", "load_episode", "save_episode"]
-
 SCHEMA = 2
 
 

@@ -26,8 +26,6 @@ from hrl_escape.text.recordings import record_game, save_games
 from hrl_escape.text.session import RoomSession
 from hrl_escape.text.told_env import ToolCall
 
-__all__ = ["draw_map", "play_in_terminal", "read_command"]
-
 _ARROWS = "\N{RIGHTWARDS ARROW}\N{NORTH EAST ARROW}\N{UPWARDS ARROW}\N{NORTH WEST ARROW}" \
           "\N{LEFTWARDS ARROW}\N{SOUTH WEST ARROW}\N{DOWNWARDS ARROW}\N{SOUTH EAST ARROW}"
 _WALL, _OBSTACLE = ("\N{FULL BLOCK}", "#7b818c"), ("\N{MEDIUM SHADE}", palette.OBSTACLE_EDGE)

@@ -11,8 +11,6 @@ from typing import NamedTuple
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.planning.props import get_prop_poses
 
-__all__ = ["RoomPose", "blend", "make_pose"]
-
 PropPose = tuple[float, ...]
 
 

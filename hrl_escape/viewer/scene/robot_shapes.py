@@ -20,8 +20,6 @@ from hrl_escape.env.drawing.meshes import make_base
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.viewer.extra import trimesh
 
-__all__ = ["ArmPose", "Shape", "make_arm_shapes", "make_base_shapes"]
-
 _GREY = "#9aa3b2"
 _SLIMMER = 0.7
 """Factor by which links of generated arms are drawn slimmer than they are, so that the hand stands out."""

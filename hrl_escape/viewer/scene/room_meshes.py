@@ -16,9 +16,6 @@ from hrl_escape.env.drawing.meshes import Mesh, compute_outline, make_flat, make
 from hrl_escape.env.geometry import Solid, compute_distance
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 
-__all__ = ["SCRAPS", "Painted", "is_hidden_by", "make_confetti", "make_exit", "make_fixtures", "make_obstacle",
-           "make_target"]
-
 OTHER_TILE, SHADE, GLASS = "#e4dfd2", "#cfc9bc", "#8fa0b8"
 SCRAPS = 160
 """Number of scraps of confetti."""

@@ -34,8 +34,6 @@ from hrl_escape.viewer.scene.room_meshes import (
     make_target,
 )
 
-__all__ = ["OVERVIEW_FIELD", "RoomScene", "compute_overview"]
-
 ROOT = "/room"
 PLAN, PREVIEW = "#d55e00", "#cc79a7"
 GLASS = 0.25

@@ -46,9 +46,6 @@ from hrl_escape.text.settings import TOOLS, ToolsSettings
 from hrl_escape.text.told_env import ToldEnv
 from hrl_escape.viewer.step_hooks import StepHooks
 
-__all__ = ["Driver", "EscapePlan", "PLANNER_NAME", "PlannerAgent", "find_driver", "find_run_room", "make_legs",
-           "open_driver"]
-
 
 class EscapePlan:
     """Legs of the planner's escapes, by the state that each begins in.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import threading
 
-__all__ = ["Gate", "Stopped"]
-
 
 class Stopped(Exception):
     """Raised in the driver's thread to end it."""

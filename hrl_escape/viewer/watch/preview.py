@@ -15,8 +15,6 @@ from hrl_escape.options.meta_actions import make_meta_options
 from hrl_escape.options.option import Option
 from hrl_escape.planning.planner import get_planner
 
-__all__ = ["Preview", "Previewer"]
-
 MOST = 400
 """Maximum number of primitives in a preview."""
 

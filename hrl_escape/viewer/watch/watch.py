@@ -26,8 +26,6 @@ from hrl_escape.viewer.watch.drivers import Driver
 from hrl_escape.viewer.watch.gate import Gate, Stopped
 from hrl_escape.viewer.watch.preview import Preview, Previewer
 
-__all__ = ["CompletedDecision", "ObservedChoice", "ShownCall", "Watch"]
-
 KEPT_DECISIONS, KEPT_EVENTS, KEPT_VALUES = 12, 200, 80
 ENDLESS = 10**9
 """Training budget of an agent that learns while it is watched, primitives."""

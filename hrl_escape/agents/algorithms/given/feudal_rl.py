@@ -23,9 +23,6 @@ from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
 from hrl_escape.settings import Range
 
-__all__ = ["FeudalRl", "FeudalRlSettings", "FeudalTask", "SEARCH", "make_feudal_hierarchy"]
-
-
 SEARCH = len(DIRECTIONS)
 """The command to search inside the cell; commands below it are directions."""
 

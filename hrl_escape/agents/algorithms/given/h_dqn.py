@@ -36,8 +36,6 @@ from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
 from hrl_escape.agents.state import Stateful
 from hrl_escape.settings import Range
 
-__all__ = ["HDqn", "HDqnSettings"]
-
 
 @dataclass(frozen=True)
 class HDqnSettings(StackSettings, NetworkSettings):

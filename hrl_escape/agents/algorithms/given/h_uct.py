@@ -25,8 +25,6 @@ from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, freeze, get_
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
-__all__ = ["HUct", "HUctSettings", "Sampled", "Simulator"]
-
 
 class Sampled(NamedTuple):
     """One simulated primitive: what it earned, where it led, and how many steps of the environment it took."""

@@ -42,9 +42,6 @@ from hrl_escape.agents.state import Kept
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
 
-__all__ = ["Hamq", "HamqSettings", "flat_machine"]
-
-
 MOST_INTERNAL = 10_000
 """Bound on choices without a primitive between them; more is a program that never acts."""
 

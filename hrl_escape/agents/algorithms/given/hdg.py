@@ -30,8 +30,6 @@ from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Range
 
-__all__ = ["Hdg", "HdgSettings"]
-
 
 @dataclass(frozen=True)
 class HdgSettings(ResolutionSettings, EpsilonSettings):

@@ -27,8 +27,6 @@ from hrl_escape.agents.components.tables import (
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
-__all__ = ["HqLearning", "HqLearningSettings"]
-
 
 @dataclass(frozen=True)
 class HqLearningSettings(ResolutionSettings):

@@ -22,8 +22,6 @@ from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
 
-__all__ = ["Macro", "MacroChooser", "MacroQ", "MacroQSettings", "make_macro_hierarchy"]
-
 
 class Macro(BaseTask):
     """One macro-action.

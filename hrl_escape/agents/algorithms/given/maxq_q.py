@@ -24,8 +24,6 @@ from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, View, flat, freeze, get_graph, get_task
 from hrl_escape.agents.state import Kept
 
-__all__ = ["MaxqQ", "MaxqQSettings"]
-
 
 @dataclass(frozen=True)
 class MaxqQSettings(StackSettings, TabularSettings):

@@ -26,8 +26,6 @@ from hrl_escape.agents.state import Kept
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Range
 
-__all__ = ["RMaxq", "RMaxqSettings"]
-
 SWEEPS_A_TASK = 10_000
 """Bound on sweeps of value iteration in one task."""
 LEAK = 1e-10

@@ -28,8 +28,6 @@ from hrl_escape.agents.components.offline import (
 )
 from hrl_escape.settings import Range
 
-__all__ = ["BehaviourCloning", "BehaviourCloningSettings", "clone_loss"]
-
 
 @dataclass(frozen=True)
 class BehaviourCloningSettings(OfflineSettings):

@@ -13,8 +13,6 @@ from hrl_escape.agents.algorithms.offline.fitted_q import FittedQ
 from hrl_escape.agents.components.offline import Batch, DecisionTable, OfflineSettings
 from hrl_escape.settings import Range
 
-__all__ = ["CQL", "CQLSettings"]
-
 
 @dataclass(frozen=True)
 class CQLSettings(OfflineSettings):

@@ -31,8 +31,6 @@ from hrl_escape.agents.components.offline import (
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
-__all__ = ["DecisionTransformer", "DecisionTransformerSettings"]
-
 HEADS = 4
 
 

@@ -18,8 +18,6 @@ from torch import Tensor
 from hrl_escape.agents.components.networks import Network, ObservationEncoder, compute_td_loss, make_action_network
 from hrl_escape.agents.components.offline import Batch, DecisionTable, OfflineAgent, OfflineSettings
 
-__all__ = ["FittedQ"]
-
 
 class FittedQ(OfflineAgent):
     """Q(s, o) <- mean of R + gamma^k (1 - terminated) max over o' of Q(s', o').

@@ -33,8 +33,6 @@ from hrl_escape.agents.components.offline import (
 )
 from hrl_escape.errors import AgentSettingsError
 
-__all__ = ["HIQL"]
-
 
 class HIQL(OfflineAgent):
     """V is the expectile of R + gamma^k (1 - terminated) V(s') over decisions.

@@ -21,8 +21,6 @@ from hrl_escape.agents.components.networks import (
 from hrl_escape.agents.components.offline import Batch, DecisionTable, OfflineAgent, OfflineSettings
 from hrl_escape.settings import Range
 
-__all__ = ["IQL", "IQLSettings", "compute_expectile", "expectile_loss"]
-
 MOST_WEIGHT = 100.0
 """Largest weight of a decision in the policy's loss, as in the published program."""
 

@@ -18,8 +18,6 @@ from hrl_escape.agents.components.exploration import sample_index
 from hrl_escape.agents.components.offline import DecisionTable
 from hrl_escape.settings import Range
 
-__all__ = ["Sharsa", "SharsaSettings"]
-
 
 @dataclass(frozen=True)
 class SharsaSettings(IQLSettings):

@@ -25,8 +25,6 @@ from hrl_escape.agents.components.policy_gradient import Rollout, compute_entrop
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
 
-__all__ = ["A2OC", "A2OCSettings"]
-
 
 @dataclass(frozen=True)
 class A2OCSettings(NetworkSettings, LearningSettings):

@@ -25,8 +25,6 @@ from hrl_escape.agents.components.policy_gradient import (
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
 
-__all__ = ["DAC", "DACSettings"]
-
 
 @dataclass(frozen=True)
 class DACSettings(ClippedSettings, LearningSettings):

@@ -29,8 +29,6 @@ from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import StateTree, pack_keys, unpack_keys
 from hrl_escape.settings import Range
 
-__all__ = ["OptionCritic", "OptionCriticSettings", "OptionTables"]
-
 
 @dataclass(frozen=True)
 class OptionCriticSettings(ResolutionSettings, LearningSettings):

@@ -27,8 +27,6 @@ from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, read_value
 from hrl_escape.settings import Range
 
-__all__ = ["PPOC", "OptionSamples", "PPOCSettings"]
-
 
 @dataclass(frozen=True)
 class PPOCSettings(ClippedSettings, LearningSettings):

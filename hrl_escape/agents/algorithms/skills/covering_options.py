@@ -18,8 +18,6 @@ from hrl_escape.agents.discovery.graph_discovery import GraphDiscovery, GraphDis
 from hrl_escape.agents.discovery.state_graph import find_covering_edge
 from hrl_escape.settings import Range
 
-__all__ = ["CoveringDiscovery", "CoveringOptions", "CoveringOptionsSettings"]
-
 
 @dataclass(frozen=True)
 class CoveringOptionsSettings(GraphDiscoverySettings):

@@ -33,8 +33,6 @@ from hrl_escape.agents.state import Kept
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.settings import Range
 
-__all__ = ["DIAYN", "DIAYNSettings"]
-
 
 @dataclass(frozen=True)
 class DIAYNSettings(ClippedSettings, LearningSettings):

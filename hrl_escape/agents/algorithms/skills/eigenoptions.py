@@ -22,8 +22,6 @@ from hrl_escape.agents.discovery.state_graph import (
 )
 from hrl_escape.settings import Range
 
-__all__ = ["EigenoptionDiscovery", "Eigenoptions", "EigenoptionsSettings"]
-
 
 @dataclass(frozen=True)
 class EigenoptionsSettings(GraphDiscoverySettings):

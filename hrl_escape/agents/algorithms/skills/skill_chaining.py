@@ -26,8 +26,6 @@ from hrl_escape.agents.discovery.state_graph import StateGraph
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
-__all__ = ["SkillChain", "SkillChaining", "SkillChainingSettings"]
-
 
 @dataclass(frozen=True)
 class SkillChainingSettings(DiscoverySettings):

@@ -26,15 +26,6 @@ from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from hrl_escape.settings import Range
 
-__all__ = [
-    "Hrc",
-    "HrcSettings",
-    "InterventionRule",
-    "compute_intervention_probabilities",
-    "find_causes",
-]
-
-
 InterventionRule = Literal["uniform", "targeted", "ancestors"]
 """`uniform`: any reachable subgoal; `targeted`: with n interventions made, an ancestor of the goal with probability
 n / (n + 1), else another one; `ancestors`: an ancestor, as long as there is one."""

@@ -18,8 +18,6 @@ from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRM
 from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.settings import Range
 
-__all__ = ["MetRMax", "MetRMaxSettings", "Meteorologists"]
-
 
 class Meteorologists(StructureLearner):
     """Hypotheses that no other one has beaten.

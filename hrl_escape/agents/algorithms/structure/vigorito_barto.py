@@ -26,8 +26,6 @@ from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.agents.factored.trees import TreeLearner, compile_trees
 from hrl_escape.settings import Range
 
-__all__ = ["Skill", "VigoritoBarto", "VigoritoBartoSettings"]
-
 
 @dataclass(frozen=True)
 class VigoritoBartoSettings(FactoredRMaxSettings):

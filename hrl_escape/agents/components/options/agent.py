@@ -15,8 +15,6 @@ from hrl_escape.agents.agent import Agent, MarkovRun, OptionPolicy, RunningCall
 from hrl_escape.agents.components.exploration import sample_index
 from hrl_escape.agents.state import Kept, Stateful
 
-__all__ = ["OptionAgent", "OptionLog"]
-
 WINDOW = 500
 """Runs of options that the measurements cover."""
 SHORTEST, LOWEST_ENTROPY = 1.1, 0.05

@@ -16,8 +16,6 @@ from hrl_escape.agents.components.options.agent import OptionLog
 from hrl_escape.agents.components.policy_gradient import sample_policy, take_column
 from hrl_escape.agents.state import Stateful
 
-__all__ = ["NONE", "SMALLEST", "OpenOptions", "OptionChoices", "mix_values", "mix_with_former"]
-
 NONE = -1
 """In place of the option before an episode's first decision."""
 SMALLEST = 1e-12

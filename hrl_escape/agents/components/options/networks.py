@@ -32,8 +32,6 @@ from hrl_escape.agents.components.policy_gradient import (
 )
 from hrl_escape.agents.state import Stateful
 
-__all__ = ["OptionHeads"]
-
 
 class OptionHeads(Stateful):
     """Networks of a fixed number of options over encoded observations, and their optimiser.

@@ -34,8 +34,6 @@ from hrl_escape.agents.components.policy_gradient import (
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions
 
-__all__ = ["RolloutOptionAgent", "StreamOptionAgent"]
-
 
 class RolloutOptionAgent(OptionAgent):
     """Base of agents that learn options over networks from rollouts of one environment.

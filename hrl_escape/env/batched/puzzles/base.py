@@ -20,17 +20,6 @@ from hrl_escape.env.puzzles.tables import GRIPS, tabulate
 from hrl_escape.env.tensor_geometry import store
 from hrl_escape.errors import StateError, show_value
 
-__all__ = [
-    "PuzzleTables",
-    "TabulatedPuzzle",
-    "TensorContacts",
-    "TensorPuzzle",
-    "as_signed",
-    "get_tensor_puzzle",
-    "register_tensor_puzzle",
-    "unpack_bits",
-]
-
 PuzzleTables = dict[str, Tensor]
 
 

@@ -25,8 +25,6 @@ from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.light_box import LightBoxPuzzle
 from hrl_escape.env.puzzles.lights_out import LightsOutPuzzle, list_flips
 
-__all__ = ["BitFlipTensorPuzzle", "ButtonsTensorPuzzle", "LightBoxTensorPuzzle", "LightsOutTensorPuzzle"]
-
 
 class _BitTensorPuzzle(TensorPuzzle):
     """Base of these forms: presses count one after the other, in index order."""

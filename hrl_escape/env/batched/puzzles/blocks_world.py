@@ -15,8 +15,6 @@ from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.blocks_world import BlocksWorldPuzzle
 from hrl_escape.env.puzzles.towers import IN_HAND
 
-__all__ = ["BlocksWorldTensorPuzzle"]
-
 
 class BlocksWorldTensorPuzzle(TensorPuzzle):
     """Tensor form of `BlocksWorldPuzzle`."""

@@ -16,8 +16,6 @@ from hrl_escape.env.puzzles.base import USE
 from hrl_escape.env.puzzles.mini_grid import HELD, PLACE_BITS, MiniGridPuzzle
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["MiniGridTensorPuzzle"]
-
 
 class MiniGridTensorPuzzle(TensorPuzzle):
     """Tensor form of `MiniGridPuzzle`; all instances of a batch have equal numbers of doors, keys and balls."""

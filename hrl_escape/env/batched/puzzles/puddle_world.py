@@ -14,8 +14,6 @@ from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, Te
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.puddle_world import PuddleWorldPuzzle
 
-__all__ = ["PuddleWorldTensorPuzzle"]
-
 
 class PuddleWorldTensorPuzzle(TensorPuzzle):
     """Tensor form of `PuddleWorldPuzzle`."""

@@ -14,8 +14,6 @@ from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, Te
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.recipes import COUNT_BITS, MATERIALS, MOST_KEPT, NAMES, RECIPES, RecipesPuzzle
 
-__all__ = ["RecipesTensorPuzzle"]
-
 _SHIFTS = [COUNT_BITS * min(number, MATERIALS) + max(number - MATERIALS, 0) for number in range(len(NAMES))]
 
 

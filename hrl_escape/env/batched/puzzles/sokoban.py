@@ -15,8 +15,6 @@ from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import PUSH
 from hrl_escape.env.puzzles.sokoban import BOX_BITS, SokobanPuzzle
 
-__all__ = ["SokobanTensorPuzzle"]
-
 _CELL = (1 << BOX_BITS) - 1
 
 

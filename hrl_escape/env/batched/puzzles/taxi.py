@@ -14,8 +14,6 @@ from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, Te
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.taxi import DEPOTS, REFUSED, RIDING, TaxiPuzzle
 
-__all__ = ["TaxiTensorPuzzle"]
-
 _SETTLED, _DELIVERED = 1 << 5, 1 << 6
 
 
