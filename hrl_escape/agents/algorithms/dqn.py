@@ -24,8 +24,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from hrl_escape.agents.agent import GoalRule, SMDPTransition, count_actions, count_steps
+from hrl_escape.agents.components.bonuses import NoveltySettings
 from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import (
+    ExplorationSettings,
     choose_best,
     compute_epsilon,
     compute_exploration_entropy,
@@ -58,35 +60,18 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class ValueSettings(ReplaySettings):
+class ValueSettings(ExplorationSettings, ReplaySettings):
     """Settings of `ActionValues`, and of how they are learned from replay."""
 
-    exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
-    temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
-    boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
     network: Literal["mlp", "objects"] = "mlp"
     """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
     permutation of the objects; for the observation `objects`."""
 
 
 @dataclass(frozen=True)
-class DQNSettings(ValueSettings):
+class DQNSettings(NoveltySettings, ValueSettings):
     """Bonus, replay and targets of `dqn`, beside exploration and networks."""
 
-    bonus_weight: Annotated[float, Range(0)] = 0.0
-    """A decision that leads to a cell for the n-th time costs this (1 - 1 / sqrt(n)), in units of return; 0 counts
-    nothing."""
-    bonus_bins: Annotated[int, Range(2)] = 5
-    """A component of the observation with bounds is rounded to the nearest of this many points for counting, both ends
-    included: 5 over a 20 m room is 5 m; a bit stays a bit."""
-    bonus: Literal["counts", "distillation"] = "counts"
-    """Measure of novelty behind `bonus_weight`. `counts`: visits of a cell. `distillation`: the error of a network that
-    predicts a random one (Burda et al. 2018); a decision costs the weight times 1 - error / mean error, at least 0."""
     double: bool = True
     """The online network chooses the next action, the target network values it."""
     n_step: Annotated[int, Range(1)] = 3

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
+from hrl_escape.agents.components.bonuses import NoveltySettings
 from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.memory import cut_stretches, make_memory
@@ -48,21 +49,12 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class PPOSettings(ClippedSettings, LearningSettings):
+class PPOSettings(NoveltySettings, ClippedSettings, LearningSettings):
     """Network, rollouts, clipped objective and bonus of `ppo`."""
 
     network: Literal["mlp", "objects"] = "mlp"
     """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
     permutation of the objects; for the observation `objects`."""
-    bonus_weight: Annotated[float, Range(0)] = 0.0
-    """A decision that leads to a cell for the n-th time costs this (1 - 1 / sqrt(n)), in units of return; 0 counts
-    nothing."""
-    bonus_bins: Annotated[int, Range(2)] = 5
-    """A component of the observation with bounds is rounded to the nearest of this many points for counting, both ends
-    included: 5 over a 20 m room is 5 m; a bit stays a bit."""
-    bonus: Literal["counts", "distillation"] = "counts"
-    """Measure of novelty behind `bonus_weight`. `counts`: visits of a cell. `distillation`: the error of a network that
-    predicts a random one (Burda et al. 2018); a decision costs the weight times 1 - error / mean error, at least 0."""
     entropy_weight: Annotated[float, Range(0)] = 0.01
     """Weight of the policy's entropy in the loss."""
     memory: Literal["none", "gru"] = "none"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
@@ -31,6 +31,15 @@ class BonusSettings(AgentSettings):
     bonus_bins: Annotated[int, Range(2)] = 5
     """A component of the observation with bounds is rounded to the nearest of this many points for counting, both ends
     included: 5 over a 20 m room is 5 m; a bit stays a bit."""
+
+
+@dataclass(frozen=True)
+class NoveltySettings(BonusSettings):
+    """Exploration by counts, or by what stands in for them; see `distillation.py`."""
+
+    bonus: Literal["counts", "distillation"] = "counts"
+    """Measure of novelty behind `bonus_weight`. `counts`: visits of a cell. `distillation`: the error of a network that
+    predicts a random one (Burda et al. 2018); a decision costs the weight times 1 - error / mean error, at least 0."""
 
 
 class CountBonus(Stateful):

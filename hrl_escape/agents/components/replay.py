@@ -24,7 +24,7 @@ from numpy.typing import DTypeLike
 from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
-from hrl_escape.agents.components.exploration import compute_epsilon
+from hrl_escape.agents.components.exploration import EpsilonSettings, compute_epsilon
 from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
@@ -34,15 +34,9 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class ReplaySettings(NetworkSettings, LearningSettings):
+class ReplaySettings(EpsilonSettings, NetworkSettings, LearningSettings):
     """Settings that `dqn`, `sarsa` and `ddpg` have in common: epsilon, optimiser, and updates from replay."""
 
-    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
-    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
-    epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
     """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
     with zero bias, usual for PPO."""
