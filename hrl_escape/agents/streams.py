@@ -26,33 +26,19 @@ if TYPE_CHECKING:
 
 
 class EndedDecisions(NamedTuple):
-    """Result of a step of streams: tensors (streams, ...), of which the rows in `where` count.
+    """Result of a step of streams: tensors (streams, ...), of which the rows in `where` count."""
 
-    Attributes:
-        where: streams whose decision ended, bool (streams,).
-        observation: at the decision.
-        action: chosen there, int64.
-        reward: sum of the primitive rewards, float32.
-        discounted_reward: R = sum over i < k of gamma^i r_i at the streams' gamma, float32.
-        duration: k >= 1, the primitives that ran.
-        next_observation: state reached, never the first of a new episode.
-        next_action_mask: actions legal there, bool (streams, actions).
-        terminated: the task ended, which a cut does not do, bool.
-        truncated: the episode was cut off, bool.
-        success: the episode ended in success, bool; no failure is one, though it terminates too.
-    """
-
-    where: Tensor
-    observation: Tensor
-    action: Tensor
-    reward: Tensor
-    discounted_reward: Tensor
-    duration: Tensor
-    next_observation: Tensor
-    next_action_mask: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    success: Tensor
+    where: Tensor  # streams whose decision ended, bool (streams,)
+    observation: Tensor  # at the decision
+    action: Tensor  # chosen there, int64
+    reward: Tensor  # sum of the primitive rewards, float32
+    discounted_reward: Tensor  # R = sum over i < k of gamma^i r_i at the streams' gamma, float32
+    duration: Tensor  # k >= 1, the primitives that ran
+    next_observation: Tensor  # state reached, never the first of a new episode
+    next_action_mask: Tensor  # actions legal there, bool (streams, actions)
+    terminated: Tensor  # the task ended, which a cut does not do, bool
+    truncated: Tensor  # the episode was cut off, bool
+    success: Tensor  # the episode ended in success, bool; no failure is one, though it terminates too
 
 
 class Streams(Protocol):
@@ -151,31 +137,18 @@ class StreamSource(Protocol):
 
 
 class StreamTransitions(NamedTuple):
-    """Decisions of several streams and their outcomes, one a row; see `SMDPTransition`.
+    """Decisions of several streams and their outcomes, one a row; see `SMDPTransition`."""
 
-    Attributes:
-        stream: int64 (n,), stream of each row; no stream has two rows.
-        observation: (n, ...), at the decision.
-        action: int64 (n,).
-        reward: float32 (n,), R at the agent's gamma.
-        summed_reward: float32 (n,).
-        duration: int64 (n,), k.
-        next_observation: (n, ...), the state reached.
-        next_action_mask: bool (n, actions).
-        terminated: bool (n,).
-        truncated: bool (n,).
-    """
-
-    stream: Tensor
-    observation: Tensor
-    action: Tensor
-    reward: Tensor
-    summed_reward: Tensor
-    duration: Tensor
-    next_observation: Tensor
-    next_action_mask: Tensor
-    terminated: Tensor
-    truncated: Tensor
+    stream: Tensor  # int64 (n,), stream of each row; no stream has two rows
+    observation: Tensor  # (n, ...), at the decision
+    action: Tensor  # int64 (n,)
+    reward: Tensor  # float32 (n,), R at the agent's gamma
+    summed_reward: Tensor  # float32 (n,)
+    duration: Tensor  # int64 (n,), k
+    next_observation: Tensor  # (n, ...), the state reached
+    next_action_mask: Tensor  # bool (n, actions)
+    terminated: Tensor  # bool (n,)
+    truncated: Tensor  # bool (n,)
 
 
 class StreamAgent(Agent):

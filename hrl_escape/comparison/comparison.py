@@ -53,15 +53,10 @@ class Comparison(Pictured):
 
 
 class Shard(NamedTuple):
-    """Static part of a grid's runs: every `parts`-th, beginning with number `number`.
+    """Static part of a grid's runs: every `parts`-th, beginning with number `number`."""
 
-    Attributes:
-        number: number of the part, from 1.
-        parts: number of parts.
-    """
-
-    number: int
-    parts: int
+    number: int  # number of the part, from 1
+    parts: int  # number of parts
 
     @classmethod
     def parse(cls, text: str) -> Shard:

@@ -319,23 +319,14 @@ class Grid(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class GridRun:
-    """One run of a grid.
+    """One run of a grid."""
 
-    Attributes:
-        grid: what it is a part of.
-        number: which agent.
-        settings: that agent's settings, resolved.
-        place_id: content hash of the room, or of the sets of rooms.
-        room: its name in tables.
-        seed: training seed.
-    """
-
-    grid: Grid
-    number: int
-    settings: dict[str, Any]
-    place_id: str
-    room: str
-    seed: int
+    grid: Grid  # what it is a part of
+    number: int  # which agent
+    settings: dict[str, Any]  # that agent's settings, resolved
+    place_id: str  # content hash of the room, or of the sets of rooms
+    room: str  # its name in tables
+    seed: int  # training seed
 
     @property
     def agent(self) -> AgentSpec:

@@ -31,15 +31,10 @@ from hrl_escape.settings import Range, Settings
 
 @dataclasses.dataclass(frozen=True)
 class Split:
-    """Rooms to train in, and rooms to be tested in, of the same schematic or of another; or two towers.
+    """Rooms to train in, and rooms to be tested in, of the same schematic or of another; or two towers."""
 
-    Attributes:
-        train: rooms to train in.
-        test: rooms to be tested in.
-    """
-
-    train: RoomSets
-    test: RoomSets
+    train: RoomSets  # rooms to train in
+    test: RoomSets  # rooms to be tested in
 
     def __post_init__(self) -> None:
         first, *others = self.sets
@@ -89,17 +84,11 @@ class Split:
 
 @dataclasses.dataclass(frozen=True)
 class RunPlace:
-    """Surroundings of runs: where they train and where they are tested.
+    """Surroundings of runs: where they train and where they are tested."""
 
-    Attributes:
-        name: in tables.
-        instance: the room; of a split, the first room to be tested in, which stands for all in pictures.
-        split: rooms to train in and to be tested in; None for one room that is both.
-    """
-
-    name: str
-    instance: RoomInstance
-    split: Split | None = None
+    name: str  # in tables
+    instance: RoomInstance  # the room; of a split, the first room to be tested in, which stands for all in pictures
+    split: Split | None = None  # rooms to train in and to be tested in; None for one room that is both
 
     @classmethod
     def of_room(cls, instance: RoomInstance, name: str = "") -> RunPlace:

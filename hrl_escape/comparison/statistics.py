@@ -123,15 +123,10 @@ def compute_final(x: ArrayLike, y: ArrayLike, end: float) -> float:
 
 
 class Gap(NamedTuple):
-    """Distance to the best known, in score: `options` + `learning` = 1 - score.
+    """Distance to the best known, in score: `options` + `learning` = 1 - score."""
 
-    Attributes:
-        options: part that no policy over the given actions can reach.
-        learning: part that a policy over them can reach and the agent has not.
-    """
-
-    options: float
-    learning: float
+    options: float  # part that no policy over the given actions can reach
+    learning: float  # part that a policy over them can reach and the agent has not
 
 
 def split_gap(score: float, reachable: float) -> Gap:

@@ -26,15 +26,10 @@ SETTLED = 0.9
 
 @dataclass(frozen=True)
 class Sentence:
-    """Sentence of the verdict.
+    """Sentence of the verdict."""
 
-    Attributes:
-        kind: the headline, a finding that supports it, or a caution.
-        text: plain words; labels of agents between backticks.
-    """
-
-    kind: Literal["headline", "finding", "caution"]
-    text: str
+    kind: Literal["headline", "finding", "caution"]  # the headline, a finding that supports it, or a caution
+    text: str  # plain words; labels of agents between backticks
 
 
 def write_verdict(summary: Summary) -> list[Sentence]:

@@ -23,17 +23,11 @@ def compute_extent_radius(shape: Footprint) -> float:
 
 
 class FloorGrid(NamedTuple):
-    """Square cells over a floor's bounding box, the alcove behind a door included; cell (i, j) is i * rows + j.
+    """Square cells over a floor's bounding box, the alcove behind a door included; cell (i, j) is i * rows + j."""
 
-    Attributes:
-        low: corner with the smallest coordinates, shape (2,), m.
-        size: side of a cell, m.
-        shape: columns and rows.
-    """
-
-    low: NDArray[np.float64]
-    size: float
-    shape: tuple[int, int]
+    low: NDArray[np.float64]  # corner with the smallest coordinates, shape (2,), m
+    size: float  # side of a cell, m
+    shape: tuple[int, int]  # columns and rows
 
     @classmethod
     def cover(cls, reach_x: float, reach_y: float, size: float) -> FloorGrid:

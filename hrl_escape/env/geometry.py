@@ -19,20 +19,6 @@ from numpy.typing import NDArray
 from hrl_escape.env.schema import Schematic
 from hrl_escape.settings import Range
 
-__all__ = [
-    "LARGEST_LENGTH",
-    "Footprint",
-    "InnerDoors",
-    "NearCells",
-    "Neighbourhood",
-    "Solid",
-    "compute_distance",
-    "compute_distance_many",
-    "compute_first_contact",
-    "make_footprint",
-    "stack_footprints",
-]
-
 Thing = TypeVar("Thing")
 
 LARGEST_LENGTH = 1e6

@@ -43,25 +43,15 @@ def as_flags(where: Tensor) -> Tensor:
 
 
 class Shapes(NamedTuple):
-    """Outlines on the floor, one a row; each field is (shapes, rooms), or (shapes, 1) shared by all rooms.
+    """Outlines on the floor, one a row; each field is (shapes, rooms), or (shapes, 1) shared by all rooms."""
 
-    Attributes:
-        x: centre, float64.
-        y: centre, float64.
-        cos: direction of its own x; this and the following are float64, or float32 once rounded.
-        sin: direction of its own x.
-        half_x: half size along its own x; 0 for a cylinder.
-        half_y: half size along its own y; 0 for a cylinder.
-        rounding: a cylinder's radius, else 0.
-    """
-
-    x: Tensor
-    y: Tensor
-    cos: Tensor
-    sin: Tensor
-    half_x: Tensor
-    half_y: Tensor
-    rounding: Tensor
+    x: Tensor  # centre, float64
+    y: Tensor  # centre, float64
+    cos: Tensor  # direction of its own x; this and the following are float64, or float32 once rounded
+    sin: Tensor  # direction of its own x
+    half_x: Tensor  # half size along its own x; 0 for a cylinder
+    half_y: Tensor  # half size along its own y; 0 for a cylinder
+    rounding: Tensor  # a cylinder's radius, else 0
 
     def round(self) -> Shapes:
         """The same outlines in single precision, about their exact centres."""
@@ -78,29 +68,17 @@ class Shapes(NamedTuple):
 
 
 class SplitShapes(NamedTuple):
-    """Outlines in single precision, their centres as sums of two numbers; each field is float32, as in `Shapes`.
+    """Outlines in single precision, their centres as sums of two numbers; each field is float32, as in `Shapes`."""
 
-    Attributes:
-        x: centre, its leading bits.
-        y: centre, its leading bits.
-        cos: direction of its own x.
-        sin: direction of its own x.
-        half_x: half size along its own x; 0 for a cylinder.
-        half_y: half size along its own y; 0 for a cylinder.
-        rounding: a cylinder's radius, else 0.
-        x_rest: what the centre has beyond its leading bits.
-        y_rest: likewise.
-    """
-
-    x: Tensor
-    y: Tensor
-    cos: Tensor
-    sin: Tensor
-    half_x: Tensor
-    half_y: Tensor
-    rounding: Tensor
-    x_rest: Tensor
-    y_rest: Tensor
+    x: Tensor  # centre, its leading bits
+    y: Tensor  # centre, its leading bits
+    cos: Tensor  # direction of its own x
+    sin: Tensor  # direction of its own x
+    half_x: Tensor  # half size along its own x; 0 for a cylinder
+    half_y: Tensor  # half size along its own y; 0 for a cylinder
+    rounding: Tensor  # a cylinder's radius, else 0
+    x_rest: Tensor  # what the centre has beyond its leading bits
+    y_rest: Tensor  # likewise
 
     def look_from(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Places (rooms,), float64, relative to the centres, in single precision."""

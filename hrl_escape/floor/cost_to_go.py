@@ -41,17 +41,11 @@ def make_collision(instance: RoomInstance, door_shut: bool) -> CollisionMap:
 
 
 class Seeds(NamedTuple):
-    """States whose cost-to-go is known before a search.
+    """States whose cost-to-go is known before a search."""
 
-    Attributes:
-        states: cell * headings + heading, shape (n,), int64.
-        costs: their cost-to-go, shape (n,), int64.
-        headings: headings that the states distinguish: the grid's classes, or all.
-    """
-
-    states: NDArray[np.int64]
-    costs: NDArray[np.int64]
-    headings: int
+    states: NDArray[np.int64]  # cell * headings + heading, shape (n,), int64
+    costs: NDArray[np.int64]  # their cost-to-go, shape (n,), int64
+    headings: int  # headings that the states distinguish: the grid's classes, or all
 
 
 def count_classes(rules: Rules) -> int:

@@ -20,9 +20,6 @@ from hrl_escape.floor.sweeps import (
 )
 from hrl_escape.kernels import kernel, kernel_in_place, kernel_part
 
-__all__ = ["UNREACHED", "choose_headings", "choose_points", "fill_gaps", "find_landings", "find_last_moves",
-           "find_touching_cells", "link_cells", "run_dijkstra"]
-
 UNREACHED = 32_000
 
 

@@ -23,10 +23,6 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import add_sources, kernel_part
 
-__all__ = ["POINT", "Presser", "SweepScene", "can_turn_body", "compile_geometry", "does_fit", "first_contact",
-           "get_shape", "is_clear_of_all", "is_touched", "make_presser", "make_sweep_scene", "measure_clearance",
-           "measure_distance", "sweep", "sweep_body"]
-
 
 def _compile(function: Callable) -> Any:
     """Compile a pure function from its own source, with the functions of its module that it calls."""
@@ -71,19 +67,12 @@ _base_distance, _is_turn_blocked = _compile_choice("distance"), _compile_choice(
 
 
 class Presser(NamedTuple):
-    """The thing that must touch a goal: a base at a heading, or a point.
+    """The thing that must touch a goal: a base at a heading, or a point."""
 
-    Attributes:
-        kind: number of the base in `BASES`; -1 for a point, and for bases whose axis distance decides.
-        size: of the base, without clearance, m.
-        inner: radius of the largest disc within it, m.
-        outer: radius of the smallest disc round it, m.
-    """
-
-    kind: int
-    size: NDArray[np.float64]
-    inner: float
-    outer: float
+    kind: int  # number of the base in `BASES`; -1 for a point, and for bases whose axis distance decides
+    size: NDArray[np.float64]  # of the base, without clearance, m
+    inner: float  # radius of the largest disc within it, m
+    outer: float  # radius of the smallest disc round it, m
 
 
 POINT = Presser(-1, np.zeros(1), 0.0, 0.0)
@@ -109,39 +98,22 @@ def make_presser(base: Base) -> Presser:
 
 
 class SweepScene(NamedTuple):
-    """Arrays of a room for the sweeps: its solids, indexed by floor cell, and its clearances.
+    """Arrays of a room for the sweeps: its solids, indexed by floor cell, and its clearances."""
 
-    Attributes:
-        solids: rows of `stack_footprints`, shape (n, 7).
-        door: row of the shut exit door, or -1.
-        radius: radius of the smallest disc that holds the base, plus contact skin, m.
-        inner: that of the largest disc within the base, m.
-        kind: number of the base in `BASES`; -1 for one that turns anywhere.
-        size: of the base, plus contact skin, m.
-        low: corner of both grids, shape (2,), m.
-        near_size: side of a cell of the grid of neighbour lists, m.
-        near_shape: columns and rows of that grid, shape (2,).
-        near_starts: start of each cell's list in `near_items`, row-major, shape (cells + 1,).
-        near_items: rows of `solids` that a sweep from the cell can meet.
-        distance: the clearance grid of `CollisionMap`, shape (columns, rows), float32, m.
-        resolution: side of its cells, m.
-        slack: largest difference between a place's clearance and its cell's distance, m.
-    """
-
-    solids: NDArray[np.float64]
-    door: int
-    radius: float
-    inner: float
-    kind: int
-    size: NDArray[np.float64]
-    low: NDArray[np.float64]
-    near_size: float
-    near_shape: NDArray[np.int64]
-    near_starts: NDArray[np.int64]
-    near_items: NDArray[np.int32]
-    distance: NDArray[np.float32]
-    resolution: float
-    slack: float
+    solids: NDArray[np.float64]  # rows of `stack_footprints`, shape (n, 7)
+    door: int  # row of the shut exit door, or -1
+    radius: float  # radius of the smallest disc that holds the base, plus contact skin, m
+    inner: float  # that of the largest disc within the base, m
+    kind: int  # number of the base in `BASES`; -1 for one that turns anywhere
+    size: NDArray[np.float64]  # of the base, plus contact skin, m
+    low: NDArray[np.float64]  # corner of both grids, shape (2,), m
+    near_size: float  # side of a cell of the grid of neighbour lists, m
+    near_shape: NDArray[np.int64]  # columns and rows of that grid, shape (2,)
+    near_starts: NDArray[np.int64]  # start of each cell's list in `near_items`, row-major, shape (cells + 1,)
+    near_items: NDArray[np.int32]  # rows of `solids` that a sweep from the cell can meet
+    distance: NDArray[np.float32]  # the clearance grid of `CollisionMap`, shape (columns, rows), float32, m
+    resolution: float  # side of its cells, m
+    slack: float  # largest difference between a place's clearance and its cell's distance, m
 
 
 @kernel_part

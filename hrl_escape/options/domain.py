@@ -27,23 +27,14 @@ TERMINATIONS = 0x0971
 
 
 class DomainStep(NamedTuple):
-    """One step of the wrapped environment inside a decision.
+    """One step of the wrapped environment inside a decision."""
 
-    Attributes:
-        action: action that the wrapped environment took.
-        state: state that options saw before it.
-        next_state: state that they see after it.
-        observation: of the wrapped environment, after.
-        rewards: one a primitive; one, unless the wrapped environment has options itself.
-        info: of the wrapped environment, after.
-    """
-
-    action: Any
-    state: Any
-    next_state: Any
-    observation: Any
-    rewards: tuple[float, ...]
-    info: Mapping[str, Any]
+    action: Any  # action that the wrapped environment took
+    state: Any  # state that options saw before it
+    next_state: Any  # state that they see after it
+    observation: Any  # of the wrapped environment, after
+    rewards: tuple[float, ...]  # one a primitive; one, unless the wrapped environment has options itself
+    info: Mapping[str, Any]  # of the wrapped environment, after
 
 
 @runtime_checkable

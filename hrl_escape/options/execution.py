@@ -22,23 +22,14 @@ DEEPEST_NESTING = 8
 
 
 class OptionCall(NamedTuple):
-    """One run of an option, nested or not: an SMDP transition of its level.
+    """One run of an option, nested or not: an SMDP transition of its level."""
 
-    Attributes:
-        name: of the option.
-        level: options that were running above it; 0 is the one that was chosen.
-        state: state where it began.
-        next_state: state where it ended.
-        rewards: one a primitive.
-        ended: as in `info["option"]`; an option ended by its caller's end has the caller's ending.
-    """
-
-    name: str
-    level: int
-    state: Any
-    next_state: Any
-    rewards: tuple[float, ...]
-    ended: str
+    name: str  # of the option
+    level: int  # options that were running above it; 0 is the one that was chosen
+    state: Any  # state where it began
+    next_state: Any  # state where it ended
+    rewards: tuple[float, ...]  # one a primitive
+    ended: str  # as in `info["option"]`; an option ended by its caller's end has the caller's ending
 
     @property
     def duration(self) -> int:

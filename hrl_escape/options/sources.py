@@ -43,17 +43,13 @@ def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:
 class MetaSource:
     """Makes the meta-actions of any room.
 
-    Attributes:
-        flavour: of `FLAVOURS`.
-        planner: method of their plans, as in `RoomPlanner`.
-
     Raises:
         ConfigError: no such flavour.
         UnknownNameError: no such method; only when the options are made, as path planners load OMPL.
     """
 
-    flavour: str
-    planner: str = "auto"
+    flavour: str  # of `FLAVOURS`
+    planner: str = "auto"  # method of their plans, as in `RoomPlanner`
 
     def __post_init__(self) -> None:
         if self.flavour not in FLAVOURS:

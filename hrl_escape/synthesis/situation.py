@@ -32,17 +32,11 @@ _Pose = tuple[int, int, int, tuple[int, ...], int, bool]
 
 
 class Situation(NamedTuple):
-    """A moment in a room.
+    """A moment in a room."""
 
-    Attributes:
-        state: pose and touching; the puzzle's state stands for all in which the exit is as open.
-        facts: propositions that hold.
-        is_open: the exit is open.
-    """
-
-    state: RoomState
-    facts: frozenset[str]
-    is_open: bool
+    state: RoomState  # pose and touching; the puzzle's state stands for all in which the exit is as open
+    facts: frozenset[str]  # propositions that hold
+    is_open: bool  # the exit is open
 
 
 class Situations:

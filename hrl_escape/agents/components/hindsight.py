@@ -30,23 +30,14 @@ class _Judgement(NamedTuple):
 
 
 class _Decision(NamedTuple):
-    """A decision of the episode, without its observations, which are in the experience.
+    """A decision of the episode, without its observations, which are in the experience."""
 
-    Attributes:
-        transition: the rest of it.
-        experience: its backup.
-        before: goal achieved before it.
-        achieved: goal achieved after it.
-        desired: goal asked for.
-        bonus: in its reward.
-    """
-
-    transition: SMDPTransition
-    experience: Experience
-    before: NDArray
-    achieved: NDArray
-    desired: NDArray
-    bonus: float
+    transition: SMDPTransition  # the rest of it
+    experience: Experience  # its backup
+    before: NDArray  # goal achieved before it
+    achieved: NDArray  # goal achieved after it
+    desired: NDArray  # goal asked for
+    bonus: float  # in its reward
 
 
 def _pack_episode(episode: list[_Decision]) -> list[StateTree]:

@@ -51,35 +51,20 @@ class ClippedSettings(NetworkSettings):
 
 
 class Rollout(NamedTuple):
-    """Decisions of one or more streams; tensors with leading dimension n, on one device.
+    """Decisions of one or more streams; tensors with leading dimension n, on one device."""
 
-    Attributes:
-        observation: (n, *observation shape), encoded.
-        mask: bool (n, actions).
-        action: int64 (n,).
-        log_probability: float32 (n,), of the action under the policy that chose it.
-        reward: float32 (n,), R, scaled.
-        bootstrap: float32 (n,), b.
-        duration: int64 (n,), k.
-        over: bool (n,), the episode ended here, by termination or truncation.
-        next_observation: (n, *observation shape), the state reached, also at an episode's end.
-        stream: int64 (n,).
-        memory: float32 (n, numbers), recurrent state before the decision; no numbers where there is none.
-        place: int64 (n,), 0 for a stream's first decision here, 1 for its second, and so on without a gap.
-    """
-
-    observation: Tensor
-    mask: Tensor
-    action: Tensor
-    log_probability: Tensor
-    reward: Tensor
-    bootstrap: Tensor
-    duration: Tensor
-    over: Tensor
-    next_observation: Tensor
-    memory: Tensor
-    stream: Tensor
-    place: Tensor
+    observation: Tensor  # (n, *observation shape), encoded
+    mask: Tensor  # bool (n, actions)
+    action: Tensor  # int64 (n,)
+    log_probability: Tensor  # float32 (n,), of the action under the policy that chose it
+    reward: Tensor  # float32 (n,), R, scaled
+    bootstrap: Tensor  # float32 (n,), b
+    duration: Tensor  # int64 (n,), k
+    over: Tensor  # bool (n,), the episode ended here, by termination or truncation
+    next_observation: Tensor  # (n, *observation shape), the state reached, also at an episode's end
+    memory: Tensor  # float32 (n, numbers), recurrent state before the decision; no numbers where there is none
+    stream: Tensor  # int64 (n,)
+    place: Tensor  # int64 (n,), 0 for a stream's first decision here, 1 for its second, and so on without a gap
 
 
 def collect_decisions(choices: OpenChoices, decisions: StreamTransitions, encoder: ObservationEncoder, settings: Any,

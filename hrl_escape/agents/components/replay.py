@@ -60,25 +60,15 @@ class ReplaySettings(EpsilonSettings, NetworkSettings, LearningSettings):
 
 
 class Experience(NamedTuple):
-    """Backups, one (fields without a leading dimension) or a batch of them.
+    """Backups, one (fields without a leading dimension) or a batch of them."""
 
-    Attributes:
-        observation: (batch, *observation shape), encoded.
-        mask: bool (batch, actions), legal there.
-        action: int64 (batch,), or float32 (batch, actions) for relaxed actions.
-        reward: float32 (batch,), R.
-        bootstrap: float32 (batch,), b: gamma^k, or 0 where nothing follows.
-        next_observation: (batch, *observation shape).
-        next_mask: bool (batch, actions), legal at the next observation.
-    """
-
-    observation: Any
-    mask: Any
-    action: Any
-    reward: Any
-    bootstrap: Any
-    next_observation: Any
-    next_mask: Any
+    observation: Any  # (batch, *observation shape), encoded
+    mask: Any  # bool (batch, actions), legal there
+    action: Any  # int64 (batch,), or float32 (batch, actions) for relaxed actions
+    reward: Any  # float32 (batch,), R
+    bootstrap: Any  # float32 (batch,), b: gamma^k, or 0 where nothing follows
+    next_observation: Any  # (batch, *observation shape)
+    next_mask: Any  # bool (batch, actions), legal at the next observation
 
 
 def make_experience(transition: SMDPTransition, encoder: ObservationEncoder, settings: Any, bonus: float = 0.0

@@ -15,30 +15,20 @@ _TIE = 1e-9
 
 
 class StateModel(NamedTuple):
-    """Learned model of a finite walk.
-
-    Attributes:
-        follow: (states * actions, states), probability of each next state; rows of 0 where nothing is known.
-        known: bool (states, actions), pairs that were tried.
-    """
+    """Learned model of a finite walk."""
 
     follow: sparse.csr_matrix
-    known: NDArray[np.bool_]
+    """(states * actions, states), probability of each next state; rows of 0 where nothing is known."""
+    known: NDArray[np.bool_]  # bool (states, actions), pairs that were tried
 
 
 @dataclass(frozen=True, eq=False)
 class TableSkill:
-    """A deterministic Markov option over numbered states.
+    """A deterministic Markov option over numbered states."""
 
-    Attributes:
-        name: tells it from others.
-        actions: int64 (states,), the primitive in each state, `NOTHING` where it ends.
-        starts: bool (states,), where it may begin.
-    """
-
-    name: str
-    actions: NDArray[np.int64]
-    starts: NDArray[np.bool_]
+    name: str  # tells it from others
+    actions: NDArray[np.int64]  # int64 (states,), the primitive in each state, `NOTHING` where it ends
+    starts: NDArray[np.bool_]  # bool (states,), where it may begin
 
 
 def make_eigenoption(

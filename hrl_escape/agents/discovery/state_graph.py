@@ -87,15 +87,10 @@ action leads nowhere."""
 
 
 class Directions(NamedTuple):
-    """Slow directions of a walk, the slowest first, the constant one left out.
+    """Slow directions of a walk, the slowest first, the constant one left out."""
 
-    Attributes:
-        eigenvalues: (directions,).
-        vectors: (states, directions), of either sign.
-    """
-
-    eigenvalues: NDArray[np.float64]
-    vectors: NDArray[np.float64]
+    eigenvalues: NDArray[np.float64]  # (directions,)
+    vectors: NDArray[np.float64]  # (states, directions), of either sign
 
 
 def compute_laplacian(adjacency: NDArray[np.float64], kind: LaplacianKind) -> NDArray[np.float64]:

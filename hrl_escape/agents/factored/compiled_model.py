@@ -94,15 +94,10 @@ class Rule(NamedTuple):
 
 @dataclass(frozen=True)
 class ActionModel:
-    """Believed effects of one action.
+    """Believed effects of one action."""
 
-    Attributes:
-        rules: all that match apply.
-        gaps: uint64 (gaps, 2), pairs (care, value) where the outcome is open.
-    """
-
-    rules: tuple[Rule, ...]
-    gaps: NDArray[np.uint64]
+    rules: tuple[Rule, ...]  # all that match apply
+    gaps: NDArray[np.uint64]  # uint64 (gaps, 2), pairs (care, value) where the outcome is open
 
 
 def compile_action(

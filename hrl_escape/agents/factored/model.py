@@ -40,21 +40,13 @@ NEAR = 0.15
 
 
 class DurationHistory(NamedTuple):
-    """Decisions in the order they were made, none cut inside.
+    """Decisions in the order they were made, none cut inside."""
 
-    Attributes:
-        starts: (decisions, pose) before each.
-        actions: (decisions,).
-        ends: (decisions, pose) after each.
-        durations: (decisions,), primitives.
-        previous: (decisions,), the action before in the same episode, or -1.
-    """
-
-    starts: NDArray[np.float64]
-    actions: NDArray[np.int64]
-    ends: NDArray[np.float64]
-    durations: NDArray[np.float64]
-    previous: NDArray[np.int64]
+    starts: NDArray[np.float64]  # (decisions, pose) before each
+    actions: NDArray[np.int64]  # (decisions,)
+    ends: NDArray[np.float64]  # (decisions, pose) after each
+    durations: NDArray[np.float64]  # (decisions,), primitives
+    previous: NDArray[np.int64]  # (decisions,), the action before in the same episode, or -1
 
 
 class DurationModel:

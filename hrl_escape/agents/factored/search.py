@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from hrl_escape.agents.factored.compiled_model import ActionModel
 from hrl_escape.kernels import kernel
 
-__all__ = ["MOST_ACTIONS", "ModelPlan", "SearchTables", "find_plan", "make_tables"]
-
 MOST_ACTIONS = 250
 _EMPTY = np.uint64(0xFFFFFFFFFFFFFFFF)
 
@@ -36,19 +34,12 @@ class SearchTables(NamedTuple):
 
 
 class ModelPlan(NamedTuple):
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        actions: in order; empty if nothing was found.
-        states: the packed state in which each action is to be taken.
-        value: discounted return expected; -inf if nothing was found.
-        is_complete: the search ended by itself, not by its limit.
-    """
-
-    actions: tuple[int, ...]
-    states: tuple[int, ...]
-    value: float
-    is_complete: bool
+    actions: tuple[int, ...]  # in order; empty if nothing was found
+    states: tuple[int, ...]  # the packed state in which each action is to be taken
+    value: float  # discounted return expected; -inf if nothing was found
+    is_complete: bool  # the search ended by itself, not by its limit
 
 
 def make_tables(models: Sequence[ActionModel]) -> SearchTables:

@@ -75,21 +75,15 @@ class Leaves:
     """Leaves of all trees of an action. Literal f says that factor f is on, literal factors + f that it is off.
 
     Outcomes that the action has never changed share the first leaf, as if each had a tree of that leaf alone.
-
-    Attributes:
-        outcomes: int64 (leaves,), the outcome that the tree is of; -1 for the shared leaf.
-        paths: float32 (leaves, literals), 1 where the leaf asks for the literal.
-        counts: int64 (leaves, literals, LEVELS), samples in which the literal held, by result.
-        totals: int64 (leaves, LEVELS), samples by result.
-        gains: float32 (leaves, literals), information expected of a sample in which the literal holds; see
-            `TreeLearner.compute_gains`.
     """
 
-    outcomes: NDArray[np.int64]
-    paths: NDArray[np.float32]
-    counts: NDArray[np.int64]
-    totals: NDArray[np.int64]
+    outcomes: NDArray[np.int64]  # int64 (leaves,), the outcome that the tree is of; -1 for the shared leaf
+    paths: NDArray[np.float32]  # float32 (leaves, literals), 1 where the leaf asks for the literal
+    counts: NDArray[np.int64]  # int64 (leaves, literals, LEVELS), samples in which the literal held, by result
+    totals: NDArray[np.int64]  # int64 (leaves, LEVELS), samples by result
     gains: NDArray[np.float32]
+    """Float32 (leaves, literals), information expected of a sample in which the literal holds; see
+    `TreeLearner.compute_gains`."""
 
     def add(self, literals: NDArray[np.bool_], results: NDArray[np.int64]) -> None:
         """Count samples.

@@ -42,19 +42,12 @@ class _Look(NamedTuple):
 
 
 class MachineCall(NamedTuple):
-    """A running machine.
+    """A running machine."""
 
-    Attributes:
-        name: of the machine.
-        line: where it waits, counted from its own first.
-        arguments: what it was called with.
-        primitives: done since it was called.
-    """
-
-    name: str
-    line: int
-    arguments: tuple[Any, ...]
-    primitives: int
+    name: str  # of the machine
+    line: int  # where it waits, counted from its own first
+    arguments: tuple[Any, ...]  # what it was called with
+    primitives: int  # done since it was called
 
 
 Program = Generator[Any, Any, Any]

@@ -30,21 +30,13 @@ SEGMENT_UPDATES = 50
 
 
 class Material(NamedTuple):
-    """Material of a run that learns from a data set.
+    """Material of a run that learns from a data set."""
 
-    Attributes:
-        data: the data set.
-        env: environment to be evaluated in.
-        decisions: what the agent learns from.
-        primitives: those inside the decisions, for agents that ask for them.
-        budget: primitives of the agent's number of passes.
-    """
-
-    data: OfflineData
-    env: gymnasium.Env
-    decisions: Decisions
-    primitives: Primitives | None
-    budget: int
+    data: OfflineData  # the data set
+    env: gymnasium.Env  # environment to be evaluated in
+    decisions: Decisions  # what the agent learns from
+    primitives: Primitives | None  # those inside the decisions, for agents that ask for them
+    budget: int  # primitives of the agent's number of passes
 
 
 def gather_material(agent: Any, env: Any, data: Any, recipe: str, settings: Any) -> Material:

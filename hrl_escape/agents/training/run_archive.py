@@ -34,15 +34,10 @@ RUN_ARCHIVE = ArchiveKind("a run", re.compile("|".join(map(re.escape, RUN_FILES)
 
 @dataclasses.dataclass(frozen=True)
 class RunSummary:
-    """Content of a run's folder or archive.
+    """Content of a run's folder or archive."""
 
-    Attributes:
-        described: the description of the run, see `read_run`.
-        parts: its files.
-    """
-
-    described: Mapping[str, Any]
-    parts: tuple[Part, ...]
+    described: Mapping[str, Any]  # the description of the run, see `read_run`
+    parts: tuple[Part, ...]  # its files
 
     @property
     def key(self) -> str:

@@ -31,17 +31,11 @@ THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
 
 @dataclass(frozen=True)
 class Failure:
-    """Run that did not finish.
+    """Run that did not finish."""
 
-    Attributes:
-        run: the run.
-        message: the error, for people.
-        traceback: its traceback; empty for errors of the package's own.
-    """
-
-    run: GridRun
-    message: str
-    traceback: str = ""
+    run: GridRun  # the run
+    message: str  # the error, for people
+    traceback: str = ""  # its traceback; empty for errors of the package's own
 
 
 class Listener(Protocol):

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from hrl_escape.env.tensor_geometry import Shapes
 
-__all__ = ["Disc"]
-
 
 def compute_disc_contact(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], dx: float, dy: float,
                          shape: Footprint) -> float:
@@ -105,17 +103,11 @@ class Disc(Base):
 
 
 class TensorDisc(NamedTuple):
-    """A disc in each room.
+    """A disc in each room."""
 
-    Attributes:
-        x: centre, m, float64 (rooms,).
-        y: centre, m, float64 (rooms,).
-        radius: the same in all rooms, m.
-    """
-
-    x: Tensor
-    y: Tensor
-    radius: float
+    x: Tensor  # centre, m, float64 (rooms,)
+    y: Tensor  # centre, m, float64 (rooms,)
+    radius: float  # the same in all rooms, m
 
     def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: TensorSolids) -> Tensor:
         """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,).

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
     from hrl_escape.env.tensor_geometry import Shapes
 
-__all__ = ["TOUCH", "RectangularBase", "compute_base_contact", "compute_base_distance", "is_turn_blocked",
-           "measure_base_gap"]
-
 TOUCH = 1e-9
 """Depth, m, to which rounding may put a base inside a solid that it touches."""
 _GRAZE = 1e-9
@@ -227,21 +224,13 @@ class RectangularBase(Base):
 
 
 class TensorRectangle(NamedTuple):
-    """A rectangle in each room; all tensors are float64 (rooms,).
+    """A rectangle in each room; all tensors are float64 (rooms,)."""
 
-    Attributes:
-        x: centre, m.
-        y: centre, m.
-        cos: of the heading.
-        sin: of the heading.
-        size: half its sizes, the same in all rooms, m.
-    """
-
-    x: Tensor
-    y: Tensor
-    cos: Tensor
-    sin: Tensor
-    size: tuple[float, ...]
+    x: Tensor  # centre, m
+    y: Tensor  # centre, m
+    cos: Tensor  # of the heading
+    sin: Tensor  # of the heading
+    size: tuple[float, ...]  # half its sizes, the same in all rooms, m
 
     def _as_shapes(self, shapes: Shapes) -> Shapes:
         """The rectangle about each shape's centre, grown by a cylinder's radius: a cylinder meets it as a point."""

@@ -22,43 +22,25 @@ _AXES = range(3)
 
 
 class Link(NamedTuple):
-    """One joint of the chain from the base to the hand, in plain numbers.
+    """One joint of the chain from the base to the hand, in plain numbers."""
 
-    Attributes:
-        offset: origin in the parent link, m.
-        rotation: orientation in the parent link, rows of a matrix.
-        axis: unit axis; empty for a fixed joint.
-        slides: True for a prismatic joint.
-        number: index among the joints that primitives move, or -1.
-        rest: value that it keeps if no primitive moves it, rad or m.
-    """
-
-    offset: tuple[float, ...]
-    rotation: tuple[tuple[float, ...], ...]
-    axis: tuple[float, ...]
-    slides: bool
-    number: int
-    rest: float
+    offset: tuple[float, ...]  # origin in the parent link, m
+    rotation: tuple[tuple[float, ...], ...]  # orientation in the parent link, rows of a matrix
+    axis: tuple[float, ...]  # unit axis; empty for a fixed joint
+    slides: bool  # True for a prismatic joint
+    number: int  # index among the joints that primitives move, or -1
+    rest: float  # value that it keeps if no primitive moves it, rad or m
 
 
 class Arm(NamedTuple):
-    """Constants of a robot's arm that kernels are compiled with.
+    """Constants of a robot's arm that kernels are compiled with."""
 
-    Attributes:
-        home: joint angles at the start of an episode, rad.
-        step: angle of one joint primitive, rad.
-        step_low: fewest joint steps from home.
-        step_high: most joint steps from home.
-        limits: (low, high) of each joint, rad.
-        links: the chain to the hand.
-    """
-
-    home: tuple[float, ...]
-    step: float
-    step_low: tuple[int, ...]
-    step_high: tuple[int, ...]
-    limits: tuple[tuple[float, float], ...]
-    links: tuple[Link, ...]
+    home: tuple[float, ...]  # joint angles at the start of an episode, rad
+    step: float  # angle of one joint primitive, rad
+    step_low: tuple[int, ...]  # fewest joint steps from home
+    step_high: tuple[int, ...]  # most joint steps from home
+    limits: tuple[tuple[float, float], ...]  # (low, high) of each joint, rad
+    links: tuple[Link, ...]  # the chain to the hand
 
 
 def make_arm(robot: Robot) -> Arm:

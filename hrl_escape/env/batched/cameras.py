@@ -60,32 +60,21 @@ class Scenery(NamedTuple):
 
     Boxes are in this order: solids, frames of targets, their faces, blocks and plates, inner doors, and the leaf of the
     exit's door shut and open.
-
-    Attributes:
-        boxes: x, y, cosine and sine of the own x axis, half sizes, lowest and highest z, float32 (8, boxes, instances).
-        looks: their looks, int64 (boxes, instances).
-        cylinders: x, y, lowest and highest z, radius below and above, float32 (6, cylinders, instances).
-        floors: x_min, x_max, y_min, y_max of the room's floor and of an alcove, float32 (4, 2, instances).
-        sizes: half sizes of all, height of walls, and side of a tile, float32 (4, instances).
     """
 
     boxes: Tensor
-    looks: Tensor
-    cylinders: Tensor
-    floors: Tensor
-    sizes: Tensor
+    """X, y, cosine and sine of the own x axis, half sizes, lowest and highest z, float32 (8, boxes, instances)."""
+    looks: Tensor  # their looks, int64 (boxes, instances)
+    cylinders: Tensor  # x, y, lowest and highest z, radius below and above, float32 (6, cylinders, instances)
+    floors: Tensor  # x_min, x_max, y_min, y_max of the room's floor and of an alcove, float32 (4, 2, instances)
+    sizes: Tensor  # half sizes of all, height of walls, and side of a tile, float32 (4, instances)
 
 
 class SceneryForm(NamedTuple):
-    """Constants of a scenery.
+    """Constants of a scenery."""
 
-    Attributes:
-        faces: number of the box that is the first target's face.
-        is_straight: for each box whether its sides are along the axes in all instances.
-    """
-
-    faces: int
-    is_straight: tuple[bool, ...]
+    faces: int  # number of the box that is the first target's face
+    is_straight: tuple[bool, ...]  # for each box whether its sides are along the axes in all instances
 
 
 class _Box(NamedTuple):
@@ -192,17 +181,11 @@ _AMBIENT, _DIFFUSE = 0.74, 0.27
 
 
 class Pictures(NamedTuple):
-    """Pictures of all rooms.
+    """Pictures of all rooms."""
 
-    Attributes:
-        rgb: uint8 (rooms, height, width, 3).
-        depth: distance along the camera's axis, m, float32 (rooms, height, width); infinity where nothing is.
-        segmentation: number of what is seen in `LABELS`, uint8 (rooms, height, width).
-    """
-
-    rgb: Tensor
-    depth: Tensor
-    segmentation: Tensor
+    rgb: Tensor  # uint8 (rooms, height, width, 3)
+    depth: Tensor  # distance along the camera's axis, m, float32 (rooms, height, width); infinity where nothing is
+    segmentation: Tensor  # number of what is seen in `LABELS`, uint8 (rooms, height, width)
 
 
 class _Form(NamedTuple):

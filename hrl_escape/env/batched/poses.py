@@ -19,39 +19,22 @@ from hrl_escape.env.tensor_geometry import Shapes, compute_distance, store
 
 
 class TensorState(NamedTuple):
-    """Everything that decides the future of each room; all fields are (rooms,) unless said.
+    """Everything that decides the future of each room; all fields are (rooms,) unless said."""
 
-    Attributes:
-        x: position of the body's axis, m, float64.
-        y: position of the body's axis, m, float64.
-        heading_steps: whole turn steps, int32.
-        heading_offset: heading beyond whole steps, rad, float64.
-        joint_steps: whole joint steps from home, int32 (joints, rooms).
-        joint_offsets: joint angles beyond whole steps, rad, float64 (joints, rooms).
-        puzzle: the puzzle's bits, int64.
-        touching: bit i is set while target i is touched, int64.
-        primitives: primitives since the episode began, int32.
-        noise_key: key of the episode's noise, int64.
-        instance: index of the room's instance, int64.
-        seed: key of the room's own random numbers, int64.
-        episode: number of the episode since seeding, int32.
-        has_ended: 1 if the episode is over, else 0, int32.
-    """
-
-    x: Tensor
-    y: Tensor
-    heading_steps: Tensor
-    heading_offset: Tensor
-    joint_steps: Tensor
-    joint_offsets: Tensor
-    puzzle: Tensor
-    touching: Tensor
-    primitives: Tensor
-    noise_key: Tensor
-    instance: Tensor
-    seed: Tensor
-    episode: Tensor
-    has_ended: Tensor
+    x: Tensor  # position of the body's axis, m, float64
+    y: Tensor  # position of the body's axis, m, float64
+    heading_steps: Tensor  # whole turn steps, int32
+    heading_offset: Tensor  # heading beyond whole steps, rad, float64
+    joint_steps: Tensor  # whole joint steps from home, int32 (joints, rooms)
+    joint_offsets: Tensor  # joint angles beyond whole steps, rad, float64 (joints, rooms)
+    puzzle: Tensor  # the puzzle's bits, int64
+    touching: Tensor  # bit i is set while target i is touched, int64
+    primitives: Tensor  # primitives since the episode began, int32
+    noise_key: Tensor  # key of the episode's noise, int64
+    instance: Tensor  # index of the room's instance, int64
+    seed: Tensor  # key of the room's own random numbers, int64
+    episode: Tensor  # number of the episode since seeding, int32
+    has_ended: Tensor  # 1 if the episode is over, else 0, int32
 
 
 def compute_heading(layout: Layout, tables: Tables, state: TensorState) -> Tensor:

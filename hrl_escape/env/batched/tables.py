@@ -32,43 +32,24 @@ INSTEAD = "use the Bullet engine: gymnasium.make(...), or make_vec(..., vectoriz
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Properties that all rooms of a batch share; one compiled kernel serves all batches of one layout.
+    """Properties that all rooms of a batch share; one compiled kernel serves all batches of one layout."""
 
-    Attributes:
-        robot: the robot's schematic.
-        actions: its action table.
-        arm: its arm.
-        dynamics: noise, slip, and the part of the robot that presses.
-        puzzle: kind of the puzzle.
-        targets: number of targets, that of the instance with most.
-        has_door: True if any exit has a door.
-        inner_doors: number of inner doors, that of the instance with most.
-        has_cells: True if targets are cells of a map.
-        has_offsets: True if headings can leave the lattice of turn steps (noise, or a start off it).
-        is_shared: True for a single instance, so that tables need no look-up.
-        is_watching: True if puzzles are updated after every primitive.
-        can_push: True if moves push things.
-        is_puzzle_random: True if something is random in the puzzle of any room.
-        draws: True if anything is random in an episode.
-        resample: True if a new episode draws another instance.
-    """
-
-    robot: RobotConfig
-    actions: ActionTable
-    arm: Arm
-    dynamics: DynamicsConfig
-    puzzle: str
-    targets: int
-    has_door: bool
-    inner_doors: int
-    has_cells: bool
-    has_offsets: bool
-    is_shared: bool
-    is_watching: bool
-    can_push: bool
-    is_puzzle_random: bool
-    draws: bool
-    resample: bool
+    robot: RobotConfig  # the robot's schematic
+    actions: ActionTable  # its action table
+    arm: Arm  # its arm
+    dynamics: DynamicsConfig  # noise, slip, and the part of the robot that presses
+    puzzle: str  # kind of the puzzle
+    targets: int  # number of targets, that of the instance with most
+    has_door: bool  # True if any exit has a door
+    inner_doors: int  # number of inner doors, that of the instance with most
+    has_cells: bool  # True if targets are cells of a map
+    has_offsets: bool  # True if headings can leave the lattice of turn steps (noise, or a start off it)
+    is_shared: bool  # True for a single instance, so that tables need no look-up
+    is_watching: bool  # True if puzzles are updated after every primitive
+    can_push: bool  # True if moves push things
+    is_puzzle_random: bool  # True if something is random in the puzzle of any room
+    draws: bool  # True if anything is random in an episode
+    resample: bool  # True if a new episode draws another instance
 
     @property
     def headings(self) -> int:
@@ -87,67 +68,38 @@ class Layout:
 
 
 class Tables(NamedTuple):
-    """Numbers of every instance; the last axis of each table is the instance.
+    """Numbers of every instance; the last axis of each table is the instance."""
 
-    Attributes:
-        solids: walls and obstacles, (solids, instances).
-        split_solids: the same in single precision.
-        hiders: the solids that can block the sight between two places on the floor.
-        doors: (1, instances), out of the way if there is none.
-        inner_doors: (inner doors, instances), out of the way where there are fewer.
-        inner_leaves: true for those that are doors, which hide what is behind them, bool (inner doors, instances).
-        target_counts: targets that each instance has, int64 (1, instances); the others in its columns are out of reach.
-        targets: outlines of targets, (targets, instances).
-        round_targets: the same in single precision, about their exact centres.
-        target_z: height of their centres, m, float32.
-        target_half_z: half their height, m, float32.
-        target_reach: largest distance on the floor from the body's axis at which it touches, m, float32; -1 if never.
-        target_margin: that from the outline of a rectangular base, or from its axis over a pad, m; -1 if never.
-        is_panel: true for the targets that are no pads, bool.
-        marks: numbers of the targets' marks, float32 (targets, `MARK_WORDS`, instances), of width 0 without marks.
-        exits: x_min, x_max, y_min, y_max, (4, instances).
-        half_sizes: largest |x| and |y| of the floor in the frame of observations, (2, instances).
-        rewards: of a primitive, and of one that exits, (2, instances).
-        horizons: primitives until truncation, int32 (1, instances).
-        starts: x, y, heading offset, (3, starts, instances).
-        start_headings: turn steps, int32 (starts, instances).
-        start_touching: bits of the targets touched there, int64 (starts, instances).
-        start_counts: starts that each instance has, int64 (1, instances).
-        puzzle: tables of the puzzle's own, (..., instances) but for those of all instances together.
-        puzzle_starts: states of the puzzle in which episodes may begin, int64 (puzzle starts, instances).
-        puzzle_start_counts: those that each instance has, int64 (1, instances).
-        headings: angle, cosine and sine of each turn step, (3, headings).
-        total: number of instances, int64 ().
-    """
-
-    solids: Shapes
-    split_solids: SplitShapes
-    hiders: Shapes
-    doors: Shapes
-    inner_doors: Shapes
-    inner_leaves: Tensor
+    solids: Shapes  # walls and obstacles, (solids, instances)
+    split_solids: SplitShapes  # the same in single precision
+    hiders: Shapes  # the solids that can block the sight between two places on the floor
+    doors: Shapes  # (1, instances), out of the way if there is none
+    inner_doors: Shapes  # (inner doors, instances), out of the way where there are fewer
+    inner_leaves: Tensor  # true for those that are doors, which hide what is behind them, bool (inner doors, instances)
     target_counts: Tensor
-    targets: Shapes
-    round_targets: Shapes
-    target_z: Tensor
-    target_half_z: Tensor
+    """Targets that each instance has, int64 (1, instances); the others in its columns are out of reach."""
+    targets: Shapes  # outlines of targets, (targets, instances)
+    round_targets: Shapes  # the same in single precision, about their exact centres
+    target_z: Tensor  # height of their centres, m, float32
+    target_half_z: Tensor  # half their height, m, float32
     target_reach: Tensor
-    target_margin: Tensor
-    is_panel: Tensor
-    marks: Tensor
-    exits: Tensor
-    half_sizes: Tensor
-    rewards: Tensor
-    horizons: Tensor
-    starts: Tensor
-    start_headings: Tensor
-    start_touching: Tensor
-    start_counts: Tensor
-    puzzle: dict[str, Tensor]
-    puzzle_starts: Tensor
-    puzzle_start_counts: Tensor
-    headings: Tensor
-    total: Tensor
+    """Largest distance on the floor from the body's axis at which it touches, m, float32; -1 if never."""
+    target_margin: Tensor  # that from the outline of a rectangular base, or from its axis over a pad, m; -1 if never
+    is_panel: Tensor  # true for the targets that are no pads, bool
+    marks: Tensor  # numbers of the targets' marks, float32 (targets, `MARK_WORDS`, instances), of width 0 without marks
+    exits: Tensor  # x_min, x_max, y_min, y_max, (4, instances)
+    half_sizes: Tensor  # largest |x| and |y| of the floor in the frame of observations, (2, instances)
+    rewards: Tensor  # of a primitive, and of one that exits, (2, instances)
+    horizons: Tensor  # primitives until truncation, int32 (1, instances)
+    starts: Tensor  # x, y, heading offset, (3, starts, instances)
+    start_headings: Tensor  # turn steps, int32 (starts, instances)
+    start_touching: Tensor  # bits of the targets touched there, int64 (starts, instances)
+    start_counts: Tensor  # starts that each instance has, int64 (1, instances)
+    puzzle: dict[str, Tensor]  # tables of the puzzle's own, (..., instances) but for those of all instances together
+    puzzle_starts: Tensor  # states of the puzzle in which episodes may begin, int64 (puzzle starts, instances)
+    puzzle_start_counts: Tensor  # those that each instance has, int64 (1, instances)
+    headings: Tensor  # angle, cosine and sine of each turn step, (3, headings)
+    total: Tensor  # number of instances, int64 ()
 
 
 def map_tensors(function: Callable[[Tensor], Any], tree: Any) -> Any:
@@ -186,17 +138,11 @@ def pick_rules(layout: Layout, tables: Tables, instance: Tensor) -> tuple[Tensor
 
 
 class RoomSolids(NamedTuple):
-    """Walls and obstacles of each room of a batch.
+    """Walls and obstacles of each room of a batch."""
 
-    Attributes:
-        layout: the properties that the rooms share.
-        tables: their instances.
-        instance: index of each room's instance, int64 (rooms,).
-    """
-
-    layout: Layout
-    tables: Tables
-    instance: Tensor
+    layout: Layout  # the properties that the rooms share
+    tables: Tables  # their instances
+    instance: Tensor  # index of each room's instance, int64 (rooms,)
 
     def list_all(self) -> Shapes:
         """All of them, (solids, rooms)."""

@@ -196,19 +196,12 @@ class BulletRoom:
 
 
 class _World(NamedTuple):
-    """Bullet's world of a room.
+    """Bullet's world of a room."""
 
-    Attributes:
-        client: pybullet's number of the physics client.
-        scene: PyBullet body and joint ids.
-        dynamics: places the bodies by a state; under physics it also moves them.
-        colours: show the puzzle.
-    """
-
-    client: int
-    scene: SceneBodies
-    dynamics: PhysicsDynamics | _KinematicPlacement
-    colours: _PuzzleColours
+    client: int  # pybullet's number of the physics client
+    scene: SceneBodies  # PyBullet body and joint ids
+    dynamics: PhysicsDynamics | _KinematicPlacement  # places the bodies by a state; under physics it also moves them
+    colours: _PuzzleColours  # show the puzzle
 
     @classmethod
     def build(cls, client: int, instance: RoomInstance, rules: Rules) -> _World:

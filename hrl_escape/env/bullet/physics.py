@@ -54,20 +54,13 @@ _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 class PhysicsState(NamedTuple):
-    """Bullet's part of a state, in addition to the pose in `RoomState`; plain numbers, hashable.
+    """Bullet's part of a state, in addition to the pose in `RoomState`; plain numbers, hashable."""
 
-    Attributes:
-        drive_velocities: of the base along x and y, m/s, and about z, rad/s.
-        joint_velocities: of the joints that primitives move, rad/s.
-        door: angle of the hinge, rad, and its velocity, rad/s; empty without a door.
-        props: for each prop position (3), quaternion x y z w (4), velocity (3) and angular
-            velocity (3), in the room frame.
-    """
-
-    drive_velocities: tuple[float, float, float]
-    joint_velocities: tuple[float, ...]
-    door: tuple[float, ...]
+    drive_velocities: tuple[float, float, float]  # of the base along x and y, m/s, and about z, rad/s
+    joint_velocities: tuple[float, ...]  # of the joints that primitives move, rad/s
+    door: tuple[float, ...]  # angle of the hinge, rad, and its velocity, rad/s; empty without a door
     props: tuple[tuple[float, ...], ...]
+    """For each prop position (3), quaternion x y z w (4), velocity (3) and angular velocity (3), in the room frame."""
 
 
 class PhysicsDynamics:

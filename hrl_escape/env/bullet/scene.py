@@ -30,38 +30,22 @@ _MARK = 0.005  # height of paint on the floor
 
 @dataclass(frozen=True)
 class SceneBodies:
-    """PyBullet body and joint ids of a room.
+    """PyBullet body and joint ids of a room."""
 
-    Attributes:
-        robot: body of the robot.
-        base_link: link of the robot that is its base (-1: the root).
-        base_height: height of that link's centre of mass above the floor, m.
-        hand_link: link with the hand at its origin.
-        drives: joints x, y, yaw of the carriage (physics), else empty.
-        joints: the joints that primitives move, in the order of the action space.
-        rest_joints: the other moving joints and the angles they keep.
-        solids: walls and obstacles, in the instance's order.
-        door: the door's body, or None.
-        targets: in the puzzle's order.
-        props: in the puzzle's order.
-        exit: the coloured region on the floor.
-        floors: the room's floor, and that of the alcove behind a door.
-    """
-
-    robot: int
-    base_link: int
-    base_height: float
-    hand_link: int
-    drives: tuple[int, ...]
-    joints: tuple[int, ...]
-    rest_joints: tuple[tuple[int, float], ...]
-    solids: tuple[int, ...]
-    door: int | None
-    targets: tuple[int, ...]
-    props: tuple[int, ...]
+    robot: int  # body of the robot
+    base_link: int  # link of the robot that is its base (-1: the root)
+    base_height: float  # height of that link's centre of mass above the floor, m
+    hand_link: int  # link with the hand at its origin
+    drives: tuple[int, ...]  # joints x, y, yaw of the carriage (physics), else empty
+    joints: tuple[int, ...]  # the joints that primitives move, in the order of the action space
+    rest_joints: tuple[tuple[int, float], ...]  # the other moving joints and the angles they keep
+    solids: tuple[int, ...]  # walls and obstacles, in the instance's order
+    door: int | None  # the door's body, or None
+    targets: tuple[int, ...]  # in the puzzle's order
+    props: tuple[int, ...]  # in the puzzle's order
     inner_doors: tuple[int, ...]
-    exit: int
-    floors: tuple[int, ...]
+    exit: int  # the coloured region on the floor
+    floors: tuple[int, ...]  # the room's floor, and that of the alcove behind a door
 
 
 def build_scene(client: int, instance: RoomInstance, robot: Robot) -> SceneBodies:

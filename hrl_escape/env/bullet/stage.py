@@ -42,21 +42,14 @@ _STILL = (0.0, 0.0, 0.0, 1.0)
 
 @dataclass
 class Standing:
-    """Something upright that may hide the robot from a camera.
+    """Something upright that may hide the robot from a camera."""
 
-    Attributes:
-        solid: its footprint and height; it stands on the floor for this purpose.
-        whole: bodies that show it whole.
-        cut: bodies that show its lowest part only.
-        is_cut: True while the cut form is shown.
-        pose: position and quaternion of the bodies.
-    """
-
-    solid: Solid
-    whole: list[int]
-    cut: list[int]
-    is_cut: bool = False
+    solid: Solid  # its footprint and height; it stands on the floor for this purpose
+    whole: list[int]  # bodies that show it whole
+    cut: list[int]  # bodies that show its lowest part only
+    is_cut: bool = False  # True while the cut form is shown
     pose: tuple[tuple[float, float, float], tuple[float, float, float, float]] = ((0.0, 0.0, 0.0), _STILL)
+    """Position and quaternion of the bodies."""
 
 
 @dataclass

@@ -26,17 +26,11 @@ Trials = Annotated[int, Range(1, 31)]
 
 
 class Brew(NamedTuple):
-    """Decoded state of the puzzle.
+    """Decoded state of the puzzle."""
 
-    Attributes:
-        stone: bit i is 1 while feature i is on.
-        trials: number of trials done.
-        rule: number of the hidden rule; see `list_rules`.
-    """
-
-    stone: int
-    trials: int
-    rule: int
+    stone: int  # bit i is 1 while feature i is on
+    trials: int  # number of trials done
+    rule: int  # number of the hidden rule; see `list_rules`
 
 
 @dataclasses.dataclass(frozen=True)

@@ -27,17 +27,11 @@ _OFFSETS = (-LARGEST_OFFSET, LARGEST_OFFSET)
 
 
 class BlockPose(NamedTuple):
-    """Placement of a block in the frame of its plate.
+    """Placement of a block in the frame of its plate."""
 
-    Attributes:
-        x: m.
-        y: m.
-        yaw: rad, in [-pi/4, pi/4): a square looks the same after a quarter turn.
-    """
-
-    x: float
-    y: float
-    yaw: float
+    x: float  # m
+    y: float  # m
+    yaw: float  # rad, in [-pi/4, pi/4): a square looks the same after a quarter turn
 
 
 @dataclasses.dataclass(frozen=True)

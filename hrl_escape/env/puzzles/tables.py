@@ -35,28 +35,17 @@ class PuzzleTable:
     Events are a press of each target, and where the puzzle has use for them, for each of `GRIPS` one that touches
     nothing and one for each target touched. Several presses of one primitive count in index order; of several targets
     touched by a grip, the first at which it does anything counts.
-
-    Attributes:
-        states: the states, those in which episodes may begin first.
-        numbers: their numbers.
-        after: number of the state after an event, int32 (events, states, outcomes).
-        rewards: reward of the event, float64 (events, states, outcomes).
-        observed: observation numbers, float32 (numbers, states).
-        lit: bits of the targets that are on, int64 (states,).
-        shut: bits of the inner doors that are shut, int64 (states,).
-        solved: bool (states,).
-        failed: bool (states,).
     """
 
-    states: tuple[Any, ...]
-    numbers: dict[Any, int]
-    after: NDArray[np.int32]
-    rewards: NDArray[np.float64]
-    observed: NDArray[np.float32]
-    lit: NDArray[np.int64]
-    shut: NDArray[np.int64]
-    solved: NDArray[np.bool_]
-    failed: NDArray[np.bool_]
+    states: tuple[Any, ...]  # the states, those in which episodes may begin first
+    numbers: dict[Any, int]  # their numbers
+    after: NDArray[np.int32]  # number of the state after an event, int32 (events, states, outcomes)
+    rewards: NDArray[np.float64]  # reward of the event, float64 (events, states, outcomes)
+    observed: NDArray[np.float32]  # observation numbers, float32 (numbers, states)
+    lit: NDArray[np.int64]  # bits of the targets that are on, int64 (states,)
+    shut: NDArray[np.int64]  # bits of the inner doors that are shut, int64 (states,)
+    solved: NDArray[np.bool_]  # bool (states,)
+    failed: NDArray[np.bool_]  # bool (states,)
 
 
 class _UnseenError(Exception):

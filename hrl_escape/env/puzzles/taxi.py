@@ -25,19 +25,12 @@ Fickleness = Annotated[float, Range(0, 1, open_high=True)]
 
 
 class Ride(NamedTuple):
-    """Decoded state of the puzzle.
+    """Decoded state of the puzzle."""
 
-    Attributes:
-        passenger: number of a depot, or `RIDING`.
-        destination: number of a depot.
-        settled: the passenger will not change the destination any more.
-        delivered: the passenger has arrived at the destination.
-    """
-
-    passenger: int
-    destination: int
-    settled: bool = False
-    delivered: bool = False
+    passenger: int  # number of a depot, or `RIDING`
+    destination: int  # number of a depot
+    settled: bool = False  # the passenger will not change the destination any more
+    delivered: bool = False  # the passenger has arrived at the destination
 
 
 @dataclasses.dataclass(frozen=True)

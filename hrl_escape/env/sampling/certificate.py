@@ -33,17 +33,12 @@ class Approach(NamedTuple):
 
 
 class Floors(NamedTuple):
-    """Free space with the exit door shut, and with it open (the same where there is no door).
+    """Free space with the exit door shut, and with it open (the same where there is no door)."""
 
-    Attributes:
-        shut: with the door shut.
-        opened: with it open.
-        touches: places found so far from which each target is touched, without those that obstacles have blocked.
-    """
-
-    shut: FreeSpace
-    opened: FreeSpace
+    shut: FreeSpace  # with the door shut
+    opened: FreeSpace  # with it open
     touches: dict[int, list[Approach]]
+    """Places found so far from which each target is touched, without those that obstacles have blocked."""
 
     def extend(self, solids: Sequence[Solid]) -> Floors:
         """The same floors with more solids on them."""

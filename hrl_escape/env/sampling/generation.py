@@ -45,19 +45,13 @@ from hrl_escape.errors import ConfigError, GenerationError
 
 
 class DoorPlan(NamedTuple):
-    """Doors of a floor plan.
+    """Doors of a floor plan."""
 
-    Attributes:
-        solids: the doors, in the puzzle's order.
-        rooms: the floor's rooms; one where there are no doors.
-        ways: doors on the way from the starts to each room.
-        opened: target's name -> doors open by the time it is needed; targets without an entry are not needed.
-    """
-
-    solids: tuple[Solid, ...] = ()
-    rooms: tuple[Rectangle, ...] = ()
-    ways: tuple[tuple[int, ...], ...] = ()
+    solids: tuple[Solid, ...] = ()  # the doors, in the puzzle's order
+    rooms: tuple[Rectangle, ...] = ()  # the floor's rooms; one where there are no doors
+    ways: tuple[tuple[int, ...], ...] = ()  # doors on the way from the starts to each room
     opened: Mapping[str, frozenset[int]] = MappingProxyType({})
+    """Target's name -> doors open by the time it is needed; targets without an entry are not needed."""
 
     def allows(self, target: Target) -> bool:
         """Return whether a target lies in one room, and that room is open when the target is needed."""

@@ -121,21 +121,14 @@ def _measure_stretch(instance: RoomInstance, target: Target, free_x: float, free
 
 
 class _Goal(NamedTuple):
-    """End of one leg, with the guidance of the search towards it.
+    """End of one leg, with the guidance of the search towards it."""
 
-    Attributes:
-        distances: waves from the goal for each cell of the grid.
-        is_reached: test of a state, which may run joint steps; the state at the end, or None.
-        measure: distance on the floor that certainly remains, m.
-        count_turns: turns until the arm points at it.
-        is_allowed: test of a puzzle state on the way.
-    """
-
-    distances: NDArray[np.float64]
+    distances: NDArray[np.float64]  # waves from the goal for each cell of the grid
     is_reached: Callable[[RoomState], RoomState | None]
-    measure: Callable[[float, float], float]
-    count_turns: Callable[[RoomState], float]
-    is_allowed: Callable[[Hashable], bool]
+    """Test of a state, which may run joint steps; the state at the end, or None."""
+    measure: Callable[[float, float], float]  # distance on the floor that certainly remains, m
+    count_turns: Callable[[RoomState], float]  # turns until the arm points at it
+    is_allowed: Callable[[Hashable], bool]  # test of a puzzle state on the way
 
 
 class _Search:

@@ -35,69 +35,43 @@ _MOST_VALUES = 8_000_000  # largest size of all fields of an instance pressed by
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class InstanceFields:
-    """The fields of one instance.
-
-    Attributes:
-        values: int16 (fields, cells, classes): cost-to-go over `scales`; -1 where there is no way. The order is
-            press 0 with the puzzle unsolved, press 0 with it solved, press 1 ..., and last the exit; by hand it is
-            that of the postures' fields, and last the exit.
-        scales: primitives per unit of `values`, float32 (fields,).
-        low: corner of the grid, m.
-        size: side of a cell, m.
-        shape: columns and rows of cells.
-        offset: heading offset from whole turn steps that the fields are for, rad.
-        postures: those that press by hand; None where the body presses.
-    """
+    """The fields of one instance."""
 
     values: NDArray[np.int16]
-    scales: NDArray[np.float32]
-    low: tuple[float, float]
-    size: float
-    shape: tuple[int, int]
-    offset: float
-    postures: PostureLibrary | None = None
+    """Int16 (fields, cells, classes): cost-to-go over `scales`; -1 where there is no way. The order is press 0 with the
+    puzzle unsolved, press 0 with it solved, press 1 ..., and last the exit; by hand it is that of the postures' fields,
+    and last the exit."""
+    scales: NDArray[np.float32]  # primitives per unit of `values`, float32 (fields,)
+    low: tuple[float, float]  # corner of the grid, m
+    size: float  # side of a cell, m
+    shape: tuple[int, int]  # columns and rows of cells
+    offset: float  # heading offset from whole turn steps that the fields are for, rad
+    postures: PostureLibrary | None = None  # those that press by hand; None where the body presses
 
 
 class Postures(NamedTuple):
-    """Postures that press the targets of all instances by hand; empty where the body presses.
+    """Postures that press the targets of all instances by hand; empty where the body presses."""
 
-    Attributes:
-        steps: joint steps from home, int32 (joints, postures, targets, instances).
-        hands: hand in the base frame, m, float32 (3, postures, targets, instances).
-        shifts: offset of this hand from the one of the posture's field, m, float32 (2, postures, targets,
-            instances).
-        fields: number of this field, int64 (postures, targets, instances).
-    """
-
-    steps: Tensor
-    hands: Tensor
+    steps: Tensor  # joint steps from home, int32 (joints, postures, targets, instances)
+    hands: Tensor  # hand in the base frame, m, float32 (3, postures, targets, instances)
     shifts: Tensor
-    fields: Tensor
+    """Offset of this hand from the one of the posture's field, m, float32 (2, postures, targets, instances)."""
+    fields: Tensor  # number of this field, int64 (postures, targets, instances)
 
 
 class CostFields(NamedTuple):
-    """Fields of all instances of a batch, as tensors on its device; the last axis is the instance.
-
-    Attributes:
-        values: all fields, one after the other, two int16 in each int32 (numbers / 2,), as compilers load no vectors
-            of int16.
-        begins: index in `values` of the start of each field, int64 (fields, instances).
-        scales: primitives per unit of `values`, float32 (fields, instances).
-        grid: x and y of the grid's corner, m, and cells a metre, float64 (3, instances).
-        shape: columns and rows of cells, int64 (2, instances).
-        offsets: heading offsets that the fields are for, rad, float64 (1, instances).
-        classes: heading classes, int64 ().
-        postures: those that press by hand.
-    """
+    """Fields of all instances of a batch, as tensors on its device; the last axis is the instance."""
 
     values: Tensor
-    begins: Tensor
-    scales: Tensor
-    grid: Tensor
-    shape: Tensor
-    offsets: Tensor
-    classes: Tensor
-    postures: Postures
+    """All fields, one after the other, two int16 in each int32 (numbers / 2,), as compilers load no vectors of
+    int16."""
+    begins: Tensor  # index in `values` of the start of each field, int64 (fields, instances)
+    scales: Tensor  # primitives per unit of `values`, float32 (fields, instances)
+    grid: Tensor  # x and y of the grid's corner, m, and cells a metre, float64 (3, instances)
+    shape: Tensor  # columns and rows of cells, int64 (2, instances)
+    offsets: Tensor  # heading offsets that the fields are for, rad, float64 (1, instances)
+    classes: Tensor  # heading classes, int64 ()
+    postures: Postures  # those that press by hand
 
 
 _CACHE: OrderedDict[str, InstanceFields] = OrderedDict()
@@ -213,17 +187,11 @@ def _stack_postures(libraries: Sequence[PostureLibrary | None], targets: int, jo
 
 
 class GridPlace(NamedTuple):
-    """Grid coordinates of positions, for interpolation; all fields (..., rooms).
+    """Grid coordinates of positions, for interpolation; all fields (..., rooms)."""
 
-    Attributes:
-        cell: the lowest of the four cells round the position, int64.
-        across: share of the way to the next column, float32.
-        along: share of the way to the next row, float32.
-    """
-
-    cell: Tensor
-    across: Tensor
-    along: Tensor
+    cell: Tensor  # the lowest of the four cells round the position, int64
+    across: Tensor  # share of the way to the next column, float32
+    along: Tensor  # share of the way to the next row, float32
 
 
 def locate(layout: Layout, fields: CostFields, instance: Tensor, x: Tensor, y: Tensor) -> GridPlace:

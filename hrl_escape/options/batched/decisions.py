@@ -63,48 +63,26 @@ class Transitions(NamedTuple):
 
 
 class OpenDecisions(NamedTuple):
-    """Decisions in progress; every field is (rooms,) unless stated.
+    """Decisions in progress; every field is (rooms,) unless stated."""
 
-    Attributes:
-        action: the action chosen, int64; -1 where a room waits for one.
-        observation: observation at its start, float32 (rooms, numbers).
-        reward: sum of primitive rewards so far, float32.
-        discounted_reward: their discounted sum, float32.
-        discount: gamma to the power of the duration so far, float32.
-        duration: primitives so far, int32.
-        pressed: bits of the targets pressed so far, int64.
-        option: action of the option that runs, or was interrupted and may be continued, int64; -1 for none.
-        run: primitives of its run so far, interruptions included, int32.
-        goal: target of the option, the number of targets for the exit, or `NOT_ASKED`, int64.
-        age: primitives since it took up this goal, int32.
-        postures: candidate postures for a press by hand, int64 (`CHOSEN`, rooms).
-        order: goals to follow, or `NOT_ASKED` to ask again, aligned to the end, int8 (`ORDER_LENGTH`, rooms).
-        order_left: number of goals left in `order`, int32.
-        least: lowest cost-to-go that the option has met, float32.
-        stalled: primitives since then, int32.
-        cells: cells of the last choices, int64 (memory, rooms).
-        costs: cost-to-go found there, float32 (memory, rooms).
-        plan: primitives to follow where the field made no progress, aligned to the end, int8 (`PLAN_LENGTH`, rooms).
-        plan_left: primitives of the plan still to run, int32.
-    """
-
-    action: Tensor
-    observation: Tensor
-    reward: Tensor
-    discounted_reward: Tensor
-    discount: Tensor
-    duration: Tensor
-    pressed: Tensor
-    option: Tensor
-    run: Tensor
-    goal: Tensor
-    age: Tensor
-    postures: Tensor
-    order: Tensor
-    order_left: Tensor
-    least: Tensor
-    stalled: Tensor
-    cells: Tensor
-    costs: Tensor
+    action: Tensor  # the action chosen, int64; -1 where a room waits for one
+    observation: Tensor  # observation at its start, float32 (rooms, numbers)
+    reward: Tensor  # sum of primitive rewards so far, float32
+    discounted_reward: Tensor  # their discounted sum, float32
+    discount: Tensor  # gamma to the power of the duration so far, float32
+    duration: Tensor  # primitives so far, int32
+    pressed: Tensor  # bits of the targets pressed so far, int64
+    option: Tensor  # action of the option that runs, or was interrupted and may be continued, int64; -1 for none
+    run: Tensor  # primitives of its run so far, interruptions included, int32
+    goal: Tensor  # target of the option, the number of targets for the exit, or `NOT_ASKED`, int64
+    age: Tensor  # primitives since it took up this goal, int32
+    postures: Tensor  # candidate postures for a press by hand, int64 (`CHOSEN`, rooms)
+    order: Tensor  # goals to follow, or `NOT_ASKED` to ask again, aligned to the end, int8 (`ORDER_LENGTH`, rooms)
+    order_left: Tensor  # number of goals left in `order`, int32
+    least: Tensor  # lowest cost-to-go that the option has met, float32
+    stalled: Tensor  # primitives since then, int32
+    cells: Tensor  # cells of the last choices, int64 (memory, rooms)
+    costs: Tensor  # cost-to-go found there, float32 (memory, rooms)
     plan: Tensor
-    plan_left: Tensor
+    """Primitives to follow where the field made no progress, aligned to the end, int8 (`PLAN_LENGTH`, rooms)."""
+    plan_left: Tensor  # primitives of the plan still to run, int32

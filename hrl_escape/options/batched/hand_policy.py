@@ -34,31 +34,18 @@ _SKIN = 1e-4  # margin of a predicted touch, m
 
 
 class Reach(NamedTuple):
-    """Postures in which the arms of a batch touch the rooms' present targets; (postures, rooms) unless said.
+    """Postures in which the arms of a batch touch the rooms' present targets; (postures, rooms) unless said."""
 
-    Attributes:
-        target: the targets, int64 (rooms,).
-        column: instances of the rooms in tables, int64 (rooms,).
-        steps: joint steps from home, int32 (joints, postures, rooms).
-        away: joint steps from the present posture, float32.
-        ahead: the hand in the base frame, m, float32.
-        left: likewise.
-        square: square of the largest distance over the floor at which it touches, m^2, float32; negative if never.
-        chosen: joint steps to the postures that were chosen, float32 (chosen, rooms).
-        shifts: place of the base relative to the one that the field of each is for, m, float32 (2, chosen, rooms).
-        fields: number of this field, int64 (chosen, rooms).
-    """
-
-    target: Tensor
-    column: Tensor
-    steps: Tensor
-    away: Tensor
-    ahead: Tensor
-    left: Tensor
-    square: Tensor
-    chosen: Tensor
-    shifts: Tensor
-    fields: Tensor
+    target: Tensor  # the targets, int64 (rooms,)
+    column: Tensor  # instances of the rooms in tables, int64 (rooms,)
+    steps: Tensor  # joint steps from home, int32 (joints, postures, rooms)
+    away: Tensor  # joint steps from the present posture, float32
+    ahead: Tensor  # the hand in the base frame, m, float32
+    left: Tensor  # likewise
+    square: Tensor  # square of the largest distance over the floor at which it touches, m^2, float32; negative if never
+    chosen: Tensor  # joint steps to the postures that were chosen, float32 (chosen, rooms)
+    shifts: Tensor  # place of the base relative to the one that the field of each is for, m, float32 (2, chosen, rooms)
+    fields: Tensor  # number of this field, int64 (chosen, rooms)
 
 
 def find_reach(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,

@@ -24,21 +24,13 @@ _NEAR = 0.15  # hands that are this close share a field, m
 
 
 class PostureLibrary(NamedTuple):
-    """Postures that press the targets of one instance.
+    """Postures that press the targets of one instance."""
 
-    Attributes:
-        steps: joint steps from home, int32 (targets, postures, joints).
-        hands: hand in the base frame, m, float64 (targets, postures, 3).
-        fields: number of the field of each, int64 (targets, postures).
-        approaches: target of each field, and the hand for which it is, m: rows of (target, x, y, z).
-        limit: largest distance of the hand's centre from a target that touches, m.
-    """
-
-    steps: NDArray[np.int32]
-    hands: NDArray[np.float64]
-    fields: NDArray[np.int64]
-    approaches: NDArray[np.float64]
-    limit: float
+    steps: NDArray[np.int32]  # joint steps from home, int32 (targets, postures, joints)
+    hands: NDArray[np.float64]  # hand in the base frame, m, float64 (targets, postures, 3)
+    fields: NDArray[np.int64]  # number of the field of each, int64 (targets, postures)
+    approaches: NDArray[np.float64]  # target of each field, and the hand for which it is, m: rows of (target, x, y, z)
+    limit: float  # largest distance of the hand's centre from a target that touches, m
 
 
 def choose_postures(instance: RoomInstance, fields: int) -> PostureLibrary:

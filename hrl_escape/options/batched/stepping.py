@@ -56,17 +56,11 @@ _BLOCKED = 0.01  # moves shorter than this do not count, m
 
 
 class Choice(NamedTuple):
-    """Next primitive of the options; all fields (rooms,).
+    """Next primitive of the options; all fields (rooms,)."""
 
-    Attributes:
-        primitive: int64.
-        cost: cost-to-go, this primitive included, float32; `UNREACHABLE` or more if there is no way.
-        cell: cell and heading class of the room, int64.
-    """
-
-    primitive: Tensor
-    cost: Tensor
-    cell: Tensor
+    primitive: Tensor  # int64
+    cost: Tensor  # cost-to-go, this primitive included, float32; `UNREACHABLE` or more if there is no way
+    cell: Tensor  # cell and heading class of the room, int64
 
 
 def can_start(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
@@ -175,29 +169,17 @@ REACHED, TIMEOUT, EPISODE_OVER, FAILED, INTERRUPTED = range(len(ENDINGS))
 
 
 class StepSettings(NamedTuple):
-    """Constants of a compiled kernel in addition to the layout.
+    """Constants of a compiled kernel in addition to the layout."""
 
-    Attributes:
-        observation: what agents see.
-        primitives: primitives that are actions.
-        gamma: discount per primitive.
-        fail_after: primitives without progress after which an option fails.
-        max_duration: primitives after which it is ended.
-        autoreset: begin the next episode as one ends.
-        interruptible: ask the agent again after every primitive of an option.
-        has_ancestors: options press the ancestors of their target first.
-        degradation: amounts by which options are degraded.
-    """
-
-    observation: BatchObservation
-    primitives: int
-    gamma: float
-    fail_after: int
-    max_duration: int
-    autoreset: bool
-    interruptible: bool
-    has_ancestors: bool
-    degradation: OptionDegradation
+    observation: BatchObservation  # what agents see
+    primitives: int  # primitives that are actions
+    gamma: float  # discount per primitive
+    fail_after: int  # primitives without progress after which an option fails
+    max_duration: int  # primitives after which it is ended
+    autoreset: bool  # begin the next episode as one ends
+    interruptible: bool  # ask the agent again after every primitive of an option
+    has_ancestors: bool  # options press the ancestors of their target first
+    degradation: OptionDegradation  # amounts by which options are degraded
 
 
 class AgentView(NamedTuple):

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from hrl_escape.floor.sweeps import get_shape, is_clear_of_all, measure_distance, sweep
 from hrl_escape.kernels import kernel, kernel_part
 
-__all__ = ["AT_GOAL", "UNREACHABLE", "Moves", "encode_values", "iterate_values", "trace_moves"]
-
 UNREACHABLE = 10_000.0
 """Cost-to-go of places from which the goal cannot be reached."""
 AT_GOAL = 1e-6

@@ -45,33 +45,19 @@ class Halves(NamedTuple):
 
 
 class ArmLattice(NamedTuple):
-    """`Halves` ordered by their joint steps from one configuration.
+    """`Halves` ordered by their joint steps from one configuration."""
 
-    Attributes:
-        first: as in `Halves`.
-        last: as in `Halves`.
-        first_costs: joint steps of each first half, (n,), int64, ascending.
-        last_costs: joint steps of each last half, (m,), int64, ascending.
-        first_starts: index of the first first half of each cost, ending with n.
-        last_starts: index of the first last half of each cost, ending with m.
-        longest: longest distance from the first half's link to the hand, m.
-        low: corner of a grid round the last halves' hand points, (3,), m.
-        size: sides of its cells, (3,), m.
-        starts: start of each cell's points in `items`, row by row, (cells + 1,).
-        items: last halves by cell, in each cell those of the fewest steps first, (m,).
-    """
-
-    first: NDArray[np.float64]
-    last: NDArray[np.float64]
-    first_costs: NDArray[np.int64]
-    last_costs: NDArray[np.int64]
-    first_starts: NDArray[np.int64]
-    last_starts: NDArray[np.int64]
-    longest: float
-    low: NDArray[np.float64]
-    size: NDArray[np.float64]
-    starts: NDArray[np.int64]
-    items: NDArray[np.int64]
+    first: NDArray[np.float64]  # as in `Halves`
+    last: NDArray[np.float64]  # as in `Halves`
+    first_costs: NDArray[np.int64]  # joint steps of each first half, (n,), int64, ascending
+    last_costs: NDArray[np.int64]  # joint steps of each last half, (m,), int64, ascending
+    first_starts: NDArray[np.int64]  # index of the first first half of each cost, ending with n
+    last_starts: NDArray[np.int64]  # index of the first last half of each cost, ending with m
+    longest: float  # longest distance from the first half's link to the hand, m
+    low: NDArray[np.float64]  # corner of a grid round the last halves' hand points, (3,), m
+    size: NDArray[np.float64]  # sides of its cells, (3,), m
+    starts: NDArray[np.int64]  # start of each cell's points in `items`, row by row, (cells + 1,)
+    items: NDArray[np.int64]  # last halves by cell, in each cell those of the fewest steps first, (m,)
 
 
 def make_halves(tables: list[NDArray[np.float64]], hand: NDArray[np.float64], low: tuple[int, ...],

@@ -56,23 +56,16 @@ class ReachTable:
 
     A cell's cost is that of the best place in it: `get_configuration` finds nothing cheaper at any place
     in the cell, and nothing where the cost is -1 (as far as `complete_to`).
-
-    Attributes:
-        target: index of the target.
-        joint_steps: the configuration from which steps are counted.
-        costs: shape (columns, rows, headings), int16, columns along x; -1 where out of reach.
-        low: corner of the grid in the room frame, shape (2,), m.
-        cell: side of its square cells, m.
-        complete_to: cost up to which the table is complete; `NEVER` if the whole lattice was searched. Otherwise
-            costlier configurations may be missing, and a larger budget may find more.
     """
 
-    target: int
-    joint_steps: tuple[int, ...]
-    costs: NDArray[np.int16]
-    low: NDArray[np.float64]
-    cell: float
+    target: int  # index of the target
+    joint_steps: tuple[int, ...]  # the configuration from which steps are counted
+    costs: NDArray[np.int16]  # shape (columns, rows, headings), int16, columns along x; -1 where out of reach
+    low: NDArray[np.float64]  # corner of the grid in the room frame, shape (2,), m
+    cell: float  # side of its square cells, m
     complete_to: int
+    """Cost up to which the table is complete; `NEVER` if the whole lattice was searched. Otherwise costlier
+    configurations may be missing, and a larger budget may find more."""
 
     def get_cost(self, x: float, y: float, heading_steps: int) -> int:
         """Cost of the cell that holds a place; -1 outside the grid."""

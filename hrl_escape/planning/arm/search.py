@@ -13,8 +13,6 @@ import numpy as np
 from hrl_escape.kernels import kernel, kernel_part
 from hrl_escape.planning.arm.joint_lattice import GRID, NEVER
 
-__all__ = ["find_heights", "find_touching", "measure_gap"]
-
 
 @kernel
 def find_heights(lattice):

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from hrl_escape.kernels import kernel, kernel_part
 from hrl_escape.planning.arm.joint_lattice import NEVER
 
-__all__ = ["bound_costs", "lower_costs", "map_hands"]
-
 
 @kernel
 def map_hands(lattice, z_low, z_high, cell, half_cells, budget):

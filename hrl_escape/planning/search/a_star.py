@@ -24,9 +24,6 @@ from hrl_escape.floor.sweeps import (
 )
 from hrl_escape.kernels import kernel_in_place, kernel_part
 
-__all__ = ["BUDGET", "EXHAUSTED", "GROW", "Frontier", "FrontierPool", "SearchQuery", "expand_until_goal",
-           "put_back"]
-
 EXHAUSTED, BUDGET, GROW = -1, -2, -3
 MOST_PRIMITIVES = 32_768
 MOST_KEPT_NODES = 1 << 15
@@ -36,106 +33,60 @@ OPEN, GOAL, BEATEN = 0, 1, 2
 
 
 class SearchQuery(NamedTuple):
-    """Start, goal, heuristic and constraints of a search, as arrays.
+    """Start, goal, heuristic and constraints of a search, as arrays."""
 
-    Attributes:
-        x: x of the start, m.
-        y: y of the start, m.
-        heading: heading of the start, in turn steps.
-        touched: bits of the targets touched at the start.
-        turns: cosine and sine of each heading, shape (headings, 2).
-        turn_step: angle between two headings, rad.
-        moves: displacement of each translation at each heading, shape (headings, translations, 2), m.
-        lengths: length of each translation, shape (translations,), m.
-        turn_steps: turn steps of each turn, shape (turns,), int64.
-        stays: a blocked move is not made at all.
-        presser: position of the presser relative to the body's axis, shape (headings, 2), m.
-        targets: footprints of the targets, shape (n, 7).
-        reaches: floor distance at which the presser touches each target, or -1, shape (n,), m.
-        pressers: True where the outline of `base` must touch the target, bool, shape (n,).
-        base: the base whose outline presses.
-        forbidden: bits of the targets that must not be touched anew.
-        keep_out: footprints that the body must not meet, shape (n, 7).
-        closed: rectangle (x_min, x_max, y_min, y_max) that must not be entered; empty if x_min > x_max.
-        target: index of the target to press, or -1.
-        goal: footprint of the goal (of the target, if one is to be pressed), shape (7,).
-        goal_reach: largest distance from `goal` that reaches it, m; negative if none does.
-        goal_headings: headings at which it is reached, shape (headings,), bool.
-        field: cost-to-go of (cell, layer), shape (cells * layers,), int16; poses where it is -1 are pruned.
-        layers: headings that the field distinguishes.
-        shift: whole turn steps by which the field's headings lag behind the query's.
-        low: corner of the field's grid, shape (2,), m.
-        size: side of its cells, m.
-        rows: its cells along y.
-        offset: primitives subtracted from the cost-to-go; negative to add.
-        weight: factor of the cost-to-go, as in weighted A*.
-        table: lower bound of the joint steps that complete the press from a pose, or -1, int16, shape
-            (columns, rows, headings).
-        table_low: corner of that table in the room frame, shape (2,), m.
-        table_size: side of its cells, m.
-        bin_size: poses closer than this count as one, m.
-        bin_headings: headings that bins distinguish.
-    """
-
-    x: float
-    y: float
-    heading: int
-    touched: np.uint64
-    turns: NDArray[np.float64]
-    turn_step: float
-    moves: NDArray[np.float64]
-    lengths: NDArray[np.float64]
-    turn_steps: NDArray[np.int64]
-    stays: bool
-    presser: NDArray[np.float64]
-    targets: NDArray[np.float64]
-    reaches: NDArray[np.float64]
-    pressers: NDArray[np.bool_]
-    base: Presser
-    forbidden: np.uint64
-    keep_out: NDArray[np.float64]
+    x: float  # x of the start, m
+    y: float  # y of the start, m
+    heading: int  # heading of the start, in turn steps
+    touched: np.uint64  # bits of the targets touched at the start
+    turns: NDArray[np.float64]  # cosine and sine of each heading, shape (headings, 2)
+    turn_step: float  # angle between two headings, rad
+    moves: NDArray[np.float64]  # displacement of each translation at each heading, shape (headings, translations, 2), m
+    lengths: NDArray[np.float64]  # length of each translation, shape (translations,), m
+    turn_steps: NDArray[np.int64]  # turn steps of each turn, shape (turns,), int64
+    stays: bool  # a blocked move is not made at all
+    presser: NDArray[np.float64]  # position of the presser relative to the body's axis, shape (headings, 2), m
+    targets: NDArray[np.float64]  # footprints of the targets, shape (n, 7)
+    reaches: NDArray[np.float64]  # floor distance at which the presser touches each target, or -1, shape (n,), m
+    pressers: NDArray[np.bool_]  # True where the outline of `base` must touch the target, bool, shape (n,)
+    base: Presser  # the base whose outline presses
+    forbidden: np.uint64  # bits of the targets that must not be touched anew
+    keep_out: NDArray[np.float64]  # footprints that the body must not meet, shape (n, 7)
     closed: NDArray[np.float64]
-    target: int
-    goal: NDArray[np.float64]
-    goal_reach: float
-    goal_headings: NDArray[np.bool_]
+    """Rectangle (x_min, x_max, y_min, y_max) that must not be entered; empty if x_min > x_max."""
+    target: int  # index of the target to press, or -1
+    goal: NDArray[np.float64]  # footprint of the goal (of the target, if one is to be pressed), shape (7,)
+    goal_reach: float  # largest distance from `goal` that reaches it, m; negative if none does
+    goal_headings: NDArray[np.bool_]  # headings at which it is reached, shape (headings,), bool
     field: NDArray[np.int16]
-    layers: int
-    shift: int
-    low: NDArray[np.float64]
-    size: float
-    rows: int
-    offset: int
-    weight: float
+    """Cost-to-go of (cell, layer), shape (cells * layers,), int16; poses where it is -1 are pruned."""
+    layers: int  # headings that the field distinguishes
+    shift: int  # whole turn steps by which the field's headings lag behind the query's
+    low: NDArray[np.float64]  # corner of the field's grid, shape (2,), m
+    size: float  # side of its cells, m
+    rows: int  # its cells along y
+    offset: int  # primitives subtracted from the cost-to-go; negative to add
+    weight: float  # factor of the cost-to-go, as in weighted A*
     table: NDArray[np.int16]
-    table_low: NDArray[np.float64]
-    table_size: float
-    bin_size: float
-    bin_headings: int
+    """Lower bound of the joint steps that complete the press from a pose, or -1, int16, shape (columns, rows,
+    headings)."""
+    table_low: NDArray[np.float64]  # corner of that table in the room frame, shape (2,), m
+    table_size: float  # side of its cells, m
+    bin_size: float  # poses closer than this count as one, m
+    bin_headings: int  # headings that bins distinguish
 
 
 class Frontier(NamedTuple):
-    """The nodes of a search, its open buckets by estimated cost, and its hash table of poses.
+    """The nodes of a search, its open buckets by estimated cost, and its hash table of poses."""
 
-    Attributes:
-        places: position of each node, shape (nodes, 2), m.
-        facts: heading, primitives so far, parent, action, kind; shape (nodes, 5), int32.
-        touching: bits of the targets touched, shape (nodes,), uint64.
-        links: next node in the same bucket, shape (nodes,), int32.
-        heads: first node of each bucket, shape (estimates,), int32.
-        keys: pose key in each slot of the hash table, shape (slots,), int64; -1 if empty.
-        owners: node that holds the pose, shape (slots,), int32.
-        counts: nodes used, current bucket, expansions; shape (3,), int64.
-    """
-
-    places: NDArray[np.float64]
-    facts: NDArray[np.int32]
-    touching: NDArray[np.uint64]
-    links: NDArray[np.int32]
-    heads: NDArray[np.int32]
-    keys: NDArray[np.int64]
-    owners: NDArray[np.int32]
-    counts: NDArray[np.int64]
+    places: NDArray[np.float64]  # position of each node, shape (nodes, 2), m
+    facts: NDArray[np.int32]  # heading, primitives so far, parent, action, kind; shape (nodes, 5), int32
+    touching: NDArray[np.uint64]  # bits of the targets touched, shape (nodes,), uint64
+    links: NDArray[np.int32]  # next node in the same bucket, shape (nodes,), int32
+    heads: NDArray[np.int32]  # first node of each bucket, shape (estimates,), int32
+    keys: NDArray[np.int64]  # pose key in each slot of the hash table, shape (slots,), int64; -1 if empty
+    owners: NDArray[np.int32]  # node that holds the pose, shape (slots,), int32
+    counts: NDArray[np.int64]  # nodes used, current bucket, expansions; shape (3,), int64
 
     def list_actions(self, node: int) -> list[int]:
         """List the actions that lead to a node."""
@@ -148,6 +99,7 @@ class Frontier(NamedTuple):
 
 @kernel_part
 def find_touched(query, x, y, heading):
+    """Bits of the targets that the presser touches at a pose, uint64."""
     px, py = x + query.presser[heading, 0], y + query.presser[heading, 1]
     touching = np.uint64(0)
     for k in range(query.targets.shape[0]):
@@ -178,6 +130,7 @@ def _estimate_cost_to_go(query, x, y, layer):
 
 @kernel_part
 def find_slot(frontier, key):
+    """Slot of the hash table that holds a key, or the empty one in which it would lie."""
     mask = frontier.keys.shape[0] - 1
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     slot = np.int64(mixed >> np.uint64(32)) & mask
@@ -188,6 +141,7 @@ def find_slot(frontier, key):
 
 @kernel_part
 def push(frontier, node, estimate):
+    """Put a node first in the bucket of its estimated cost, if there is one."""
     if estimate < frontier.heads.shape[0]:
         frontier.links[node] = frontier.heads[estimate]
         frontier.heads[estimate] = node

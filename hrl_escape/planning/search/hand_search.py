@@ -38,21 +38,13 @@ SLACK = 1
 
 
 class Beam(NamedTuple):
-    """Effort of a beam search.
+    """Effort of a beam search."""
 
-    Attributes:
-        width: partial escapes continued after each press.
-        ends: ends of a leg that are kept.
-        place: ends in one square of this side, with the same posture, count as one, m.
-        sector: if their headings are in one sector of this size, too, rad.
-        offset: primitives subtracted from the cost-to-go of legs, whose fields overestimate by about one.
-    """
-
-    width: int
-    ends: int
-    place: float = 0.5
-    sector: float = 0.5
-    offset: int = 1
+    width: int  # partial escapes continued after each press
+    ends: int  # ends of a leg that are kept
+    place: float = 0.5  # ends in one square of this side, with the same posture, count as one, m
+    sector: float = 0.5  # if their headings are in one sector of this size, too, rad
+    offset: int = 1  # primitives subtracted from the cost-to-go of legs, whose fields overestimate by about one
 
 
 BEAMS = Beam(6, 12), Beam(16, 24), Beam(32, 48, place=0.25, sector=1e-6, offset=2)

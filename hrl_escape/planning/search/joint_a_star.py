@@ -26,76 +26,43 @@ from hrl_escape.planning.search.a_star import (
     take_cheapest,
 )
 
-__all__ = ["JointQuery", "expand_until_escape"]
-
 
 class JointQuery(NamedTuple):
-    """Start, puzzle, heuristic and bins of a joint search, as arrays.
+    """Start, puzzle, heuristic and bins of a joint search, as arrays."""
 
-    Attributes:
-        x: x of the start, m.
-        y: y of the start, m.
-        heading: heading of the start, in turn steps.
-        touched: bits of the targets touched at the start.
-        puzzle: number of the start's puzzle state.
-        turns: see `a_star.SearchQuery`, as for the next nine.
-        turn_step: angle between two headings, rad.
-        moves: displacement of each translation at each heading, shape (headings, translations, 2), m.
-        lengths: length of each translation, shape (translations,), m.
-        turn_steps: turn steps of each turn, shape (turns,), int64.
-        stays: a blocked move is not made at all.
-        presser: zeros, shape (headings, 2), m.
-        targets: footprints of the targets, shape (n, 7).
-        reaches: distance at which the base touches each target, or -1, shape (n,), m.
-        pressers: True where the outline of `base` must touch the target, bool, shape (n,).
-        base: the base whose outline presses.
-        presses: number of the puzzle state after a press of each target, shape (puzzles, n), int64; -1 for one from
-            which no field leads on.
-        solved: True for the puzzle states in which the exit is open, bool, shape (puzzles,).
-        exit: rectangle (x_min, x_max, y_min, y_max), shape (4,), m.
-        fields: cost-to-go of (cell, layer) in each field, shape (fields, cells * layers), int16; -1 where pruned.
-        field_of: field of each puzzle state, shape (puzzles,), int64.
-        layers: headings that the fields distinguish.
-        shift: whole turn steps by which the fields' headings lag behind the query's.
-        low: corner of the fields' grid, shape (2,), m.
-        size: side of its cells, m.
-        rows: its cells along y.
-        offset: primitives subtracted from the cost-to-go.
-        bin_size: poses closer than this, in one puzzle state, count as one, m.
-        bin_headings: headings that bins distinguish.
-        one_leg: the first change of the puzzle is the goal, too, at the cost-to-go of where it ends.
-    """
-
-    x: float
-    y: float
-    heading: int
-    touched: np.uint64
-    puzzle: int
-    turns: NDArray[np.float64]
-    turn_step: float
-    moves: NDArray[np.float64]
-    lengths: NDArray[np.float64]
-    turn_steps: NDArray[np.int64]
-    stays: bool
-    presser: NDArray[np.float64]
-    targets: NDArray[np.float64]
-    reaches: NDArray[np.float64]
-    pressers: NDArray[np.bool_]
-    base: Presser
+    x: float  # x of the start, m
+    y: float  # y of the start, m
+    heading: int  # heading of the start, in turn steps
+    touched: np.uint64  # bits of the targets touched at the start
+    puzzle: int  # number of the start's puzzle state
+    turns: NDArray[np.float64]  # see `a_star.SearchQuery`, as for the next nine
+    turn_step: float  # angle between two headings, rad
+    moves: NDArray[np.float64]  # displacement of each translation at each heading, shape (headings, translations, 2), m
+    lengths: NDArray[np.float64]  # length of each translation, shape (translations,), m
+    turn_steps: NDArray[np.int64]  # turn steps of each turn, shape (turns,), int64
+    stays: bool  # a blocked move is not made at all
+    presser: NDArray[np.float64]  # zeros, shape (headings, 2), m
+    targets: NDArray[np.float64]  # footprints of the targets, shape (n, 7)
+    reaches: NDArray[np.float64]  # distance at which the base touches each target, or -1, shape (n,), m
+    pressers: NDArray[np.bool_]  # True where the outline of `base` must touch the target, bool, shape (n,)
+    base: Presser  # the base whose outline presses
     presses: NDArray[np.int64]
-    solved: NDArray[np.bool_]
-    exit: NDArray[np.float64]
+    """Number of the puzzle state after a press of each target, shape (puzzles, n), int64; -1 for one from which no
+    field leads on."""
+    solved: NDArray[np.bool_]  # True for the puzzle states in which the exit is open, bool, shape (puzzles,)
+    exit: NDArray[np.float64]  # rectangle (x_min, x_max, y_min, y_max), shape (4,), m
     fields: NDArray[np.int16]
-    field_of: NDArray[np.int64]
-    layers: int
-    shift: int
-    low: NDArray[np.float64]
-    size: float
-    rows: int
-    offset: int
-    bin_size: float
-    bin_headings: int
-    one_leg: bool
+    """Cost-to-go of (cell, layer) in each field, shape (fields, cells * layers), int16; -1 where pruned."""
+    field_of: NDArray[np.int64]  # field of each puzzle state, shape (puzzles,), int64
+    layers: int  # headings that the fields distinguish
+    shift: int  # whole turn steps by which the fields' headings lag behind the query's
+    low: NDArray[np.float64]  # corner of the fields' grid, shape (2,), m
+    size: float  # side of its cells, m
+    rows: int  # its cells along y
+    offset: int  # primitives subtracted from the cost-to-go
+    bin_size: float  # poses closer than this, in one puzzle state, count as one, m
+    bin_headings: int  # headings that bins distinguish
+    one_leg: bool  # the first change of the puzzle is the goal, too, at the cost-to-go of where it ends
 
 
 @kernel_part

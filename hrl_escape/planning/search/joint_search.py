@@ -53,17 +53,11 @@ _Ways: TypeAlias = tuple[tuple[int, int], ...]
 
 
 class Presses(NamedTuple):
-    """Poses of the grid from which a target is pressed.
+    """Poses of the grid from which a target is pressed."""
 
-    Attributes:
-        states: cell * layers + heading, shape (n,).
-        places: where the press leads, as (cell, layer) of the grid, shape (n,).
-        costs: primitives that it takes, shape (n,).
-    """
-
-    states: NDArray[np.int64]
-    places: NDArray[np.int64]
-    costs: NDArray[np.int64]
+    states: NDArray[np.int64]  # cell * layers + heading, shape (n,)
+    places: NDArray[np.int64]  # where the press leads, as (cell, layer) of the grid, shape (n,)
+    costs: NDArray[np.int64]  # primitives that it takes, shape (n,)
 
 
 class JointSearch:

@@ -39,30 +39,19 @@ _ROUNDING = 1e-9  # margin of candidates, m; the replay decides
 
 @dataclasses.dataclass(frozen=True)
 class SearchResult:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        status: `"reached"`, or the `PlanningReason` of the failure.
-        primitives: actions, in order.
-        states: the states they lead to by the room's own kinematics without noise and slip, one
-            more than primitives; the first is the start.
-        also_pressed: other targets that are pressed on the way because this could not be avoided.
-        method: `fields`, or the path planner round whose path it was found.
-        expansions: nodes expanded.
-        seconds: wall time without compilation.
-        timed_out: the clock cut the search short; without it the result may be better.
-        nearest: visited place (x, y) nearest to a goal that was not reached, m.
-    """
-
-    status: PlanningReason | Literal["reached"]
-    primitives: tuple[int, ...]
+    status: PlanningReason | Literal["reached"]  # `"reached"`, or the `PlanningReason` of the failure
+    primitives: tuple[int, ...]  # actions, in order
     states: tuple[RoomState, ...]
-    also_pressed: tuple[int, ...] = ()
-    method: str = "fields"
-    expansions: int = 0
-    seconds: float = 0.0
-    timed_out: bool = False
-    nearest: tuple[float, float] | None = None
+    """The states they lead to by the room's own kinematics without noise and slip, one more than primitives; the first
+    is the start."""
+    also_pressed: tuple[int, ...] = ()  # other targets that are pressed on the way because this could not be avoided
+    method: str = "fields"  # `fields`, or the path planner round whose path it was found
+    expansions: int = 0  # nodes expanded
+    seconds: float = 0.0  # wall time without compilation
+    timed_out: bool = False  # the clock cut the search short; without it the result may be better
+    nearest: tuple[float, float] | None = None  # visited place (x, y) nearest to a goal that was not reached, m
 
     @property
     def is_reached(self) -> bool:
@@ -71,48 +60,29 @@ class SearchResult:
 
 
 class SearchProblem(NamedTuple):
-    """Problem that several search runs share.
+    """Problem that several search runs share."""
 
-    Attributes:
-        state: first state.
-        goal: the goal.
-        area: area of the body's axis that reaches it; for a press by hand, a superset of that area.
-        facing: headings that reach it, shape (headings,); None if any will do.
-        table: joint steps of a press by hand from each pose.
-        keep_out: footprints that the body must not meet.
-        clock: time limit.
-        seed: of the path planner.
-        effort: further searches for a shorter plan; -1 for none at all.
-        onward: cost-to-go after a press by hand, shape (cells * headings,), int16, -1 where there is none; the table
-            holds it, too.
-    """
-
-    state: RoomState
-    goal: Goal
-    area: Area
-    facing: NDArray[np.bool_] | None
-    table: ReachTable | None
-    keep_out: tuple[Footprint, ...]
-    clock: Clock
-    seed: int = 0
-    effort: int = 0
+    state: RoomState  # first state
+    goal: Goal  # the goal
+    area: Area  # area of the body's axis that reaches it; for a press by hand, a superset of that area
+    facing: NDArray[np.bool_] | None  # headings that reach it, shape (headings,); None if any will do
+    table: ReachTable | None  # joint steps of a press by hand from each pose
+    keep_out: tuple[Footprint, ...]  # footprints that the body must not meet
+    clock: Clock  # time limit
+    seed: int = 0  # of the path planner
+    effort: int = 0  # further searches for a shorter plan; -1 for none at all
     onward: NDArray[np.int16] | None = None
+    """Cost-to-go after a press by hand, shape (cells * headings,), int16, -1 where there is none; the table holds it,
+    too."""
 
 
 class HeadingTable(NamedTuple):
-    """Directions and moves at every heading of the lattice, shared by all searches with one heading offset.
+    """Directions and moves at every heading of the lattice, shared by all searches with one heading offset."""
 
-    Attributes:
-        turns: cosine and sine, shape (headings, 2).
-        moves: displacement of each translation, shape (headings, translations, 2), m.
-        reaches: floor distance at which the base touches each target, or -1, shape (targets,), m.
-        pressers: whether the outline of the base must touch each target, bool, shape (targets,).
-    """
-
-    turns: NDArray[np.float64]
-    moves: NDArray[np.float64]
-    reaches: NDArray[np.float64]
-    pressers: NDArray[np.bool_]
+    turns: NDArray[np.float64]  # cosine and sine, shape (headings, 2)
+    moves: NDArray[np.float64]  # displacement of each translation, shape (headings, translations, 2), m
+    reaches: NDArray[np.float64]  # floor distance at which the base touches each target, or -1, shape (targets,), m
+    pressers: NDArray[np.bool_]  # whether the outline of the base must touch each target, bool, shape (targets,)
 
     @classmethod
     def make(cls, rules: Kinematics, heading_offset: float) -> HeadingTable:

@@ -22,29 +22,18 @@ LARGEST_SEARCH = 200_000
 
 
 class TaskNode(NamedTuple):
-    """Node of a search over orders.
+    """Node of a search over orders."""
 
-    Attributes:
-        facts: code of the facts that hold.
-        last: number of the operator done last, `START` or `EXIT`.
-    """
-
-    facts: int
-    last: int
+    facts: int  # code of the facts that hold
+    last: int  # number of the operator done last, `START` or `EXIT`
 
 
 class Leg(NamedTuple):
-    """Leg of a task: one operator, carried out from some place.
+    """Leg of a task: one operator, carried out from some place."""
 
-    Attributes:
-        cost: primitives.
-        place: its end, as the planner of legs needs it to plan the next leg.
-        facts: facts that hold at its end; None for those that the operator's effects imply.
-    """
-
-    cost: float
-    place: Any
-    facts: frozenset[str] | None = None
+    cost: float  # primitives
+    place: Any  # its end, as the planner of legs needs it to plan the next leg
+    facts: frozenset[str] | None = None  # facts that hold at its end; None for those that the operator's effects imply
 
 
 ExtendLeg: TypeAlias = Callable[[Any, Operator | None], Leg | None]

@@ -19,15 +19,10 @@ _STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;ma
 
 
 class KnownEdges(NamedTuple):
-    """KnownEdges of a graph that somebody knows or believes in, in place of the graph itself.
+    """KnownEdges of a graph that somebody knows or believes in, in place of the graph itself."""
 
-    Attributes:
-        known: edges (parent, child) taken for certain.
-        possible: edges that may be there, drawn dashed.
-    """
-
-    known: Collection[tuple[int, int]] = ()
-    possible: Collection[tuple[int, int]] = ()
+    known: Collection[tuple[int, int]] = ()  # edges (parent, child) taken for certain
+    possible: Collection[tuple[int, int]] = ()  # edges that may be there, drawn dashed
 
 
 def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH, believed: KnownEdges | None = None,

@@ -32,17 +32,11 @@ HELP = (
 
 
 class Command(NamedTuple):
-    """Meaning of a key.
+    """Meaning of a key."""
 
-    Attributes:
-        verb: `act`, `undo`, `reset`, `next`, `save`, `quit`; or `note`, a message only.
-        action: number of the primitive or option, for `act`.
-        note: the message.
-    """
-
-    verb: str
-    action: int = -1
-    note: str = ""
+    verb: str  # `act`, `undo`, `reset`, `next`, `save`, `quit`; or `note`, a message only
+    action: int = -1  # number of the primitive or option, for `act`
+    note: str = ""  # the message
 
 
 class Controls:

@@ -24,19 +24,12 @@ from hrl_escape.viewer.step_hooks import PrimitiveStep, StepHooks
 
 @dataclasses.dataclass(frozen=True)
 class PlayedMove:
-    """One decision: a primitive, or a meta-action that ran to its end.
+    """One decision: a primitive, or a meta-action that ran to its end."""
 
-    Attributes:
-        name: of the primitive or option.
-        steps: the primitives that ran.
-        ended: how it ended, as in `info["option"]["ended"]`.
-        reason: why planning failed, else empty.
-    """
-
-    name: str
-    steps: tuple[PrimitiveStep, ...]
-    ended: str = "reached"
-    reason: str = ""
+    name: str  # of the primitive or option
+    steps: tuple[PrimitiveStep, ...]  # the primitives that ran
+    ended: str = "reached"  # how it ended, as in `info["option"]["ended"]`
+    reason: str = ""  # why planning failed, else empty
 
 
 class Episode:

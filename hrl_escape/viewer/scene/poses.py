@@ -15,29 +15,17 @@ PropPose = tuple[float, ...]
 
 
 class RoomPose(NamedTuple):
-    """Placement of everything that moves.
+    """Placement of everything that moves."""
 
-    Attributes:
-        x: x of the body's axis, m.
-        y: y of the body's axis, m.
-        z: height of the base above the floor, m.
-        heading: rad.
-        pitch: rad.
-        roll: rad.
-        angles: angles of the arm's joints, rad.
-        door: angle of the leaf about its hinge, rad.
-        props: position x y z and quaternion x y z w of each prop.
-    """
-
-    x: float
-    y: float
-    z: float
-    heading: float
-    pitch: float
-    roll: float
-    angles: tuple[float, ...]
-    door: float
-    props: tuple[PropPose, ...]
+    x: float  # x of the body's axis, m
+    y: float  # y of the body's axis, m
+    z: float  # height of the base above the floor, m
+    heading: float  # rad
+    pitch: float  # rad
+    roll: float  # rad
+    angles: tuple[float, ...]  # angles of the arm's joints, rad
+    door: float  # angle of the leaf about its hinge, rad
+    props: tuple[PropPose, ...]  # position x y z and quaternion x y z w of each prop
 
 
 def make_pose(rules: Rules, state: RoomState) -> RoomPose:

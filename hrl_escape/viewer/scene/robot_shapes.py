@@ -26,19 +26,12 @@ _SLIMMER = 0.7
 
 
 class Shape(NamedTuple):
-    """One coloured mesh in the frame of a link.
+    """One coloured mesh in the frame of a link."""
 
-    Attributes:
-        link: the link's name.
-        vertices: (n, 3), m.
-        faces: (m, 3), numbers of vertices.
-        colour: `#rrggbb`.
-    """
-
-    link: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    colour: str
+    link: str  # the link's name
+    vertices: NDArray[np.float64]  # (n, 3), m
+    faces: NDArray[np.int64]  # (m, 3), numbers of vertices
+    colour: str  # `#rrggbb`
 
 
 def make_base_shapes(config: RobotConfig) -> list[Shape]:

@@ -149,31 +149,18 @@ PLANNER_NAME = "planner"
 
 @dataclasses.dataclass(frozen=True)
 class Driver:
-    """An agent and the environment that it drives in.
+    """An agent and the environment that it drives in."""
 
-    Attributes:
-        name: name for people.
-        agent: the agent.
-        env: its environment.
-        hooks: wrapper inside `env`, right around the flat room.
-        names: names of the actions.
-        primitives: number of primitives among the actions; they come first.
-        flavour: flavour of the meta-actions.
-        trains: the agent learns while it drives.
-        plan: the plan that the planner follows; None for other drivers.
-        told: environment inside `env` with the transcript, where an agent calls tools.
-    """
-
-    name: str
-    agent: Agent
-    env: gymnasium.Env
-    hooks: StepHooks
-    names: tuple[str, ...]
-    primitives: int
-    flavour: str
-    trains: bool = False
-    plan: EscapePlan | None = None
-    told: ToldEnv | None = None
+    name: str  # name for people
+    agent: Agent  # the agent
+    env: gymnasium.Env  # its environment
+    hooks: StepHooks  # wrapper inside `env`, right around the flat room
+    names: tuple[str, ...]  # names of the actions
+    primitives: int  # number of primitives among the actions; they come first
+    flavour: str  # flavour of the meta-actions
+    trains: bool = False  # the agent learns while it drives
+    plan: EscapePlan | None = None  # the plan that the planner follows; None for other drivers
+    told: ToldEnv | None = None  # environment inside `env` with the transcript, where an agent calls tools
 
     @property
     def room(self) -> EscapeRoomEnv:

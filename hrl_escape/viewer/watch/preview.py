@@ -20,21 +20,13 @@ MOST = 400
 
 
 class Preview(NamedTuple):
-    """Predicted course of an option.
+    """Predicted course of an option."""
 
-    Attributes:
-        name: name of the option.
-        states: all states, the first one included.
-        pressed: names of the targets pressed on the way.
-        escapes: the episode would end in the exit.
-        problem: reason why the option fails, else empty.
-    """
-
-    name: str
-    states: tuple[RoomState, ...]
-    pressed: tuple[str, ...] = ()
-    escapes: bool = False
-    problem: str = ""
+    name: str  # name of the option
+    states: tuple[RoomState, ...]  # all states, the first one included
+    pressed: tuple[str, ...] = ()  # names of the targets pressed on the way
+    escapes: bool = False  # the episode would end in the exit
+    problem: str = ""  # reason why the option fails, else empty
 
 
 class Previewer:

@@ -33,63 +33,37 @@ ENDLESS = 10**9
 
 @dataclasses.dataclass(frozen=True)
 class ObservedChoice:
-    """One choice of an agent, with the numbers behind it.
+    """One choice of an agent, with the numbers behind it."""
 
-    Attributes:
-        observation: the observation that it chose at.
-        action: the chosen action.
-        mask: legal actions, bool (actions,).
-        values: one number an action; None if the agent computes none.
-        meaning: meaning of `values`: `value` (Q, in units of return) or `preference`; empty without values.
-        state_value: V(s) of the critic, or the highest legal Q; None if the agent has neither.
-        state: state of the room.
-        notes: what a searcher knows of each press, by action.
-    """
-
-    observation: Any
-    action: int
-    mask: NDArray[np.bool_]
-    values: NDArray[Any] | None
-    meaning: str
-    state_value: float | None
-    state: RoomState
-    notes: Mapping[int, str] = dataclasses.field(default_factory=dict)
+    observation: Any  # the observation that it chose at
+    action: int  # the chosen action
+    mask: NDArray[np.bool_]  # legal actions, bool (actions,)
+    values: NDArray[Any] | None  # one number an action; None if the agent computes none
+    meaning: str  # meaning of `values`: `value` (Q, in units of return) or `preference`; empty without values
+    state_value: float | None  # V(s) of the critic, or the highest legal Q; None if the agent has neither
+    state: RoomState  # state of the room
+    notes: Mapping[int, str] = dataclasses.field(default_factory=dict)  # what a searcher knows of each press, by action
 
 
 @dataclasses.dataclass(frozen=True)
 class CompletedDecision:
-    """Numbers of the SMDP transition that one decision gave.
+    """Numbers of the SMDP transition that one decision gave."""
 
-    Attributes:
-        name: of the primitive or option.
-        duration: k.
-        reward: R = sum gamma^i r_i.
-        discount: gamma^k.
-        summed: undiscounted sum of r_i.
-        ended: how the option ended, as in `info["option"]["ended"]`.
-    """
-
-    name: str
-    duration: int
-    reward: float
-    discount: float
-    summed: float
-    ended: str
+    name: str  # of the primitive or option
+    duration: int  # k
+    reward: float  # R = sum gamma^i r_i
+    discount: float  # gamma^k
+    summed: float  # undiscounted sum of r_i
+    ended: str  # how the option ended, as in `info["option"]["ended"]`
 
 
 @dataclasses.dataclass(frozen=True)
 class ShownCall:
-    """One running call of a hierarchical agent.
+    """One running call of a hierarchical agent."""
 
-    Attributes:
-        call: the call.
-        began: primitives of the episode when it was called.
-        reward: undiscounted reward of the room since then.
-    """
-
-    call: RunningCall
-    began: int
-    reward: float
+    call: RunningCall  # the call
+    began: int  # primitives of the episode when it was called
+    reward: float  # undiscounted reward of the room since then
 
     @property
     def name(self) -> str:

@@ -61,19 +61,12 @@ class OptionCriticSettings(ResolutionSettings, LearningSettings):
 
 
 class OptionTables(NamedTuple):
-    """Numbers learned of one state.
+    """Numbers learned of one state."""
 
-    Attributes:
-        values: (options,), Q(s, o).
-        action_values: (options, actions), Q_U(s, o, a).
-        preferences: (options, actions), theta.
-        endings: (options,), phi; the termination is its logistic function.
-    """
-
-    values: NDArray[np.float64]
-    action_values: NDArray[np.float64]
-    preferences: NDArray[np.float64]
-    endings: NDArray[np.float64]
+    values: NDArray[np.float64]  # (options,), Q(s, o)
+    action_values: NDArray[np.float64]  # (options, actions), Q_U(s, o, a)
+    preferences: NDArray[np.float64]  # (options, actions), theta
+    endings: NDArray[np.float64]  # (options,), phi; the termination is its logistic function
 
 
 class OptionCritic(OptionAgent):

@@ -53,31 +53,18 @@ class PPOCSettings(ClippedSettings, LearningSettings):
 
 
 class OptionSamples(NamedTuple):
-    """Decisions of one option that wait for its update, tensors with leading dimension n.
+    """Decisions of one option that wait for its update, tensors with leading dimension n."""
 
-    Attributes:
-        observation: encoded.
-        mask: bool (n, actions).
-        action: int64.
-        log_probability: of the action, under the policy that chose it.
-        advantage: of the action within the option.
-        target: of Q(s, o).
-        choice_advantage: target - V(s) where the option was chosen at this decision, else 0.
-        is_chosen: bool, it was chosen at this decision.
-        reached: encoded observation of the state reached.
-        goes_on: bool, the task did not end there.
-    """
-
-    observation: Tensor
-    mask: Tensor
-    action: Tensor
-    log_probability: Tensor
-    advantage: Tensor
-    target: Tensor
-    choice_advantage: Tensor
-    is_chosen: Tensor
-    reached: Tensor
-    goes_on: Tensor
+    observation: Tensor  # encoded
+    mask: Tensor  # bool (n, actions)
+    action: Tensor  # int64
+    log_probability: Tensor  # of the action, under the policy that chose it
+    advantage: Tensor  # of the action within the option
+    target: Tensor  # of Q(s, o)
+    choice_advantage: Tensor  # target - V(s) where the option was chosen at this decision, else 0
+    is_chosen: Tensor  # bool, it was chosen at this decision
+    reached: Tensor  # encoded observation of the state reached
+    goes_on: Tensor  # bool, the task did not end there
 
 
 def _pack_waiting(waiting: Mapping[int, OptionSamples]) -> list[Any]:

@@ -45,15 +45,10 @@ class VigoritoBartoSettings(FactoredRMaxSettings):
 
 
 class Skill(NamedTuple):
-    """A way to turn a bit on.
+    """A way to turn a bit on."""
 
-    Attributes:
-        action: that does it.
-        needs: what it asks of a packed state, pairs of a factor's bits and the value there.
-    """
-
-    action: int
-    needs: tuple[tuple[int, int], ...]
+    action: int  # that does it
+    needs: tuple[tuple[int, int], ...]  # what it asks of a packed state, pairs of a factor's bits and the value there
 
 
 class VigoritoBarto(FactoredRMax):

@@ -23,20 +23,13 @@ SMALLEST = 1e-12
 
 
 class OptionChoices(NamedTuple):
-    """Options of the decisions of a rollout.
+    """Options of the decisions of a rollout."""
 
-    Attributes:
-        option: int64 (n,), that ran.
-        former: int64 (n,), that ran before it; `NONE` at an episode's first decision.
-        is_chosen: bool (n,), the former had ended, or there was none.
-        log_probability: float32 (n,), of the option that ran, as it was drawn; None where the networks are still those
-            that drew.
-    """
-
-    option: Tensor
-    former: Tensor
-    is_chosen: Tensor
+    option: Tensor  # int64 (n,), that ran
+    former: Tensor  # int64 (n,), that ran before it; `NONE` at an episode's first decision
+    is_chosen: Tensor  # bool (n,), the former had ended, or there was none
     log_probability: Tensor | None = None
+    """Float32 (n,), of the option that ran, as it was drawn; None where the networks are still those that drew."""
 
 
 def mix_with_former(beta: Tensor, choice: Tensor, former: Tensor) -> Tensor:
