@@ -45,7 +45,7 @@ class CompletionArgs:
     """Options of `hrl-escape completion`."""
 
     shell: Annotated[Literal["bash", "zsh"], tyro.conf.Positional] = "bash"
-    """The shell."""
+    """Shell that the script is for."""
 
 
 def run(args: CompletionArgs) -> None:

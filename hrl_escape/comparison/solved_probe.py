@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.comparison.grid import AgentSpec, SolvedRule
@@ -42,7 +42,7 @@ class Solution:
     structure: tuple[tuple[int, float, float], ...]
 
 
-class SolvedProbe:
+class SolvedProbe(Stateful):
     """Measures whether an agent has solved its room; see `SolvedRule`.
 
     An agent that learns nothing gets no better, so it is done with its first escape.
@@ -54,6 +54,10 @@ class SolvedProbe:
         spec: the agent.
         score_range: of the room, for this agent.
     """
+
+    STATE = ("_has_escaped", Kept("_structure", pack=lambda steps: list(map(list, steps)),
+                                  unpack=lambda saved: [(int(at), *found) for at, *found in saved]),
+             "_near_best", "_candidate", "_next_check", "_next_graph")
 
     def __init__(
         self, rule: SolvedRule, env: gymnasium.Env, instance: RoomInstance, spec: AgentSpec, score_range: ScoreRange
@@ -118,24 +122,6 @@ class SolvedProbe:
             self._candidate = at
         else:
             self._near_best = self._candidate
-
-    def state_dict(self) -> StateTree:
-        """Past measurements, and when the next are due."""
-        return {
-            "has_escaped": self._has_escaped,
-            "structure": [list(step) for step in self._structure],
-            "near_best": self._near_best,
-            "candidate": self._candidate,
-            "next_check": self._next_check,
-            "next_graph": self._next_graph,
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken."""
-        self._has_escaped = state["has_escaped"]
-        self._structure = [(int(n), p, r) for n, p, r in state["structure"]]
-        self._near_best, self._candidate = state["near_best"], state["candidate"]
-        self._next_check, self._next_graph = state["next_check"], state["next_graph"]
 
 
 # --- the graph --------------------------------------------------------------------------------

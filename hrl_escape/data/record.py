@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.components.exploration import sample_legal
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
@@ -249,8 +249,10 @@ class _Medium:
         return self._agent.act_greedy(observation, legal, rng)
 
 
-class HalfWay:
+class HalfWay(Stateful):
     """Probe that ends a run at half of the best known efficiency, over the latest episodes."""
+
+    STATE = (Kept("_latest", pack=list, unpack=lambda saved: deque(saved, maxlen=MEDIUM_EPISODES)),)
 
     def __init__(self, fewest: float) -> None:
         self._fewest = fewest
@@ -259,7 +261,7 @@ class HalfWay:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The stopping rule."""
+        """Rule by which the run ends, as a JSON value: part of the run's key."""
         return {"until": "half efficiency", "fewest": self._fewest}
 
     def after_decision(self, agent: Agent, primitives: int) -> None:
@@ -269,14 +271,6 @@ class HalfWay:
         """Look at the episode's length."""
         self._latest.append(self._fewest / episode.length if episode.success else 0.0)
         self.is_done = len(self._latest) == MEDIUM_EPISODES and float(np.mean(self._latest)) >= 0.5
-
-    def state_dict(self) -> StateTree:
-        """The latest efficiencies."""
-        return {"latest": list(self._latest)}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken."""
-        self._latest.extend(state["latest"])
 
 
 def train_medium(rooms: InstanceSet, folder: Path) -> Agent:

@@ -7,6 +7,7 @@ Bullet engine's. Pictures are taken by the batch's own cameras.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -37,7 +38,64 @@ _AUTORESETS: dict[AutoresetMode, Autoreset] = {
 }
 
 
-class EscapeRoomVectorEnv(VectorEnv):
+class BatchVectorEnv(VectorEnv):
+    """Base of Gymnasium's vector environments over the batched engine: kinds of reset, and arrays or tensors.
+
+    Args:
+        num_envs: number of rooms.
+        autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
+        output: `numpy` arrays, or `torch` tensors on the device, which cost no copy.
+    """
+
+    metadata: dict[str, Any] = {}
+    autoreset_mode: AutoresetMode
+
+    def __init__(self, num_envs: int, autoreset_mode: str | AutoresetMode, output: str) -> None:
+        super().__init__()
+        if output not in ("numpy", "torch"):
+            raise ConfigError("output", output, "'numpy' or 'torch'")
+        try:
+            self.autoreset_mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            allowed = "one of " + ", ".join(repr(m.value) for m in AutoresetMode)
+            raise ConfigError("autoreset_mode", autoreset_mode, allowed) from None
+        self.num_envs, self.metadata = num_envs, type(self).metadata | {"autoreset_mode": self.autoreset_mode}
+        self._is_numpy, self._is_seeded = output == "numpy", False
+
+    @property
+    @abstractmethod
+    def device(self) -> torch.device:
+        """Device of the rooms."""
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise ClosedError("the environment was closed; make a new one")
+
+    def _read_mask(self, options: dict[str, Any] | None) -> Tensor | None:
+        """Rooms to reset, bool (num_envs,), of the options of `reset`; None for all."""
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        if options:
+            raise ConfigError("reset options", sorted(options), "reset_mask")
+        where = None if mask is None else torch.as_tensor(mask, device=self.device)
+        if where is not None and where.dtype == torch.bool and not where.any():
+            raise ConfigError("reset_mask", "(all false)", "true for at least one room")
+        return where
+
+    def _take(self, actions: Any) -> Tensor:
+        """Actions as int64 on the device; a tensor is taken as it is, and checked by the engine."""
+        if isinstance(actions, Tensor):
+            return actions
+        array = np.asarray(actions)
+        if array.dtype.kind not in "iu":
+            raise BatchError("action", array, f"whole numbers of shape ({self.num_envs},)")
+        return torch.from_numpy(array.astype(np.int64, copy=False)).to(self.device)
+
+    def _give(self, tensor: Tensor | None) -> Any:
+        return tensor if tensor is None or not self._is_numpy else tensor.cpu().numpy()
+
+
+class EscapeRoomVectorEnv(BatchVectorEnv):
     """Many rooms that step together; see `EscapeRoomEnv` for the task itself.
 
     ## Spaces
@@ -93,23 +151,14 @@ class EscapeRoomVectorEnv(VectorEnv):
         output: Literal["numpy", "torch"] = "numpy",
         **rooms: Unpack[RoomArguments],
     ) -> None:
-        super().__init__()
+        super().__init__(num_envs, autoreset_mode, output)
         if render_mode not in (None, *type(self).metadata["render_modes"]):
             raise UnsupportedError(f"render_mode = {render_mode!r}: the batched engine opens no window; {INSTEAD}")
         if not isinstance(render_size, (tuple, list)) or len(render_size) != 2:
             raise ConfigError("render_size", render_size, "a pair of width and height")
-        if output not in ("numpy", "torch"):
-            raise ConfigError("output", output, "'numpy' or 'torch'")
-        try:
-            mode = AutoresetMode(autoreset_mode)
-        except ValueError:
-            allowed = "one of " + ", ".join(repr(m.value) for m in AutoresetMode)
-            raise ConfigError("autoreset_mode", autoreset_mode, allowed) from None
         self.rooms = Rooms(num_envs, config, observation=observation, **rooms)
-        self.room = TensorRoom(self.rooms, autoreset=_AUTORESETS[mode])
+        self.room = TensorRoom(self.rooms, autoreset=_AUTORESETS[self.autoreset_mode])
         self.instances = self.room.instances
-        self.num_envs, self.autoreset_mode = num_envs, mode
-        self.metadata = type(self).metadata | {"autoreset_mode": mode}
         self.render_mode = render_mode
         self._cameras: dict[tuple[str, int, int], BatchedCamera] = {}
         self._view = (camera, *render_size)
@@ -120,7 +169,6 @@ class EscapeRoomVectorEnv(VectorEnv):
         self.single_action_space = spaces.Discrete(self.room.actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._is_numpy, self._is_seeded = output == "numpy", False
         self._ids = np.array([one.id for one in self.instances], dtype=object)
         self._every: Any = self._give(torch.ones(num_envs, dtype=torch.bool, device=self.room.device))
 
@@ -135,15 +183,8 @@ class EscapeRoomVectorEnv(VectorEnv):
             options: `reset_mask`, bool (num_envs,): reset only these rooms.
         """
         self._check_open()
-        options = dict(options or {})
-        mask = options.pop("reset_mask", None)
-        if options:
-            raise ConfigError("reset options", sorted(options), "reset_mask")
-        where = None if mask is None else torch.as_tensor(mask, device=self.room.device)
-        if where is not None and where.dtype == torch.bool and not where.any():
-            raise ConfigError("reset_mask", "(all false)", "true for at least one room")
-        seeds = self._make_seeds(seed)
-        observation = self.room.reset(seeds, where)
+        where = self._read_mask(options)
+        observation = self.room.reset(self._make_seeds(seed), where)
         return self._give(observation), self._make_infos(self.room.inform())
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -153,8 +194,7 @@ class EscapeRoomVectorEnv(VectorEnv):
             actions: whole numbers (num_envs,), a numpy array, a list, or a tensor on the rooms' device.
         """
         self._check_open()
-        action = actions if isinstance(actions, Tensor) else self._take(actions)
-        seen, reward, terminated, truncated, info, final_seen, final_info = self.room.step(action)
+        seen, reward, terminated, truncated, info, final_seen, final_info = self.room.step(self._take(actions))
         infos = self._make_infos(info)
         if final_info is not None and bool((ended := terminated | truncated).any()):
             which = self._give(ended)
@@ -224,19 +264,6 @@ class EscapeRoomVectorEnv(VectorEnv):
         self._is_seeded = True
 
     # --- in and out --------------------------------------------------------------------
-
-    def _check_open(self) -> None:
-        if self.closed:
-            raise ClosedError("the environment was closed; make a new one")
-
-    def _take(self, actions: Any) -> Tensor:
-        array = np.asarray(actions)
-        if array.dtype.kind not in "iu":
-            raise BatchError("action", array, f"whole numbers of shape ({self.num_envs},)")
-        return torch.from_numpy(array.astype(np.int64, copy=False)).to(self.room.device)
-
-    def _give(self, tensor: Tensor | None) -> Any:
-        return tensor if tensor is None or not self._is_numpy else tensor.cpu().numpy()
 
     def _make_infos(self, info: RoomInfo, which: Any = None) -> dict[str, Any]:
         """Information of some rooms (all by default), with Gymnasium's masks."""

@@ -46,7 +46,7 @@ class UniformManager:
         self.rng = np.random.default_rng(0)
 
     def __call__(self, transcript: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) -> ToolCall:
-        """The next call."""
+        """Call the option to run now; `move` where no option but leaving can start."""
         schemas = {tool["name"]: tool["inputSchema"]["properties"] for tool in tools}
         options: list[str] = schemas["run_option"]["option"]["enum"]
         legal = _read_legal(transcript[-1].text, options)

@@ -208,7 +208,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     @property
     def instance(self) -> RoomInstance:
-        """The present room."""
+        """Room of the game that is played, or will be after the next reset."""
         return self.env.unwrapped.instance
 
     @property

@@ -12,13 +12,14 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from hrl_escape.env.batched.engine import draw_seed
 from hrl_escape.env.batched.puzzles.base import unpack_bits
-from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
+from hrl_escape.env.vector_env import BatchVectorEnv
+from hrl_escape.errors import BatchError, UnsupportedError
 from hrl_escape.options.batched.decisions import Transitions
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 
@@ -31,7 +32,7 @@ _ELSEWHERE = {
 _TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives", "success")
 
 
-class OptionsVectorEnv(VectorEnv):
+class OptionsVectorEnv(BatchVectorEnv):
     """Many rooms in which every step takes one decision of each; see `OptionsEnv` for the task and the actions.
 
     `infos` holds arrays over rooms: `action_mask` (bool), `duration`, `discount` and `discounted_reward` as
@@ -56,25 +57,20 @@ class OptionsVectorEnv(VectorEnv):
     def __init__(self, num_envs: int = 1, config: Any = "paper-two-button", *, render_mode: str | None = None,
                  autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
                  output: Literal["numpy", "torch"] = "numpy", **arguments: Any) -> None:
-        super().__init__()
+        super().__init__(num_envs, autoreset_mode, output)
         if render_mode is not None:
             raise UnsupportedError(f"render_mode = {render_mode!r}: the batched engine draws nothing; gymnasium.make "
                                    "makes a room that does")
         for name in _ELSEWHERE.keys() & arguments.keys():
             raise UnsupportedError(f"{name} = {arguments[name]!r}: in a batch {_ELSEWHERE[name]}; gymnasium.make makes "
                                    "a room that has it")
-        if output not in ("numpy", "torch"):
-            raise ConfigError("output", output, "'numpy' or 'torch'")
         self._arguments = {"num_envs": num_envs, "config": config, **arguments}
         self._batch = batch = BatchedOptionsEnv(**self._arguments, autoreset=False)
-        self.num_envs, self.autoreset_mode = num_envs, AutoresetMode(autoreset_mode)
-        self.metadata = type(self).metadata | {"autoreset_mode": self.autoreset_mode}
         self.render_mode = None
         self.single_observation_space, self.single_action_space = batch.observation_space, batch.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(gymnasium.spaces.Discrete(batch.actions), num_envs)
         self.action_names = batch.action_names
-        self._is_numpy, self._is_seeded = output == "numpy", False
 
     @property
     def device(self) -> torch.device:
@@ -100,16 +96,12 @@ class OptionsVectorEnv(VectorEnv):
               ) -> tuple[Any, dict[str, Any]]:
         """Begin new episodes, in all rooms or in those of `options["reset_mask"]`, bool (num_envs,)."""
         self._check_open()
-        options = dict(options or {})
-        mask = options.pop("reset_mask", None)
-        if options:
-            raise ConfigError("reset options", sorted(options), "reset_mask")
+        where = self._read_mask(options)
         seeds: Tensor | int | None = None
         if seed is not None and not isinstance(seed, (int, np.integer)):
             seeds = torch.tensor(list(seed), dtype=torch.int64, device=self.device)
         elif seed is not None or not self._is_seeded:
             seeds = draw_seed() if seed is None else int(seed)
-        where = None if mask is None else torch.as_tensor(mask, device=self.device)
         self._batch.reset(seeds, where)
         self._is_seeded = True
         return self._give(self._batch.observation), self._inform(None, self._batch.action_mask, {})
@@ -167,17 +159,8 @@ class OptionsVectorEnv(VectorEnv):
         every = self._give(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
         return infos | {f"_{name}": every for name in infos} | more
 
-    def _check_open(self) -> None:
-        if self.closed:
-            raise ClosedError("the environment was closed; make a new one")
-
     def _take(self, actions: Any) -> Tensor:
-        if isinstance(actions, Tensor):
-            return actions.to(torch.int64)
-        array = np.asarray(actions)
-        if array.dtype.kind not in "iu" or array.shape != (self.num_envs,) or array.min() < 0:
-            raise BatchError("action", array, f"whole numbers of shape ({self.num_envs},)")
-        return torch.from_numpy(array.astype(np.int64)).to(self.device)
-
-    def _give(self, tensor: Tensor) -> Any:
-        return tensor.cpu().numpy() if self._is_numpy else tensor
+        taken = super()._take(actions).to(torch.int64)
+        if not isinstance(actions, Tensor) and (taken.shape != (self.num_envs,) or int(taken.min()) < 0):
+            raise BatchError("action", np.asarray(actions), f"whole numbers of shape ({self.num_envs},)")
+        return taken

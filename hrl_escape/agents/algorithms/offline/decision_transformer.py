@@ -146,7 +146,7 @@ class DecisionTransformer(OfflineAgent):
 
     def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
                       generator: torch.Generator) -> dict[str, Network]:
-        """The transformer."""
+        """One network, the policy: from tokens (batch, length, numbers) to logits (batch, length, actions)."""
         numbers = int(np.prod(encoder.shape)) + self._actions + 3
         return {"policy": Network(_Transformer(numbers, self._actions, settings, generator))}
 
