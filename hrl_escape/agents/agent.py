@@ -83,7 +83,8 @@ class Agent(Stateful, ABC):
     `hrl_escape.agents.state`.
 
     For `make_agent` by name, a class also has `Settings` (a frozen dataclass, best an `AgentSettings`), is constructed
-    as `Class(observation_space, action_space, seed, settings)`, and is published under the entry-point group
+    as `Class(observation_space, action_space, seed, settings)` with Discrete actions and a seed from which all of its
+    randomness follows (its own text names only what else it takes), and is published under the entry-point group
     `hrl_escape.agents`:
 
         [project.entry-points."hrl_escape.agents"]

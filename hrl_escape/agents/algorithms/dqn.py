@@ -176,10 +176,6 @@ class DQN(ReplayStreamAgent):
     those of n decisions joined. Without `double`, o* is the argmax of Q_target.
 
     Args:
-        observation_space: of the environment.
-        action_space: Discrete.
-        seed: fixes weights, exploration, batches and goals.
-        settings: of the agent.
         goal_rule: reward and termination as functions of goals, for `hindsight_goals`.
         network: a torch module of your own in place of the settings' network, from encoded observations to one number
             an action, with the weights to begin with; it is copied.

@@ -50,12 +50,6 @@ class TorchRLDQN(TorchRLAgent):
     """Minimise the Huber loss of R + gamma^k (1 - terminated) Q_target(s', o*) - Q_theta(s, o) over replay.
 
     o* is the legal argmax at s' of Q_theta, or of Q_target without `double`.
-
-    Args:
-        observation_space: of the environment.
-        action_space: Discrete.
-        seed: fixes weights, exploration and batches.
-        settings: of the agent.
     """
 
     name: ClassVar[str] = "torchrl-dqn"

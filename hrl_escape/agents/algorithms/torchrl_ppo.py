@@ -46,12 +46,6 @@ class TorchRLPPO(TorchRLAgent):
     """Maximise the mean of min(ratio A, clip(ratio, 1 - eps, 1 + eps) A) + entropy; see `ppo`.
 
     A are generalised advantages in which a decision of k primitives discounts by gamma^k lambda.
-
-    Args:
-        observation_space: of the environment.
-        action_space: Discrete.
-        seed: fixes weights, actions and minibatches.
-        settings: of the agent.
     """
 
     name: ClassVar[str] = "torchrl-ppo"

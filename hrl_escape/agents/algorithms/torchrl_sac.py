@@ -48,12 +48,6 @@ class TorchRLSAC(TorchRLAgent):
 
     The critics' target is R + gamma^k (1 - terminated) sum over legal o' of pi(o' | s') (min Q'(s', o') - alpha log
     pi(o' | s')).
-
-    Args:
-        observation_space: of the environment.
-        action_space: Discrete.
-        seed: fixes weights, actions and batches.
-        settings: of the agent.
     """
 
     name: ClassVar[str] = "torchrl-sac"

@@ -167,10 +167,6 @@ class FeudalRl(TabularRunner):
     A cell is no state: where in it the agent is decides what follows. Values of managers need not converge.
 
     Args:
-        observation_space: Discrete, or a Box that is rounded.
-        action_space: Discrete.
-        seed: fixes exploration.
-        settings: see `FeudalRlSettings`.
         tree: the cells; by default there are none, which is Q-learning.
     """
 

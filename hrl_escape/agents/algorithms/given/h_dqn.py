@@ -109,10 +109,6 @@ class HDqn(CallRunner):
     s is the state in which g was chosen. A call that is given up, or cut, bootstraps at both levels.
 
     Args:
-        observation_space: of the environment.
-        action_space: Discrete.
-        seed: fixes exploration and weights.
-        settings: see `HDqnSettings`.
         goals: by default those that `make_goals` finds in the observation space. Where they come with a policy, the
             worker follows it and does not learn.
     """

@@ -98,9 +98,6 @@ class HUct(CallRunner):
 
     Args:
         observation_space: for tasks without a view of their own.
-        action_space: Discrete.
-        seed: of simulations.
-        settings: see `HUctSettings`.
         hierarchy: from `maxq(graph, until)`; without one, a single task over all primitives, which is UCT.
         simulator: of the environment; without one, outcomes are drawn from those that were met.
     """

@@ -84,10 +84,6 @@ class Hamq(Agent):
     inside a choice, that choice learns nothing.
 
     Args:
-        observation_space: of the environment.
-        action_space: Discrete.
-        seed: fixes exploration.
-        settings: rates, exploration, discount.
         program: a machine without arguments; by default one that leaves every primitive open, which is Q-learning.
         see: what of a moment choices depend on; the whole observation by default.
         read: makes `Seen.state` of an observation.

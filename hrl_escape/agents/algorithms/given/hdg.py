@@ -68,9 +68,6 @@ class Hdg(Agent):
 
     Args:
         observation_space: of the environment, for states where no landmarks are given.
-        action_space: Discrete.
-        seed: fixes exploration.
-        settings: see `HdgSettings`.
         landmarks: the division; by default all is one region.
         goal: observation -> state to go to; by default the nearest of those in which episodes have terminated.
     """

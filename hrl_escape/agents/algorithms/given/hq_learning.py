@@ -89,9 +89,6 @@ class HqLearning(Agent):
 
     Args:
         observation_space: what agents react to.
-        action_space: Discrete.
-        seed: fixes exploration.
-        settings: see `HqLearningSettings`.
     """
 
     Settings: ClassVar[type] = HqLearningSettings

@@ -103,10 +103,6 @@ class MacroQ(TabularRunner):
     learned where m could not begin at s'. An episode may end inside a macro, which then is over.
 
     Args:
-        observation_space: Discrete, or a Box that is rounded.
-        action_space: Discrete.
-        seed: fixes exploration.
-        settings: rates, exploration, discount.
         macros: numbered after the primitives; without any it is Q-learning.
     """
 

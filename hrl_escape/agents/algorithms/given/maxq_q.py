@@ -56,9 +56,6 @@ class MaxqQ(TabularRunner):
 
     Args:
         observation_space: for tasks that see the whole observation.
-        action_space: Discrete.
-        seed: fixes exploration.
-        settings: rates, exploration, discount.
         hierarchy: from `maxq(graph, until, pseudo=...)`; without one, a single task over all primitives, which is
             Q-learning.
 

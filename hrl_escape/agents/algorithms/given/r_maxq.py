@@ -74,9 +74,6 @@ class RMaxq(CallRunner):
 
     Args:
         observation_space: states are its observations, rounded.
-        action_space: Discrete.
-        seed: of choices in states never met.
-        settings: see `RMaxqSettings`.
         hierarchy: from `maxq(graph, until)`; without one, a single task over all primitives, which is R-MAX.
     """
 
