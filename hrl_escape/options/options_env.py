@@ -7,6 +7,7 @@ from `sources.py`, the loop inside one decision from `execution.py`.
 
 from __future__ import annotations
 
+import inspect
 import numbers
 import operator
 from collections.abc import Callable, Mapping
@@ -383,38 +384,16 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return not isinstance(chosen, Option) and np.array_equal(check_choice(option, chosen, domain), step.action)
 
 
-def make_options_env(
-    config: str | RoomConfig | dict[str, Any] = "paper-two-button",
-    *,
-    options: OptionsSource | None = None,
-    include_primitives: bool = True,
-    discount: float = 0.99,
-    discounted_reward: bool = False,
-    flavour: str = "press",
-    interruptible: bool = False,
-    max_duration: int | None = None,
-    trace: bool = False,
-    option_features: bool = False,
-    planner: str = "auto",
-    **room: Any,
-) -> OptionsEnv:
+def make_options_env(config: str | RoomConfig | dict[str, Any] = "paper-two-button", *, option_features: bool = False,
+                     **arguments: Any) -> OptionsEnv:
     """Make an `EscapeRoomEnv` wrapped in an `OptionsEnv`; the entry point of the ids `hrl_escape/<Preset>Options-v1`.
 
     Args:
         config: schematic of the room, see `EscapeRoomEnv`.
-        options: as in `OptionsEnv`.
-        include_primitives: as in `OptionsEnv`.
-        discount: as in `OptionsEnv`.
-        discounted_reward: as in `OptionsEnv`.
-        flavour: as in `OptionsEnv`.
-        interruptible: as in `OptionsEnv`.
-        max_duration: as in `OptionsEnv`.
-        trace: as in `OptionsEnv`.
-        planner: as in `OptionsEnv`.
         option_features: append option features to the observation, as `OptionsEnv(observation="options")` does.
-        room: all other arguments of `EscapeRoomEnv`, such as `observation="features"`.
+        arguments: those of `OptionsEnv` (but `observation` and `domain`), and all others of `EscapeRoomEnv`, such as
+            `observation="features"`.
     """
-    return OptionsEnv(
-        EscapeRoomEnv(config, **room), options, include_primitives, discount, discounted_reward, flavour, interruptible,
-        max_duration, trace, "options" if option_features else "pass", planner,
-    )
+    names = inspect.signature(OptionsEnv).parameters.keys() - {"env", "observation", "domain"}
+    own = {name: arguments.pop(name) for name in names & arguments.keys()}
+    return OptionsEnv(EscapeRoomEnv(config, **arguments), observation="options" if option_features else "pass", **own)
