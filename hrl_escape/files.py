@@ -293,20 +293,6 @@ def make_folder(path: str | os.PathLike[str]) -> None:
         raise FileWriteError(describe_write_failure(path, error)) from error
 
 
-def claim_folder(path: str | os.PathLike[str]) -> None:
-    """Make a folder and check that files can be written there, before work begins whose results belong there.
-
-    Raises:
-        FileWriteError: they cannot.
-    """
-    make_folder(path)
-    try:
-        with tempfile.TemporaryFile(prefix=TEMPORARY_PREFIX, dir=path):
-            pass
-    except OSError as error:
-        raise FileWriteError(describe_write_failure(path, error)) from error
-
-
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
     """Folder for files that a library is to read, gone after the block; see `atomic_writer` for errors."""

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 from pathlib import Path
 from typing import Any
 
 from hrl_escape.comparison.comparison import Comparison, run_grid
 from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
-from hrl_escape.files import claim_folder
+from hrl_escape.errors import ComparisonError, ConfigError, FileWriteError, UnknownNameError
+from hrl_escape.files import TEMPORARY_PREFIX, describe_write_failure, make_folder
 from hrl_escape.processes import taking_turns
 from studies.baseline import BaselineRun, collect_baselines
 from studies.page import write_page
 from studies.store import Line, Store
 from studies.study import Page, Study
 
-__all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "analyse", "get_args", "open_store", "refuse_failures", "run_study"]
+__all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "analyse", "claim_folder", "get_args", "open_store", "refuse_failures",
+           "run_study"]
 
 PAGES = Path("docs/results")
 NO_TRAINING = 100
@@ -137,3 +139,17 @@ def refuse_failures(comparison: Comparison) -> None:
         first = comparison.failures[0]
         raise ComparisonError(f"{len(comparison.failures)} runs of {comparison.grid.name} failed; {first.run.name}: "
                               f"{first.message}. The same command tries them again")
+
+
+def claim_folder(path: Path) -> None:
+    """Make a folder and check that files can be written there, before work begins whose results belong there.
+
+    Raises:
+        FileWriteError: they cannot.
+    """
+    make_folder(path)
+    try:
+        with tempfile.TemporaryFile(prefix=TEMPORARY_PREFIX, dir=path):
+            pass
+    except OSError as error:
+        raise FileWriteError(describe_write_failure(path, error)) from error

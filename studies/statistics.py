@@ -1,4 +1,4 @@
-"""Statistics that only the studies need: waiting times, tests by signs, false discoveries, slopes."""
+"""Statistics that only the studies need: waiting times, tests by signs, false discoveries, levels, slopes."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special, stats  # pyright: ignore[reportMissingTypeStubs]
 
+from hrl_escape.comparison.inference import LEVEL
 from hrl_escape.comparison.statistics import Floats
 
-__all__ = ["compute_median_interval", "compute_restricted_mean", "compute_sign_flip_p", "compute_slope",
-           "compute_survival", "correct_by_benjamini_hochberg", "cut_signs", "find_visible_difference",
+__all__ = ["choose_holm_levels", "compute_median_interval", "compute_restricted_mean", "compute_sign_flip_p",
+           "compute_slope", "compute_survival", "correct_by_benjamini_hochberg", "cut_signs", "find_visible_difference",
            "find_visible_shift", "list_subset_means", "tell_power"]
 
 MOST_SIGNS = 14
@@ -231,3 +232,19 @@ def tell_power(sizes: Sequence[float], what: str, tell: Callable[[float], str]) 
     middle = float(np.median(known))
     return (f"Of such studies 80 % would have seen {what} {tell(middle)} in half of these comparisons, and of "
             f"{tell(known[-1])} in all of them.")
+
+
+def choose_holm_levels(p: Sequence[float], alpha: float = 1 - LEVEL) -> list[float]:
+    """Confidence of intervals for a family of comparisons, so that each leaves out 0 just where Holm's test does.
+
+    The k-th smallest p of n is held against alpha / (n - k + 1) until one is above that; this one's share of alpha is
+    that of all that follow. An interval of 1 less the share then leaves out 0 if and only if its p-value corrected by
+    `correct_by_holm` is below alpha.
+    """
+    levels, share, goes_on = [0.0] * len(p), alpha, True
+    for rank, index in enumerate(sorted(range(len(p)), key=lambda index: p[index])):
+        if goes_on:
+            share = alpha / (len(p) - rank)
+            goes_on = p[index] < share
+        levels[index] = 1 - share
+    return levels

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.inference import choose_holm_levels, compare_pairs, compute_interval, correct_by_holm
+from hrl_escape.comparison.inference import compare_pairs, compute_interval, correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.references.registry import SEARCHERS
 from hrl_escape.comparison.statistics import LEAST_RUNS, compute_iqm
@@ -29,7 +29,7 @@ from hrl_escape.settings import read_record
 from studies.baseline import BaselineRun
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
-from studies.statistics import find_visible_difference, tell_power
+from studies.statistics import choose_holm_levels, find_visible_difference, tell_power
 from studies.study import Page, Study
 
 __all__ = ["Advice", "Contrast", "Question", "analyse", "choose_advice", "compare_twins", "compare_with_chance",

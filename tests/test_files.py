@@ -16,7 +16,6 @@ from hrl_escape.errors import FileReadError, FileWriteError
 from hrl_escape.files import (
     DEEPEST,
     atomic_writer,
-    claim_folder,
     make_folder,
     open_for_writing,
     read_bytes,
@@ -28,6 +27,7 @@ from hrl_escape.files import (
     write_json,
     write_text,
 )
+from studies.running import claim_folder
 from tests.forks import run_fork
 
 JSON = st.recursive(

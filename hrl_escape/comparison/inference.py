@@ -162,19 +162,3 @@ def correct_by_holm(p: Sequence[float]) -> list[float]:
         largest = max(largest, min(1.0, (len(p) - rank) * p[index]))
         adjusted[index] = largest
     return adjusted
-
-
-def choose_holm_levels(p: Sequence[float], alpha: float = 1 - LEVEL) -> list[float]:
-    """Confidence of intervals for a family of comparisons, so that each leaves out 0 just where Holm's test does.
-
-    The k-th smallest p of n is held against alpha / (n - k + 1) until one is above that; this one's share of alpha is
-    that of all that follow. An interval of 1 less the share then leaves out 0 if and only if its p-value corrected by
-    `correct_by_holm` is below alpha.
-    """
-    levels, share, goes_on = [0.0] * len(p), alpha, True
-    for rank, index in enumerate(sorted(range(len(p)), key=lambda index: p[index])):
-        if goes_on:
-            share = alpha / (len(p) - rank)
-            goes_on = p[index] < share
-        levels[index] = 1 - share
-    return levels

@@ -3,7 +3,6 @@ from .managers import MANAGERS, Model, make_model
 from .recordings import (
     Game,
     RecordedModel,
-    ScriptedModel,
     load_games,
     record_game,
     replay_game,
@@ -22,7 +21,6 @@ __all__ = [
     "RecordedModel",
     "RoomSession",
     "Score",
-    "ScriptedModel",
     "ToldEnv",
     "ToolCall",
     "ToolResult",

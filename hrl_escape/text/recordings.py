@@ -140,22 +140,6 @@ def verify_games(path: str | Path) -> tuple[Game, ...]:
     return games
 
 
-class ScriptedModel:
-    """Makes the calls of a list, whatever the room says.
-
-    Args:
-        calls: in order; after the last one the model looks.
-    """
-
-    def __init__(self, calls: Iterable[ToolCall]) -> None:
-        self._calls = tuple(calls)
-
-    def __call__(self, transcript: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) -> ToolCall:
-        """The call whose turn it is."""
-        done = sum(turn.call is not None for turn in transcript)
-        return self._calls[done] if done < len(self._calls) else ToolCall("look", {})
-
-
 class RecordedModel:
     """Makes the calls of recorded games; it knows a game by all that was said so far, so every answer is verified.
 

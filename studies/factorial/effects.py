@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.inference import PairedTest, choose_holm_levels, compare_pairs, correct_by_holm
+from hrl_escape.comparison.inference import PairedTest, compare_pairs, correct_by_holm
 from hrl_escape.comparison.statistics import Floats, compute_area
 from hrl_escape.errors import ComparisonError
 from studies.factorial.design import get_factors, make_label, make_screening_design
 from studies.raw import RawRun
-from studies.statistics import compute_slope, find_visible_difference
+from studies.statistics import choose_holm_levels, compute_slope, find_visible_difference
 
 __all__ = ["SIGNIFICANT", "MainEffect", "Screening", "compute_contrasts", "compute_effects", "mark_gaps",
            "find_sufficient", "measure_area", "measure_change"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hrl_escape.comparison.inference import choose_holm_levels, compare_pairs, correct_by_holm
+from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
 from hrl_escape.names import count_nouns, join_words
 from studies.factorial.effects import (
     SIGNIFICANT,
@@ -20,6 +20,7 @@ from studies.factorial.effects import (
     measure_change,
 )
 from studies.factorial.mediation import Path, compute_paths
+from studies.statistics import choose_holm_levels
 
 __all__ = ["FEWEST_ROOMS", "FEWEST_SEEDS", "Findings", "analyse_screening", "conclude", "tell_first_look",
            "tell_fresh_runs"]

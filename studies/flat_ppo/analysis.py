@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from hrl_escape.comparison.inference import choose_holm_levels, correct_by_holm
+from hrl_escape.comparison.inference import correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
@@ -26,7 +26,7 @@ from hrl_escape.names import join_words
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.flat import TENTHS, FlatArgs, FlatJob, FlatRun, list_learners, measure_flat_runs
 from studies.page import make_table
-from studies.statistics import list_subset_means
+from studies.statistics import choose_holm_levels, list_subset_means
 from studies.store import Store
 from studies.study import Page, Study
 

@@ -12,13 +12,13 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.inference import choose_holm_levels, compare_pairs, correct_by_holm
+from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun
 from studies.generalisation.grids import DEPTHS, FLAT, FLAT_CHANCE, SEARCHERS
-from studies.statistics import find_visible_difference
+from studies.statistics import choose_holm_levels, find_visible_difference
 
 __all__ = ["tell_best", "tell_puzzle_depths", "tell_room_numbers"]
 

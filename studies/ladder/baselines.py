@@ -25,11 +25,11 @@ from hrl_escape.comparison.protocols import (
     make_tower_grid,
 )
 from hrl_escape.comparison.runs import RunResult, get_training_folder
-from hrl_escape.files import claim_folder, read_toml
+from hrl_escape.files import read_toml
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.trained import CHECKPOINT
 from studies.baseline import BaselineRun, collect_baselines
-from studies.running import NO_TRAINING, GridArgs
+from studies.running import NO_TRAINING, GridArgs, claim_folder
 
 __all__ = ["CLIMBERS", "GENERALISTS", "LEARNERS", "BaselineArgs", "collect_lines", "list_missing",
            "make_baseline_grids", "run_baselines", "ship_agents"]

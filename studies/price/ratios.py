@@ -14,10 +14,10 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from hrl_escape.comparison.inference import LEVEL, choose_holm_levels, correct_by_holm
+from hrl_escape.comparison.inference import LEVEL, correct_by_holm
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from studies.price.runs import PriceRun
-from studies.statistics import list_subset_means
+from studies.statistics import choose_holm_levels, list_subset_means
 
 __all__ = ["COSTS", "CostRatio", "Growth", "LogRange", "RunCost", "compare_costs", "correct_prices", "find_middle",
            "is_ready", "measure_growth"]

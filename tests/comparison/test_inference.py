@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hrl_escape.comparison.inference import (
-    choose_holm_levels,
     compare_pairs,
     compute_interval,
     compute_wilson_interval,
     correct_by_holm,
 )
 from hrl_escape.comparison.statistics import compute_iqm, compute_mean
+from studies.statistics import choose_holm_levels
 
 UNIT = (0.0, 1.0)
 

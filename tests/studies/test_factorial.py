@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hrl_escape.comparison.inference import choose_holm_levels
 from hrl_escape.errors import ComparisonError
 from studies.__main__ import main
 from studies.factorial.design import (
@@ -33,6 +32,7 @@ from studies.factorial.effects import (
 from studies.factorial.mediation import compute_paths
 from studies.factorial.words import analyse_screening, conclude, tell_first_look, tell_fresh_runs
 from studies.raw import BINS, RawRun
+from studies.statistics import choose_holm_levels
 from tests.studies.made_up_runs import make_run
 from tests.studies.pages import save, tell
 
