@@ -17,8 +17,8 @@ from studies.page import write_page
 from studies.store import Line, Store
 from studies.study import Page, Study
 
-__all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "analyse", "claim_folder", "get_args", "open_store", "refuse_failures",
-           "run_study"]
+__all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "analyse", "claim_folder", "get_args", "open_store",
+           "refuse_failures", "run_study"]
 
 PAGES = Path("docs/results")
 NO_TRAINING = 100

@@ -1,6 +1,6 @@
 from .agent import Agent, OptionPolicy, SMDPTransition, compute_backup, make_transition
 from .hierarchy.machine import choose, do, machine
-from .hierarchy.stack_agent import StackAgent
+from .hierarchy.runner import StackAgent
 from .hierarchy.task import BaseTask, Call, Hierarchy
 from .hierarchy.task_graph import maxq
 from .registry import get_recipe, list_agents, make_agent

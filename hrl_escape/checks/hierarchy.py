@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read_action_mask
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
-from hrl_escape.agents.hierarchy.stack_agent import StackAgent
+from hrl_escape.agents.hierarchy.runner import CallRunner, StackAgent, StackSettings
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.checks.claims import Claims
 from hrl_escape.errors import ContractError, StepContractError

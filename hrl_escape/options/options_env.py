@@ -2,7 +2,7 @@
 
 A primitive, or an option run to its end, becomes one transition with its duration and discount
 (Sutton, Precup and Singh 1999, section 3). This module only counts and records; the options come
-from `sources.py`, the loop inside one decision from `execution.py`.
+from `domain.py`, the loop inside one decision from `execution.py`.
 """
 
 from __future__ import annotations
@@ -30,10 +30,9 @@ from hrl_escape.errors import (
     ResetNeededError,
     UnsupportedError,
 )
-from hrl_escape.options.domain import DomainStep, OptionDomain, make_option_domain
+from hrl_escape.options.domain import DomainStep, OptionDomain, OptionsSource, make_option_domain, make_options
 from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice
 from hrl_escape.options.option import Option
-from hrl_escape.options.sources import OptionsSource, make_options
 from hrl_escape.spaces import PointingDiscrete
 
 

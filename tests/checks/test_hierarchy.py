@@ -12,8 +12,7 @@ from hrl_escape.agents.algorithms.given.h_dqn import HDqn
 from hrl_escape.agents.algorithms.given.macro_q import MacroQ
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.hierarchy.regions import Quadtree
-from hrl_escape.agents.hierarchy.runner import CallRunner
-from hrl_escape.agents.hierarchy.stack_agent import StackAgent, make_task_transition
+from hrl_escape.agents.hierarchy.runner import CallRunner, StackAgent, make_task_transition
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Hierarchy
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, maxq
 from hrl_escape.agents.registry import get_agent_class, list_given_agents

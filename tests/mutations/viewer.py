@@ -138,7 +138,7 @@ MUTATIONS = [
     ),
     Mutation(
         "one failed press proves every parent that may be missing",
-        "viewer/play/discovery.py",
+        "viewer/play/episode.py",
         "if len(lacked) == 1}",
         "if lacked}",
         "viewer/play/test_discovery.py::test_edges_that_are_proved_are_true_and_true_ones_stay_possible",

@@ -17,8 +17,7 @@ from hrl_escape.env.geometry import Solid, compute_distance_many, stack_footprin
 from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target, does_base_fit
 from hrl_escape.env.robot import make_robot, sample_hand_positions
 from hrl_escape.env.sampling.floorplan import Rejected
-from hrl_escape.env.sampling.free_space import FreeSpace
-from hrl_escape.env.sampling.work import Work
+from hrl_escape.env.sampling.free_space import FreeSpace, Work
 
 _ARM_THICKNESS = 0.1  # m, from the line through an arm's joints
 _ENOUGH = 3  # neighbouring places that must touch a target

@@ -3,6 +3,8 @@
 Two neighbouring free cells are joined by a straight move that exactly keeps the clearance and
 some slack, so cells connected in the grid are connected in the room. Generation certifies
 instances with it.
+
+Sampling counts its operations against a budget of work, so that it ends after the same work on every machine.
 """
 
 from __future__ import annotations
@@ -24,7 +26,34 @@ from hrl_escape.env.geometry import (
     compute_distance_many,
     compute_first_contact,
 )
-from hrl_escape.env.sampling.work import Work
+
+
+class OutOfWork(Exception):
+    """The budget is spent."""
+
+
+class Work:
+    """Counter of work against a limit, in units of about a microsecond on one core.
+
+    Args:
+        limit: most units.
+
+    Attributes:
+        done: units spent.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self.limit, self.done = limit, 0.0
+
+    def spend(self, units: float) -> None:
+        """Charge units of work to the budget.
+
+        Raises:
+            OutOfWork: the budget is spent.
+        """
+        self.done += units
+        if self.done > self.limit:
+            raise OutOfWork
 
 
 class FreeSpace:

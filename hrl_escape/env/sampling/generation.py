@@ -37,10 +37,9 @@ from hrl_escape.env.puzzles.maps import GridMap
 from hrl_escape.env.puzzles.traits import Doored, Mapped, Propped, get_trait
 from hrl_escape.env.sampling.certificate import Floors, find_unmet, has_arm_free, make_floors
 from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, compute_cell, is_whole_floor, sample_floorplan
-from hrl_escape.env.sampling.free_space import FreeSpace
+from hrl_escape.env.sampling.free_space import FreeSpace, OutOfWork, Work
 from hrl_escape.env.sampling.primitive_proof import find_unproven
 from hrl_escape.env.sampling.ranges import make_frame, sample_puzzle
-from hrl_escape.env.sampling.work import OutOfWork, Work
 from hrl_escape.errors import ConfigError, GenerationError
 
 

@@ -25,7 +25,7 @@ from hrl_escape.agents.algorithms.r_max import RMax
 from hrl_escape.agents.algorithms.skills.eigenoptions import Eigenoptions
 from hrl_escape.agents.hierarchy.goals import GoalSet
 from hrl_escape.agents.hierarchy.machine import choose, do, machine
-from hrl_escape.agents.hierarchy.stack_agent import StackAgent
+from hrl_escape.agents.hierarchy.runner import StackAgent
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import maxq
 from tests.agents.algorithms.test_tabular import GiveTrace

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from scipy.stats import beta
 
 from hrl_escape import get_preset
-from hrl_escape.agents.factored.growing_sets import GrowingSets
+from hrl_escape.agents.factored.structure import GrowingSets
 from hrl_escape.agents.factored.trees import TreeLearner, compute_information, find_split
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.env.puzzles.base import Contacts
