@@ -64,9 +64,6 @@ class PPOSettings(NoveltySettings, ClippedSettings, LearningSettings):
     """Size of its state; with `network=objects`, of each object's."""
     memory_span: Annotated[int, Range(1)] = 32
     """Most decisions through which a gradient goes back."""
-    stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
 
 
 class PPO(StreamAgent):

@@ -37,6 +37,9 @@ class ClippedSettings(NetworkSettings):
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     rollout: Annotated[int, Range(2)] = 256
     """Decisions collected before each round of updates, of all streams together."""
+    stream_rollout: Annotated[int, Range(1)] = 32
+    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
+    `rollout` is cut into as many minibatches, so into larger ones."""
     epochs: Annotated[int, Range(1)] = 10
     """Passes over a rollout."""
     batch_size: Annotated[int, Range(1)] = 64

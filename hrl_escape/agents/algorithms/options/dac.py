@@ -40,9 +40,6 @@ class DACSettings(ClippedSettings, LearningSettings):
     """Weight of the entropy of the choice of options in the loss."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0
     """Weight of the mean termination in the loss; above 0 options last longer."""
-    stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
 
 
 class DAC(StreamOptionAgent):

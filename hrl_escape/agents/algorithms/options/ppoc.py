@@ -47,9 +47,6 @@ class PPOCSettings(ClippedSettings, LearningSettings):
     """Weight of the entropy of the policy over options in the loss."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0
     """Price of ending an option, in scaled return: paid upon arrival, and so a margin of terminations."""
-    stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
 
 
 class OptionSamples(NamedTuple):

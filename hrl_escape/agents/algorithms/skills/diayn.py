@@ -45,9 +45,6 @@ class DIAYNSettings(ClippedSettings, LearningSettings):
     goal: Literal["bits", "observation"] = "bits"
     """Part of the observation that the discriminator sees. `bits`: components of a flat Box that have only ever been 0
     or 1, in a room the puzzle's; all of a discrete observation. `observation`: everything."""
-    stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
     discriminator_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
     """Step size of Adam for the discriminator."""
 
