@@ -15,7 +15,6 @@ from rich.console import Console
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.inference import (
-    choose_holm_levels,
     compare_pairs,
     compute_wilson_interval,
     correct_by_holm,
@@ -43,7 +42,7 @@ from studies.ladder.baselines import (
 )
 from studies.ladder.calibration import KNOWN, average_rooms, tell_calibration
 from studies.page import make_table
-from studies.statistics import find_visible_difference, tell_power
+from studies.statistics import choose_holm_levels, find_visible_difference, tell_power
 from studies.store import Store
 from studies.study import Page, Study
 

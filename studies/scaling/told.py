@@ -12,13 +12,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hrl_escape.comparison.inference import choose_holm_levels, correct_by_holm
+from hrl_escape.comparison.inference import correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.scaling.results import ScalingRun
 from studies.scaling.rounds import BAR_AGENT, MAX_PARENTS, TOLD, TOLD_TASKS
-from studies.statistics import compute_restricted_mean, compute_sign_flip_p, cut_signs, find_visible_shift, tell_power
+from studies.statistics import (
+    choose_holm_levels,
+    compute_restricted_mean,
+    compute_sign_flip_p,
+    cut_signs,
+    find_visible_shift,
+    tell_power,
+)
 
 __all__ = ["HOLDS", "ToldCost", "advise_told", "compute_told_costs", "list_told_rows", "tell_told"]
 
