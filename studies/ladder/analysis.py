@@ -46,7 +46,7 @@ from studies.statistics import choose_holm_levels, find_visible_difference, tell
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["Args", "analyse", "describe", "measure", "tell_bar", "tell_beyond_searching", "tell_visible"]
+__all__ = ["Args", "analyse", "describe", "measure", "tell_bar", "tell_beyond_searching", "tell_blank", "tell_visible"]
 
 Args = BaselineArgs
 _Cells: TypeAlias = Mapping[tuple[str, str], Sequence[BaselineRun]]
@@ -95,7 +95,7 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
         "PASSED_ESCAPES": PASSED_ESCAPES, "PASSED_EFFICIENCY": PASSED_EFFICIENCY, "MOST_TO_PASS": MOST_TO_PASS,
         "TOWER_HORIZON": TOWER_HORIZON,
         "beyond": tell_beyond_searching(over, rungs), "visible": tell_visible(over, rungs),
-        "advice": tell_bar(over, rungs),
+        "advice": tell_bar(over, rungs), "blank": tell_blank(over, rungs),
         "lines": lines, "rungs": {line.rung for line in lines}, "mastery": _find_mastery(lines, rungs),
         "has_three_parents": any("+three-parents" in line.agent for line in lines),
         "protocols": {name: _describe_protocol(own, rungs) for name in ("per-instance", "generalise")
@@ -147,6 +147,24 @@ def tell_bar(cells: _Cells, rungs: Sequence[str]) -> str:
         return f"{said}, and not chance or a round in the order of the numbers; its column stands in the table below."
     others = "".join(f", but on {join_words(own)} `{agent}`" for agent, own in above.items())
     return f"{said}{others}; the columns stand in the table below."
+
+
+def tell_blank(cells: _Cells, rungs: Sequence[str]) -> list[str]:
+    """A sentence a learner whose episodes after training are those of random options, room by room and one by one."""
+    def list_ends(rung: str, agent: str) -> dict[tuple[str, int], tuple[float, float]]:
+        return {(run.rooms, run.seed): (run.efficiency, run.escapes) for run in cells.get((rung, agent), ())}
+
+    chance = next((agent for _, agent in cells if AgentSpec.parse(agent).name == f"{SMDP_PREFIX}random"), "")
+    found: dict[str, list[str]] = {}
+    for rung in rungs:
+        blind = list_ends(rung, chance)
+        for agent in _sort_agents(agent for place, agent in cells if place == rung and AgentSpec.parse(agent).learns):
+            own = list_ends(rung, agent)
+            if len(own) >= LEAST_RUNS and any(escapes for _, escapes in own.values()) and all(
+                    blind.get(place) == end for place, end in own.items()):
+                found.setdefault(agent, []).append(f"`{rung}`")
+    return [f"`{agent}` has no model on {join_words(own)}: after training it plays every episode as `{chance}` does."
+            for agent, own in found.items()]
 
 
 def find_best_searchers(cells: _Cells, rungs: Sequence[str]) -> dict[str, str | None]:

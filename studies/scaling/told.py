@@ -45,7 +45,7 @@ class ToldCost(NamedTuple):
         p: two-sided, by the signs of the differences, corrected over the study; 1 with too few runs.
         low: lower end of its interval, of the corrected level, which leaves out 0 where the test shows a difference.
         high: upper end.
-        visible: smallest difference that the test would have seen in 80 % of such studies.
+        differences: of the pairs.
     """
 
     rule: str
@@ -56,7 +56,7 @@ class ToldCost(NamedTuple):
     p: float
     low: float = -np.inf
     high: float = np.inf
-    visible: float = np.inf
+    differences: tuple[float, ...] = ()
 
     @property
     def is_shown(self) -> bool:
@@ -82,7 +82,7 @@ def compute_told_costs(results: Sequence[ScalingRun]) -> list[ToldCost]:
             raw.append(min(1.0, p) if len(seeds) >= LEAST_RUNS else 1.0)
             differences.append(more)
     ends = [cut_signs(more, level) for more, level in zip(differences, choose_holm_levels(raw), strict=True)]
-    return [cost._replace(p=p, low=low, high=high, visible=find_visible_shift(more, ALPHA / len(found)))
+    return [cost._replace(p=p, low=low, high=high, differences=tuple(more.tolist()))
             for cost, p, (low, high), more in zip(found, correct_by_holm(raw), ends, differences, strict=True)]
 
 
@@ -109,7 +109,8 @@ def tell_told(results: Sequence[ScalingRun]) -> list[str]:
         words = (f"{_tell_graphs(runs)} {_tell_costs([cost for cost in costs if cost.rule == task.rule])}"
                  if fewest >= LEAST_RUNS else f"nothing is concluded from {count_nouns(fewest, 'run')} of a label.")
         sentences.append(f"Rule {task.rule}: {words}")
-    power = tell_power([cost.visible for cost in costs if cost.runs >= LEAST_RUNS], "a difference of", "{:,.0f}".format)
+    power = tell_power([find_visible_shift(cost.differences, ALPHA / len(costs)) for cost in costs
+                        if cost.runs >= LEAST_RUNS], "a difference of", "{:,.0f}".format)
     return [*sentences, *filter(None, [power])]
 
 

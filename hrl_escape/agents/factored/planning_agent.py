@@ -66,7 +66,7 @@ class PlanningAgent(Agent):
         )
         self._rng = make_rng(seed, "actions")
         self._pending = PendingPlan()
-        self._is_exploring = False
+        self._is_exploring = self._is_planned = False
 
     def make_learner(
         self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool
@@ -91,6 +91,7 @@ class PlanningAgent(Agent):
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """The next step of the plan; without one, any legal action."""
+        self._is_planned = False
         if self.model.is_empty:
             return sample_legal(action_mask, self._rng)
         state = self.model.pack(observation)
@@ -98,6 +99,7 @@ class PlanningAgent(Agent):
         if action is None:
             self._pending.begin(self._find_plan(observation, action_mask))
             action = self._pending.take(state, action_mask)
+        self._is_planned = action is not None
         return sample_legal(action_mask, self._rng) if action is None else action
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
@@ -106,8 +108,8 @@ class PlanningAgent(Agent):
         return plan.actions[0] if plan and plan.actions else sample_legal(action_mask, rng)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Add to the history; the end of an episode drops the plan."""
+        """Add to the history; the end of an episode drops the plan. `planned` is 0 of a choice by chance."""
         self.model.record(transition)
         if transition.terminated or transition.truncated:
             self._pending.drop()
-        return {"exploring": float(self._is_exploring)}
+        return {"exploring": float(self._is_exploring), "planned": float(self._is_planned)}

@@ -54,6 +54,7 @@ METRICS = {
     "train/epsilon": "mean share of random actions asked for",
     "train/states": "states in the table",
     "train/skills": "options found so far",
+    "train/planned": "share of decisions that follow a plan in a learned model; 0 without a model to plan in",
     "train/subgoals": "bits that hrc can reach",
     "train/interventions": "bits that hrc has intervened on",
     "train/intervention_cost": "cost of hrc's search so far, see its page",

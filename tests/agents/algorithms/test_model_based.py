@@ -1,5 +1,6 @@
 """Agents that learn models: exact where everything is known, economical where it is not, and right about parents."""
 
+import json
 from collections import Counter
 
 import gymnasium
@@ -13,10 +14,13 @@ from hrl_escape.agents.algorithms.r_max import RMax, RMaxSettings
 from hrl_escape.agents.factored.model import DurationHistory, FactoredModel, fit_durations
 from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.training.train import train
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.graphs import find_ancestors
 from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.options.options_env import OptionsEnv
 from tests.agents.puzzle_envs import PuzzleEnv, learn_puzzle, make_button_env
 from tests.agents.running import interact, learn
 
@@ -312,3 +316,15 @@ def test_states_that_do_not_fit_into_a_word_are_refused():
 def test_pictures_are_refused(name):
     with pytest.raises(UnsupportedSpaceError, match="for pictures use dqn or ppo"):
         make_agent(name, spaces.Box(0, 255, (84, 84, 3), np.uint8), spaces.Discrete(2), 0)
+
+
+@pytest.mark.parametrize(("rung", "planned"), [("switchboard", 0.0), ("chain-3", 1.0)])
+def test_the_log_says_where_a_learner_has_no_model_to_plan_in(tmp_path, rung, planned):
+    """A switch turns its neighbours too, which no two parents explain: after some exploration all is chance."""
+    room = load_benchmark("ladder-1")[rung].test[0]
+    flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=room, observation="features")
+    train("smdp-factored-r-max", OptionsEnv(flat, include_primitives=False), primitives=1_500, seed=0, eval_episodes=0,
+          out=tmp_path / "run", progress=False)
+    rows = map(json.loads, (tmp_path / "run" / "log.jsonl").read_text().splitlines())
+    shares = [row["train/planned"] for row in rows if "train/planned" in row]
+    assert shares[0] not in (0.0, 1.0) and shares[-1] == planned, "some of the first episode's choices were planned"

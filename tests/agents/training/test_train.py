@@ -322,7 +322,7 @@ def test_the_log_tells_how_actions_are_chosen(tmp_path, name, settings):
 
 def test_every_explained_name_is_logged_by_some_agent(tmp_path):
     logged = set()
-    for name in (*LEARNERS, "skill-chaining", "hrc"):
+    for name in (*LEARNERS, "skill-chaining", "hrc", "factored-r-max"):
         run(name, out=tmp_path / name)
     streams = gymnasium.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync")
     run("ppo", streams, out=tmp_path / "streams")
