@@ -20,7 +20,7 @@ from hrl_escape.names import join_words
 from hrl_escape.settings import read_record
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
-from studies.paper.claims import Claim, judge_claims
+from studies.paper.claims import Claim, advise, judge_claims
 from studies.paper.measures import (
     Measurement,
     Results,
@@ -88,7 +88,8 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
             for number, finding in enumerate(findings, 1)]
     parted, alike = tell_departures([read_record(Rerun, table) for table in study.data["reruns"]], results)
     return Page({
-        "findings": findings, "answers": answers, "OPTIMAL_SCORE": OPTIMAL_SCORE, "APART": APART,
+        "advice": advise(results), "findings": findings, "answers": answers, "OPTIMAL_SCORE": OPTIMAL_SCORE,
+        "APART": APART,
         "best": [results[name][0].best for name in ("paper-figure-1", "paper-figure-2")],
         "runs": {name: _count_runs(results, name) for name in results}, "parted": parted, "alike": alike,
         "by_chance": tell_chance([finding.by_chance for finding in findings]),

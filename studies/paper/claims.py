@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from hrl_escape.comparison.inference import Estimate
+from hrl_escape.comparison.inference import Estimate, correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.statistics import compute_final
+from hrl_escape.names import join_words
 from studies.paper.measures import (
     Measurement,
     Results,
@@ -29,7 +30,7 @@ from studies.paper.measures import (
 from studies.raw import RawRun
 from studies.statistics import correct_by_benjamini_hochberg
 
-__all__ = ["MEASURES", "Claim", "Criterion", "Finding", "judge_claims"]
+__all__ = ["MEASURES", "Claim", "Criterion", "Finding", "advise", "choose_level", "judge_claims"]
 
 TWO, META = "paper-figure-2", "paper-figure-3"
 CHANCE = "smdp-random"
@@ -175,12 +176,18 @@ def name_agent(algorithm: str, recipe: str, figure: str) -> str:
 
 
 def judge_claims(claims: Sequence[Claim], results: Results) -> list[Finding]:
-    """Measure claims with both recipes and judge them as one family."""
+    """Measure claims with both recipes and judge them as one family.
+
+    Intervals are of the level at which 5 % of those behind verdicts miss at most on average (Benjamini and Yekutieli
+    2005). A verdict whose test is two-sided is given just where that interval leaves its level out.
+    """
     measured = [(_measure(claim, results, "paper"), _measure(claim, results, "corrected")) for claim in claims]
     tests = [(number, name, *claim.holds.test(found)) for number, (claim, (paper, _))
              in enumerate(zip(claims, measured, strict=True)) for name, found in paper.items()]
     adjusted = correct_by_benjamini_hochberg([p for *_, p in tests])
-    findings = [Finding(claim, _estimate(paper), _estimate(corrected), {}, {}, _judge_chance(claim, results))
+    level = choose_level(adjusted)
+    findings = [Finding(claim, _estimate(paper, level), _estimate(corrected, level), {}, {},
+                        _judge_chance(claim, results))
                 for claim, (paper, corrected) in zip(claims, measured, strict=True)]
     for (number, name, holds, _), p in zip(tests, adjusted, strict=True):
         findings[number].verdicts[name] = holds if p < ALPHA else None
@@ -188,10 +195,36 @@ def judge_claims(claims: Sequence[Claim], results: Results) -> list[Finding]:
     return findings
 
 
+def choose_level(adjusted: Sequence[float]) -> float:
+    """Level of the intervals beside corrected p-values: 1 less the share of 5 % that is rejected, one at least."""
+    return 1 - ALPHA * max(1, sum(p < ALPHA for p in adjusted)) / len(adjusted)
+
+
 def _measure(claim: Claim, results: Results, recipe: str) -> dict[str, Measurement]:
     labels = {run.agent for run in results[claim.figure]}
     names = {algorithm: name_agent(algorithm, recipe, claim.figure) for algorithm in claim.agents}
     return {key: MEASURES[claim.measure](results, claim.figure, name) for key, name in names.items() if name in labels}
+
+
+def advise(results: Results) -> str:
+    """Which recipe to take: training scores with meta-actions, corrected less paper's, pair by pair of seeds (Holm)."""
+    labels = {run.agent for run in results[META]}
+    pairs = {name: [name_agent(name, recipe, META) for recipe in ("corrected", "paper")]
+             for name in ("dqn", "sarsa", "ddpg")}
+    gains = {name: measure_gain(*(get_runs(results, META, label) for label in pair))
+             for name, pair in pairs.items() if labels.issuperset(pair)}
+    tests = {name: (gain.estimate().value, 2 * min(gain.compute_p(0.0, side) for side in ("above", "below")))
+             for name, gain in gains.items()}
+    shown = {name: value for (name, (value, _)), p in zip(
+        tests.items(), correct_by_holm([p for _, p in tests.values()]), strict=True) if p < ALPHA}
+    better, worse = ([f"{name} ({100 * value:+.0f})" for name, value in shown.items() if value * sign > 0]
+                     for sign in (1, -1))
+    if worse:
+        return f"Mind the recipe: with the corrected one the training score falls for {join_words(worse)} points."
+    if better:
+        return ("Use the corrected recipes, which are the defaults: with meta-actions they raise the training score of "
+                f"{join_words(better)} points; `recipe=\"paper\"` is there to compare with what was published.")
+    return "Take either recipe: the corrected one is not shown to raise the training score with meta-actions."
 
 
 def _judge_chance(claim: Claim, results: Results) -> bool | None:
@@ -203,5 +236,5 @@ def _judge_chance(claim: Claim, results: Results) -> bool | None:
     return holds if p < ALPHA else None
 
 
-def _estimate(found: dict[str, Measurement]) -> dict[str, Estimate]:
-    return {name: measurement.estimate() for name, measurement in found.items()}
+def _estimate(found: dict[str, Measurement], level: float) -> dict[str, Estimate]:
+    return {name: measurement.estimate(level) for name, measurement in found.items()}

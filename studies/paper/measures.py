@@ -1,7 +1,7 @@
-"""Measures of the runs of a study: shares, trends and gains, each with a 95 % interval over runs.
+"""Measures of the runs of a study: shares, trends and gains, each with an interval over runs.
 
 Scores and shares, which are bounded, have intervals that hold where all runs agree (`inference.compute_interval`);
-slopes and differences have Student's. Differences between two agents are tested by their signs, which holds where
+slopes have Student's. Differences between two agents have the test and the interval of their signs, which hold where
 runs do all or nothing.
 """
 
@@ -14,11 +14,19 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hrl_escape.comparison.inference import Estimate, Statistic, compare_pairs, compute_ends, cut_interval, draw_weights
+from hrl_escape.comparison.inference import (
+    LEVEL,
+    Estimate,
+    Statistic,
+    compare_pairs,
+    compute_ends,
+    cut_interval,
+    draw_weights,
+)
 from hrl_escape.comparison.statistics import LATE, Floats, compute_final, compute_iqm, compute_mean
 from hrl_escape.errors import ComparisonError
 from studies.raw import BINS, OPTIMAL_SCORE, RawRun
-from studies.statistics import compute_sign_flip_p, compute_slope
+from studies.statistics import compute_sign_flip_p, compute_slope, cut_signs
 
 __all__ = [
     "Measurement",
@@ -63,20 +71,22 @@ class Measurement:
         values: one a run.
         statistic: of them.
         kind: `bounded` from 0 to 1, with an interval and a test that hold for any such numbers; `slope`, with Student's
-            for the mean; `difference` of two paired runs, with Student's interval and the test of signs.
+            for the mean; `difference` of two paired runs, with the interval and the test of signs.
     """
 
     values: tuple[float, ...]
     statistic: Statistic = compute_mean
     kind: Literal["bounded", "slope", "difference"] = "bounded"
 
-    def estimate(self) -> Estimate:
-        """Statistic with its 95 % interval; the same every time."""
+    def estimate(self, level: float = LEVEL) -> Estimate:
+        """Statistic with its interval of a level; the same every time."""
         array = np.array(self.values, dtype=np.float64)
-        if self.kind != "bounded":
-            test = compare_pairs([array])
+        if self.kind == "difference":
+            return Estimate(float(array.mean()), *cut_signs(array, level))
+        if self.kind == "slope":
+            test = compare_pairs([array], level)
             return Estimate(test.difference, test.low, test.high)
-        low, high = cut_interval(*self._ends)
+        low, high = cut_interval(*self._ends, level)
         return Estimate(float(self.statistic([array])), float(low), float(high))
 
     def compute_p(self, level: float, side: Side) -> float:

@@ -276,7 +276,7 @@ def test_who_plays_as_chance_does_is_said_to_have_no_model():
     lines = [dataclasses.replace(LINE, rung=RUNGS[0], rooms=f"test[{room}]", agent=agent, primitives=primitives,
                                  efficiency=0.1 + 0.01 * room, escapes=0.4)
              for agent, primitives in ((CHANCE, 0), ("smdp-dqn+no-primitives", 1_000)) for room in range(10)]
-    said = f"`smdp-dqn+no-primitives` has no model on `{RUNGS[0]}`: after training it plays every episode as `{CHANCE}` d"
+    said = f"`smdp-dqn+no-primitives` has no model on `{RUNGS[0]}`: after training it plays every episode as `{CHANCE}"
     assert said in tell(lines, RUNGS)
     assert said not in tell([*lines[:-1], dataclasses.replace(lines[-1], efficiency=0.2)], RUNGS), "one room differs"
     never = [dataclasses.replace(line, efficiency=0.0, escapes=0.0) for line in lines]
