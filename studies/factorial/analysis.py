@@ -20,6 +20,7 @@ from studies.factorial.words import (
     FEWEST_ROOMS,
     FEWEST_SEEDS,
     Findings,
+    advise,
     analyse_screening,
     conclude,
     tell_first_look,
@@ -88,6 +89,7 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
     looks = {name: tell_first_look(findings, study.data["first_look"].get(name)) for name, findings in found.items()}
     return Page({
         "SIGNIFICANT": SIGNIFICANT, "FEWEST_SEEDS": FEWEST_SEEDS, "FEWEST_ROOMS": FEWEST_ROOMS, "FACTORS": FACTORS,
+        "advice": advise(*next((findings, FACTORS[name]) for name, findings in found.items())),
         "conclusions": conclusions, "said": said, "first_looks": [look for look in looks.values() if look],
         "again": {name: (screening, tell_fresh_runs(screening, found[name])) for name, screening in again.items()
                   if name in found},

@@ -10,6 +10,7 @@ import numpy as np
 
 from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
 from hrl_escape.names import count_nouns, join_words
+from studies.factorial.design import Factor
 from studies.factorial.effects import (
     SIGNIFICANT,
     MainEffect,
@@ -22,8 +23,8 @@ from studies.factorial.effects import (
 from studies.factorial.mediation import Path, compute_paths
 from studies.statistics import choose_holm_levels
 
-__all__ = ["FEWEST_ROOMS", "FEWEST_SEEDS", "Findings", "analyse_screening", "conclude", "tell_first_look",
-           "tell_fresh_runs"]
+__all__ = ["FEWEST_ROOMS", "FEWEST_SEEDS", "Findings", "advise", "analyse_screening", "conclude",
+           "tell_first_look", "tell_fresh_runs"]
 
 FEWEST_SEEDS = 5
 """With fewer training seeds a cell nothing is concluded."""
@@ -83,6 +84,19 @@ def conclude(findings: Findings) -> list[str]:
         sentences.append(f"On the slope nothing is shown of {join_words(effect.factor for effect in unshown)}; of such "
                          f"studies 80 % would have seen an effect of {middle:.2f} of half of these.")
     return [*sentences, *(_tell_paths(effect, findings.paths) for effect in findings.shown)]
+
+
+def advise(findings: Findings, factors: Sequence[Factor]) -> str:
+    """What follows for a user: the corrections that are shown to raise the slope, and those that lower it."""
+    words = {factor.name: factor.corrected for factor in factors}
+    if not findings.is_enough:
+        return "Run more rooms and seeds: too few to conclude from."
+    better, worse = ([f"{effect.factor} ({words[effect.factor]})" for effect in findings.shown
+                      if effect.test.difference * sign > 0] for sign in (1, -1))
+    said = ("If an agent over options gets worse as it trains, look at the slope of its curve first, and take these "
+            f"parts of the corrected recipe: {join_words(better)}" if better else
+            "Take the corrected recipe as a whole: no part of it is shown to help alone")
+    return f"{said}{f'; leave {join_words(worse)} as published' if worse else ''}."
 
 
 def tell_first_look(findings: Findings, looked: int | None) -> str:

@@ -30,7 +30,7 @@ from studies.statistics import choose_holm_levels, list_subset_means
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["LINES", "Args", "Difference", "analyse", "compare", "measure", "tell_fall", "tell_learning",
+__all__ = ["LINES", "Args", "Difference", "advise", "analyse", "compare", "measure", "tell_fall", "tell_learning",
            "tell_remedies"]
 
 LINES = (FlatRun,)
@@ -152,6 +152,19 @@ def tell_remedies(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str,
     return told
 
 
+def advise(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str) -> str:
+    """What follows for a user: remedies that bring the first escape sooner, and those that only keep out of corners."""
+    corners, escapes = (compare(lines, remedies, plain, read) for read in (read_corners, read_escape))
+    sooner = [f"`{label}`" for label, found in escapes.items() if found.sign < 0]
+    kept = [f"`{label}`" for label, found in corners.items() if found.sign < 0 and f"`{label}`" not in sooner]
+    said = "Watch where your agent spends its time before the first reward"
+    if sooner:
+        said += f", and begin with {join_words(sooner, 'or')}: the first escape comes sooner"
+    if kept:
+        said += f"; only out of corners it is kept by {join_words(kept)}"
+    return f"{said}{'' if sooner or kept else '; none of the remedies tried here is shown to help'}."
+
+
 def tell_learning(lines: Sequence[FlatRun], learners: Sequence[str]) -> str:
     """Worth of the greedy policies in the end, by count: an escape by luck in training is not learning."""
     counts = {label: (sum(run.efficiency > 0 for run in own), len(own)) for label in learners
@@ -183,7 +196,8 @@ def analyse(study: Study, lines: Sequence[FlatRun]) -> Page:
     headline, told = tell_fall(lines, plain, chance), tell_remedies(lines, remedies, plain, chance)
     learning = tell_learning(lines, [label for label in labels if label != chance])
     return Page({
-        "headline": headline, "told": told, "learning": learning, "budget": lines[0].budget,
+        "headline": headline, "told": told,
+        "advice": advise(lines, remedies, plain), "learning": learning, "budget": lines[0].budget,
         "runs": min(sum(run.agent == label for run in lines) for label in labels),
         "table": make_table(["learner", "runs", "first escape, median", "never", "in corners", "share of full entropy",
                              "escapes in training, last half", "efficiency at the end"],

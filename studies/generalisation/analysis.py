@@ -20,12 +20,14 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.ladder.benchmark import load_benchmark
 from studies.baseline import BaselineRun, collect_baselines
 from studies.figures import FIGURE_STYLE, finish_axes
-from studies.generalisation.findings import tell_best, tell_puzzle_depths, tell_room_numbers
+from studies.generalisation.findings import advise, tell_best, tell_puzzle_depths, tell_room_numbers
 from studies.generalisation.grids import (
     DEPTHS,
     FLAT,
     FLAT_CHANCE,
+    MEMORY,
     NAMES,
+    OBJECTS,
     SEARCHERS,
     TRAINED,
     GeneralisationArgs,
@@ -74,6 +76,8 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
             "table": _tabulate_depths(depth),
             "told": tell_puzzle_depths(_group((line.agent, line.rung, line) for line in depth), tuple(NAMES),
                                        CHANCE)} if depth else None,
+        "advice": " ".join(dict.fromkeys(advice for own in rungs.values() if (advice := advise(
+            _group((line.agent, _count_rooms(line), line) for line in own), MEMORY, OBJECTS)))),
         "trained": TRAINED, "own": GeneralisationArgs.primitives,
     }, {"generalisation": draw_sizes(rungs)} if sizes else {})
 

@@ -20,7 +20,7 @@ from studies.baseline import BaselineRun
 from studies.generalisation.grids import DEPTHS, FLAT, FLAT_CHANCE, SEARCHERS
 from studies.statistics import choose_holm_levels, find_visible_difference
 
-__all__ = ["tell_best", "tell_puzzle_depths", "tell_room_numbers"]
+__all__ = ["advise", "tell_best", "tell_puzzle_depths", "tell_room_numbers"]
 
 _Seeds = Mapping[int, float]
 """Efficiency in unseen rooms by training seed."""
@@ -74,6 +74,29 @@ def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Se
         return f"No learner matches searching: {words} at best."
     return (f"No learner is shown to beat searching: {words} at best; of such studies 80 % would have seen a gain of "
             f"{visible:.2f}.")
+
+
+def advise(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], learner: str, without: str) -> str:
+    """What follows for a user: whether a memory or more training rooms bring more, as one family of two (Holm).
+
+    Args:
+        cells: runs by agent and number of training rooms.
+        learner: with a memory of its episode.
+        without: the same without one.
+    """
+    enough = _keep_enough(cells)
+    counts = sorted(count for agent, count in enough if agent == learner and (without, count) in enough)
+    if len(counts) < 2:
+        return ""
+    gains = {"a memory of its episode": _subtract(enough[learner, counts[-1]], enough[without, counts[-1]]),
+             "more training rooms": _subtract(enough[learner, counts[-1]], enough[learner, counts[0]])}
+    p = correct_by_holm([compare_pairs([gain]).p for gain in gains.values()])
+    shown = [(f"{name} ({gain.mean():+.2f})", gain.mean()) for (name, gain), corrected in
+             zip(gains.items(), p, strict=True) if corrected < ALPHA and gain.mean() > 0]
+    words = [name for name, _ in sorted(shown, key=lambda part: -part[1])]
+    if not words:
+        return "Neither a memory of its episode nor more training rooms are shown to help a generalist."
+    return f"Give a generalist {words[0]}{f' before {words[1]}' if len(words) > 1 else ''}."
 
 
 def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Sequence[str],

@@ -30,7 +30,7 @@ from studies.factorial.effects import (
     measure_change,
 )
 from studies.factorial.mediation import compute_paths
-from studies.factorial.words import analyse_screening, conclude, tell_first_look, tell_fresh_runs
+from studies.factorial.words import advise, analyse_screening, conclude, tell_first_look, tell_fresh_runs
 from studies.raw import BINS, RawRun
 from studies.statistics import choose_holm_levels
 from tests.studies.made_up_runs import make_run
@@ -232,6 +232,18 @@ def test_the_slope_decides_and_the_level_stands_beside_it():
     said = conclude(analyse_screening(Screening.make("sarsa", runs)))
     assert said[0].startswith("One correction is shown to raise the slope: buffer (+0.4")
     assert said[1] == "No correction is shown to raise the level."
+
+
+@pytest.mark.parametrize(("truth", "words"), [
+    (lambda on: 0.3 + 0.3 * on["choices"], "take these parts of the corrected recipe: choices (options only)."),
+    (lambda on: 0.5, "Take the corrected recipe as a whole: no part of it is shown to help alone."),
+    (lambda on: 0.6 - 0.3 * on["scaling"], "to help alone; leave scaling (both scaled) as published."),
+])
+def test_advice_follows_the_effects(truth: Callable[[Levels], float], words: str):
+    findings = analyse_screening(Screening.make("sarsa", make_runs(truth)))
+    assert advise(findings, FACTORS["sarsa"]).endswith(words), advise(findings, FACTORS["sarsa"])
+    few = analyse_screening(Screening.make("sarsa", make_runs(truth, rooms=2)))
+    assert advise(few, FACTORS["sarsa"]).startswith("Run more rooms and seeds")
 
 
 def test_a_mechanism_is_told_where_the_logs_hold_it():

@@ -17,6 +17,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from studies.__main__ import main
 from studies.flat import ARCHIVE, CORNER, FlatLearner, FlatRun, RepeatedStreams, run_flat
+from studies.flat_ppo.analysis import advise as advise_ppo
 from studies.flat_ppo.analysis import tell_fall, tell_learning, tell_remedies
 from studies.league.analysis import (
     Attempt,
@@ -173,6 +174,18 @@ def test_remedies_are_told_by_corners_escapes_and_chance():
     assert good.startswith("`good` keeps it out of corners (-0.25, -0.25 to -0.25), and its first escape comes soon")
     assert "it beats chance" in good and "drives it into corners" in bad and "comes later" in bad
     assert "stays behind chance" in bad and "is not shown to change its time" in idle and "not shown to come" in idle
+
+
+@pytest.mark.parametrize(("remedy", "words"), [
+    ((20, 0.05), "and begin with `good`: the first escape comes sooner."),
+    ((400, 0.05), "first reward; only out of corners it is kept by `good`."),
+    ((400, 0.3), "first reward; none of the remedies tried here is shown to help."),
+])
+def test_advice_follows_the_remedies(remedy: tuple[float, float], words: str):
+    lines = [dataclasses.replace(run, first_escape=run.first_escape + 9 * (-1) ** run.seed,
+                                 corners=(run.corners[0] + 0.004 * (-1) ** run.seed,) * 10)
+             for run in make_runs("good", *remedy)]
+    assert advise_ppo([*lines, *make_runs("ppo", 400, 0.3)], ["good"], "ppo").endswith(words)
 
 
 def test_an_escape_in_training_is_not_called_learning():

@@ -56,6 +56,7 @@ def test_sentences_follow_the_findings(tmp_path):
                 tmp_path)
     assert "**Searching without learning escapes in every episode of 1 puzzle, `smdp-r-max` of 0," in page
     assert "There is no puzzle in which `smdp-r-max` escapes in every episode" in page
+    assert "None of these puzzles shows learning: whatever the learner solves, searching solves" in page
     assert "Random options escape in every episode of LightBox." in page
     assert "Options in the order of their numbers escape in every episode of no puzzle." in page
     assert f"`{learner}` escapes in no episode of LightBox." in page
@@ -64,6 +65,7 @@ def test_sentences_follow_the_findings(tmp_path):
     page = tell("gallery", make_findings({random: (None, None), order: (5, 5), searcher: (None, 2),
                                           learner: (7, 8)}), tmp_path)
     assert f"In LightBox `{learner}` escapes in every episode and the searcher" in page
+    assert "Choose a puzzle in which searching fails, such as these" in page
     assert "Random options escape in every episode of no puzzle." in page
     assert f"`{learner}` escapes in every episode of LightBox." in page and "in no episode" not in page
 

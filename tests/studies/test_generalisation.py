@@ -90,6 +90,19 @@ def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: 
             for seed in range(10)]
 
 
+@pytest.mark.parametrize(("memory", "objects", "words"), [
+    ((0.6, 0.7), 0.2, "Give a generalist a memory of its episode (+0.50) before more training rooms (+0.10)."),
+    ((0.2, 0.7), 0.6, "Give a generalist more training rooms (+0.50) before a memory of its episode (+0.10)."),
+    ((0.7, 0.7), 0.2, "Give a generalist a memory of its episode (+0.50)."),
+    ((0.4, 0.4), 0.4, "Neither a memory of its episode nor more training rooms are shown to help a generalist."),
+])
+def test_advice_follows_memory_and_rooms(memory: tuple[float, float], objects: float, words: str, tmp_path: Path):
+    lines = [line for number, (agent, rooms, value) in enumerate((
+        (MEMORY, 1, memory[0]), (MEMORY, 1000, memory[1]), (OBJECTS, 1, objects), (OBJECTS, 1000, objects)))
+        for line in make_seeds(agent, rooms, value, 3 * number)]
+    assert words in tell("generalisation", lines, tmp_path)
+
+
 @pytest.mark.parametrize(("vectors", "objects", "told"), [
     ((0.2, 0.2), (0.5, 0.7), (f"- `{OBJECTS}` with 1,000 training rooms reaches 0.50 more than `{VECTORS}` (",
                               f"- `{OBJECTS}` with 1,000 training rooms reaches 0.20 more than with 1 training room (",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -26,6 +27,15 @@ def test_a_published_page_is_what_its_results_give(tmp_path: Path, name: str):
 def test_every_page_of_results_but_the_index_and_the_quickstart_is_a_study_s():
     pages = {path.stem for path in RESULTS.glob("*.md")} - {"index", "quickstart"}
     assert pages == {study.page for study in list_studies().values()}
+
+
+def test_numbers_to_quote_stand_on_their_pages():
+    rows = [row.split(" | ") for row in (RESULTS / "index.md").read_text().splitlines() if "python -m studies" in row]
+    assert len(rows) > 3
+    for _, measured, source in rows:
+        page = (RESULTS / re.search(r"\[page\]\((.+?)\)", source)[1]).read_text()
+        for number in re.findall(r"\d[\d,.]*\d%?|\d", measured):
+            assert re.search(rf"(?<![\d.]){re.escape(number)}(?![\d]|[.,]\d)", page), (number, source)
 
 
 def test_the_readme_s_figure_is_told_in_the_words_of_its_study():
