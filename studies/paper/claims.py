@@ -211,8 +211,8 @@ def advise(results: Results) -> str:
     labels = {run.agent for run in results[META]}
     pairs = {name: [name_agent(name, recipe, META) for recipe in ("corrected", "paper")]
              for name in ("dqn", "sarsa", "ddpg")}
-    gains = {name: measure_gain(*(get_runs(results, META, label) for label in pair))
-             for name, pair in pairs.items() if labels.issuperset(pair)}
+    gains = {name: measure_gain(get_runs(results, META, corrected), get_runs(results, META, paper))
+             for name, (corrected, paper) in pairs.items() if {corrected, paper} <= labels}
     tests = {name: (gain.estimate().value, 2 * min(gain.compute_p(0.0, side) for side in ("above", "below")))
              for name, gain in gains.items()}
     shown = {name: value for (name, (value, _)), p in zip(
