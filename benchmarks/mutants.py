@@ -98,7 +98,8 @@ def main() -> int:
     places = [place for file in files if find_tests(file)
               for place in list_places(file)]
     rng = random.Random(arguments.seed)
-    chosen = [rng.choice(mutants) for mutants in rng.sample(places, min(arguments.count, len(places)))]
+    drawn = rng.sample(places, len(places))[:arguments.count]  # a larger count begins with the same
+    chosen = [rng.choice(mutants) for mutants in drawn]
     survivors = 0
     with tempfile.TemporaryDirectory() as folder:
         copy = PackageCopy(Path(folder))

@@ -159,10 +159,11 @@ def test_agents_that_run_alike_are_not_compared():
 
 
 def test_rooms_in_which_all_runs_agree_count_once():
-    lines = make_lines({"+planned": 0.9, "smdp": 0.5})
-    assert find_repeated_rooms(group(lines), ROOMS) == {"far": ("near", 100)}
+    lines = make_lines({"+planned": 0.9, "smdp": 0.5}, searcher=0.3)
+    assert find_repeated_rooms(group(lines), ROOMS) == {"far": ("near", 110)}
     page = tell_page(GIVEN_HIERARCHIES, lines)
-    assert "`near` and `far` are one task: all 100 runs agree in both. It counts once." in page
+    assert "`near` and `far` are one task: all 110 runs agree in both. It counts once." in page
+    assert "beat the best searcher that learns nothing in one room:" in page
     other = [dataclasses.replace(line, first_escape=7) if (line.rooms, line.seed) == ("far", 0) else line
              for line in lines]
     assert not find_repeated_rooms(group(other), ROOMS) and "are one task" not in tell_page(GIVEN_HIERARCHIES, other)
