@@ -23,6 +23,7 @@ def test_ogbench_files_have_a_row_a_state_and_one_trajectory_in_ten_is_for_valid
     assert all(array.dtype == np.float32 for array in training.values())
     count = int(np.flatnonzero(training["terminals"])[0])
     assert np.array_equal(training["observations"][:count], whole.observation[:count])
+    assert np.array_equal(training["observations"][count], whole.next_observation[count - 1])
     assert np.array_equal(training["discounts"][:count], whole.discount[:count].astype(np.float32))
     assert (training["masks"] == 0).sum() + (validation["masks"] == 0).sum() == whole.terminated.sum()
 

@@ -85,6 +85,7 @@ def make_npy(array, shape=None):
     ("action.npy", make_npy(np.zeros(10, np.int8), (10**9,)), "claims 1,000,000,000"),
     ("action.npy", make_npy(np.zeros(10, np.float64)), "float64"),
     ("action.npy", make_npy(np.zeros((2, 5), np.int8)), "2 x 5"),
+    ("action.npy", make_npy(np.zeros(10, np.int8)), "does not have the hash that it states"),
     ("action.npy", b"", "magic|header|read"),
     ("about.npy", make_npy(np.frombuffer(b"{}", np.uint8)), "missing"),
     ("about.npy", make_npy(np.frombuffer(json.dumps({"digest": "0"}).encode(), np.uint8)), "missing"),

@@ -117,12 +117,13 @@ def test_an_escape_is_told_beside_the_best_known_and_celebrated(two_buttons):
     assert len([1 for _, message in content["messages"] if "confetti" in str(message.get("name"))]) < CONFETTI
 
 
-def test_a_page_draws_the_whole_way_from_its_first_point(two_buttons):
-    recording = record_driver(open_driver("planner", two_buttons))
+def test_a_page_draws_the_whole_way_from_its_first_point(one_button):
+    recording = record_driver(open_driver("planner", one_button))
     content, buffers = read_recorded(make_replay(recording))
     lines = [message["props"] for _, message in content["messages"]
              if message["type"] == "LineSegmentsMessage" and message["name"] == "/room/trail"]
     points = np.frombuffer(buffers[lines[-1]["points"]["__binary_index"]], dtype=np.float32).reshape(-1, 2, 3)
     places = [(state.x, state.y) for state in recording.states]
     way = [pair for pair in zip(places, places[1:], strict=False) if pair[0] != pair[1]]
+    assert way[0] == tuple(places[:2]), "it begins with no turn"
     np.testing.assert_allclose(points[:, :, :2], way, atol=1e-5)
