@@ -106,21 +106,13 @@ def compute_wilson_interval(share: float, tries: int, level: float = LEVEL) -> t
 
 
 class PairedTest(NamedTuple):
-    """Difference between two agents over the runs they share.
+    """Difference between two agents over the runs they share."""
 
-    Attributes:
-        difference: mean over rooms of the mean difference.
-        low: lower end of its interval, of 95 % unless another level was asked for.
-        high: upper end.
-        p: two-sided.
-        pairs: (room, seed) pairs.
-    """
-
-    difference: float
-    low: float
-    high: float
-    p: float
-    pairs: int
+    difference: float  # mean over rooms of the mean difference
+    low: float  # lower end of its interval, of 95 % unless another level was asked for
+    high: float  # upper end
+    p: float  # two-sided
+    pairs: int  # (room, seed) pairs
 
 
 def compare_pairs(differences: Sequence[NDArray[np.float64]], level: float = LEVEL) -> PairedTest:

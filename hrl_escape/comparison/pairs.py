@@ -28,19 +28,12 @@ Finals: TypeAlias = Mapping[tuple[str, int], float]
 
 @dataclass(frozen=True)
 class Pair:
-    """Two agents compared.
+    """Two agents compared."""
 
-    Attributes:
-        improvement: share of pairs in which the first is above the second, ties half.
-        difference: of mean efficiency, first less second; the interval is not corrected for other comparisons.
-        p: two-sided, corrected over the family; 1 where one of the two is not in it.
-        count: (room, seed) pairs.
-    """
-
-    improvement: Estimate
-    difference: Estimate
-    p: float
-    count: int
+    improvement: Estimate  # share of pairs in which the first is above the second, ties half
+    difference: Estimate  # of mean efficiency, first less second; the interval is not corrected for other comparisons
+    p: float  # two-sided, corrected over the family; 1 where one of the two is not in it
+    count: int  # (room, seed) pairs
 
     def turn(self) -> Pair:
         """Same comparison with first and second exchanged."""

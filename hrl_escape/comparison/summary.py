@@ -48,77 +48,49 @@ UNIT = (0.0, 1.0)
 
 @dataclass(frozen=True)
 class Curve:
-    """A learning curve of several runs, at common numbers of primitives.
+    """A learning curve of several runs, at common numbers of primitives."""
 
-    Attributes:
-        primitives: (points,) trained for.
-        decisions: (points,) of the median run by then.
-        seconds: (points,) of training of the median run by then.
-        metrics: for each of `CURVE_METRICS` its middle, low and high, each (points,).
-    """
-
-    primitives: Floats
-    decisions: Floats
-    seconds: Floats
+    primitives: Floats  # (points,) trained for
+    decisions: Floats  # (points,) of the median run by then
+    seconds: Floats  # (points,) of training of the median run by then
     metrics: dict[str, tuple[Floats, Floats, Floats]]
+    """For each of `CURVE_METRICS` its middle, low and high, each (points,)."""
 
 
 @dataclass(frozen=True)
 class AgentSummary:
-    """Results of one agent.
+    """Results of one agent."""
 
-    Attributes:
-        spec: the agent.
-        settings: its settings.
-        efficiencies: final efficiency (runs,) a room; a room without a finished run has none.
-        efficiency: interquartile mean of them, the primary score.
-        seen: the same at the end in rooms that were trained in, where others were tested in; else None.
-        trials: interquartile mean at the first, second, ... trial in each room tested in; empty without trials.
-        progress: share of the facts on the way to the goal that hold at best in an episode of the last fifth, rooms
-            weighing the same.
-        success: share of evaluation episodes in the last fifth that escaped, rooms weighing the same; Wilson's
-            interval, a run counting as one try.
-        first_escape: mean primitives of training to the first escape, up to the budget: runs without one count with
-            the whole budget. All are censored there, so it is the restricted mean of the Kaplan-Meier curve.
-        escaped_runs: runs in which a training episode escaped.
-        length: interquartile mean of primitives in an episode of the last fifth.
-        score: interquartile mean of the return score: 0 at the worst, 1 at the best known return.
-        area: interquartile mean of the area under the efficiency's curve, over the budget.
-        stuck: share of runs without any escape in the last fifth.
-        gap: distance to an efficiency of 1.
-        curve: over all rooms.
-        room_curves: room by room; None where it has no run.
-        profile: share of runs above each threshold of `PROFILE`.
-        failed: runs that failed.
-        decisions: mean of a run.
-        planner_calls: mean of a run.
-        seconds: mean of a run's training.
-        planner_seconds: of these, in planners.
-    """
-
-    spec: AgentSpec
-    settings: dict[str, object]
-    efficiencies: tuple[Floats, ...]
-    efficiency: Estimate
-    seen: Estimate | None
+    spec: AgentSpec  # the agent
+    settings: dict[str, object]  # its settings
+    efficiencies: tuple[Floats, ...]  # final efficiency (runs,) a room; a room without a finished run has none
+    efficiency: Estimate  # interquartile mean of them, the primary score
+    seen: Estimate | None  # the same at the end in rooms that were trained in, where others were tested in; else None
     trials: tuple[Estimate, ...]
+    """Interquartile mean at the first, second, ... trial in each room tested in; empty without trials."""
     progress: Estimate
+    """Share of the facts on the way to the goal that hold at best in an episode of the last fifth, rooms weighing the
+    same."""
     success: Estimate
+    """Share of evaluation episodes in the last fifth that escaped, rooms weighing the same; Wilson's interval, a run
+    counting as one try."""
     first_escape: Estimate
-    escaped_runs: int
-    length: Estimate
-    score: Estimate
-    area: Estimate
-    stuck: float
-    gap: Gap
-    curve: Curve
-    room_curves: tuple[Curve | None, ...]
-    profile: Floats
-    failed: int
-    decisions: float
-    planner_calls: float
-    seconds: float
-    planner_seconds: float
+    """Mean primitives of training to the first escape, up to the budget: runs without one count with the whole budget.
+    All are censored there, so it is the restricted mean of the Kaplan-Meier curve."""
+    escaped_runs: int  # runs in which a training episode escaped
+    length: Estimate  # interquartile mean of primitives in an episode of the last fifth
+    score: Estimate  # interquartile mean of the return score: 0 at the worst, 1 at the best known return
+    area: Estimate  # interquartile mean of the area under the efficiency's curve, over the budget
+    stuck: float  # share of runs without any escape in the last fifth
+    gap: Gap  # distance to an efficiency of 1
+    curve: Curve  # over all rooms
+    room_curves: tuple[Curve | None, ...]  # room by room; None where it has no run
+    profile: Floats  # share of runs above each threshold of `PROFILE`
+    failed: int  # runs that failed
+    decisions: float  # mean of a run
+    planner_calls: float  # mean of a run
+    seconds: float  # mean of a run's training
+    planner_seconds: float  # of these, in planners
 
     @property
     def label(self) -> str:
@@ -138,23 +110,14 @@ class AgentSummary:
 
 @dataclass(frozen=True)
 class RoomSummary:
-    """A room, or rooms to be tested in, and the ends of its scales.
+    """A room, or rooms to be tested in, and the ends of its scales."""
 
-    Attributes:
-        place: the room, or the sets of rooms.
-        name: in tables.
-        worst: return without escape.
-        best: best known return, mean over the evaluation episodes.
-        fewest: primitives of the best known escape, mean over the evaluation episodes.
-        source: finder of the best: `planner`, `ceiling`, or the label of the agent that beat the planner.
-    """
-
-    place: RunPlace
-    name: str
-    worst: float
-    best: float
-    fewest: float
-    source: str
+    place: RunPlace  # the room, or the sets of rooms
+    name: str  # in tables
+    worst: float  # return without escape
+    best: float  # best known return, mean over the evaluation episodes
+    fewest: float  # primitives of the best known escape, mean over the evaluation episodes
+    source: str  # finder of the best: `planner`, `ceiling`, or the label of the agent that beat the planner
 
     @property
     def instance(self) -> RoomInstance:

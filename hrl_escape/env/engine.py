@@ -93,15 +93,10 @@ class Renderer(Protocol):
 
 
 class EngineEntry(NamedTuple):
-    """Import paths `module:name` of an engine.
+    """Import paths `module:name` of an engine."""
 
-    Attributes:
-        engine: called with the instance, and `window=True` to open a window.
-        renderer: called with the engine.
-    """
-
-    engine: str
-    renderer: str
+    engine: str  # called with the instance, and `window=True` to open a window
+    renderer: str  # called with the engine
 
 
 ENGINES: dict[str, EngineEntry] = {

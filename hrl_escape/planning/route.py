@@ -21,40 +21,25 @@ def get_pose(state: RoomState) -> Pose:
 
 
 class Route(NamedTuple):
-    """Primitives to one goal, with the poses they lead through.
+    """Primitives to one goal, with the poses they lead through."""
 
-    Attributes:
-        primitives: actions, in order.
-        poses: the pose before each primitive and the last one.
-        also_pressed: other targets that are pressed on the way because they cannot be avoided.
-        expansions: search nodes expanded for it.
-        method: search that found it: `fields`, or a path planner; `given` if none did.
-        timed_out: the clock cut its search short; without it there may be a shorter one.
-    """
-
-    primitives: tuple[int, ...]
-    poses: tuple[Pose, ...]
-    also_pressed: tuple[int, ...]
-    expansions: int
-    method: str = "given"
-    timed_out: bool = False
+    primitives: tuple[int, ...]  # actions, in order
+    poses: tuple[Pose, ...]  # the pose before each primitive and the last one
+    also_pressed: tuple[int, ...]  # other targets that are pressed on the way because they cannot be avoided
+    expansions: int  # search nodes expanded for it
+    method: str = "given"  # search that found it: `fields`, or a path planner; `given` if none did
+    timed_out: bool = False  # the clock cut its search short; without it there may be a shorter one
 
 
 class SearchSettings(NamedTuple):
-    """Settings of one search, beyond start and goal.
+    """Settings of one search, beyond start and goal."""
 
-    Attributes:
-        method: as in `RoomPlanner`.
-        budget: search nodes that may be expanded.
-        seed: of path planners.
-        effort: further searches for a shorter plan, at most `len(EFFORTS)`; -1 for the first
-            plan found, which may be some primitives longer.
-    """
-
-    method: str
-    budget: int
-    seed: int = 0
+    method: str  # as in `RoomPlanner`
+    budget: int  # search nodes that may be expanded
+    seed: int = 0  # of path planners
     effort: int = 0
+    """Further searches for a shorter plan, at most `len(EFFORTS)`; -1 for the first plan found, which may be some
+    primitives longer."""
 
 
 def check_budget(budget: int) -> None:

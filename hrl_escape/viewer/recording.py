@@ -20,23 +20,14 @@ from hrl_escape.viewer.watch.drivers import Driver
 
 @dataclasses.dataclass(frozen=True)
 class Recording:
-    """One recorded episode.
+    """One recorded episode."""
 
-    Attributes:
-        instance: the room.
-        states: one more than rewards.
-        rewards: one a primitive.
-        decisions: name and number of primitives of each decision, in order.
-        end: how it ended.
-        driver: name of the driver, or of the file.
-    """
-
-    instance: RoomInstance
-    states: tuple[RoomState, ...]
-    rewards: tuple[float, ...]
-    decisions: tuple[tuple[str, int], ...]
-    end: EpisodeEnd
-    driver: str
+    instance: RoomInstance  # the room
+    states: tuple[RoomState, ...]  # one more than rewards
+    rewards: tuple[float, ...]  # one a primitive
+    decisions: tuple[tuple[str, int], ...]  # name and number of primitives of each decision, in order
+    end: EpisodeEnd  # how it ended
+    driver: str  # name of the driver, or of the file
 
 
 def record_driver(driver: Driver, seed: int = 0) -> Recording:

@@ -20,25 +20,15 @@ Chooser = Callable[[Stack, Any, NDArray[np.bool_], Seen], int]
 
 
 class Return(NamedTuple):
-    """One decision of one running call that is complete, or was cut.
+    """One decision of one running call that is complete, or was cut."""
 
-    Attributes:
-        stack: the running calls up to this one, paid, as they were before any was ended.
-        seen: the moment reached.
-        ended: the call ended by itself, its `ends` said so.
-        is_over: the call is over, by itself or because a caller, the episode or the lack of choices ended it.
-        cut: the child that was called neither ended by itself nor got stuck.
-        terminated: the episode ended in the task's sense.
-        truncated: the episode was cut off.
-    """
-
-    stack: Stack
-    seen: Seen
-    ended: bool
-    is_over: bool
-    cut: bool
-    terminated: bool
-    truncated: bool
+    stack: Stack  # the running calls up to this one, paid, as they were before any was ended
+    seen: Seen  # the moment reached
+    ended: bool  # the call ended by itself, its `ends` said so
+    is_over: bool  # the call is over, by itself or because a caller, the episode or the lack of choices ended it
+    cut: bool  # the child that was called neither ended by itself nor got stuck
+    terminated: bool  # the episode ended in the task's sense
+    truncated: bool  # the episode was cut off
 
     @property
     def frame(self) -> Frame:

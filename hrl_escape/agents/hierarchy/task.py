@@ -51,45 +51,26 @@ class Call(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """A choice that a running call has made, and what came of it so far.
+    """A choice that a running call has made, and what came of it so far."""
 
-    Attributes:
-        view: what the task saw when it chose.
-        legal: bool (choices,), what it could choose.
-        choice: what it chose.
-        reward: sum of gamma^i times its pay since.
-        summed: undiscounted sum of its pay since.
-        duration: primitives since.
-        discount: gamma^duration.
-    """
-
-    view: Any
-    legal: NDArray[np.bool_]
-    choice: int
-    reward: float = 0.0
-    summed: float = 0.0
-    duration: int = 0
-    discount: float = 1.0
+    view: Any  # what the task saw when it chose
+    legal: NDArray[np.bool_]  # bool (choices,), what it could choose
+    choice: int  # what it chose
+    reward: float = 0.0  # sum of gamma^i times its pay since
+    summed: float = 0.0  # undiscounted sum of its pay since
+    duration: int = 0  # primitives since
+    discount: float = 1.0  # gamma^duration
 
 
 class Frame(NamedTuple):
-    """One running call.
+    """One running call."""
 
-    Attributes:
-        task: which task runs.
-        context: what its caller told it.
-        start: the moment of the call.
-        primitives: primitives that ran since.
-        reward: undiscounted sum of its pay since.
-        decision: its latest choice; None before the first.
-    """
-
-    task: BaseTask
-    context: Any
-    start: Seen
-    primitives: int = 0
-    reward: float = 0.0
-    decision: Decision | None = None
+    task: BaseTask  # which task runs
+    context: Any  # what its caller told it
+    start: Seen  # the moment of the call
+    primitives: int = 0  # primitives that ran since
+    reward: float = 0.0  # undiscounted sum of its pay since
+    decision: Decision | None = None  # its latest choice; None before the first
 
 
 Stack = tuple[Frame, ...]

@@ -66,17 +66,11 @@ class Part:
 
 
 class ArchiveKind(NamedTuple):
-    """Kind of archive: whose parts, which names they may have, and what to do about a damaged one.
+    """Kind of archive: whose parts, which names they may have, and what to do about a damaged one."""
 
-    Attributes:
-        whose: in words, such as `a run`.
-        names: names of parts that it may hold.
-        cure: sentence that ends the message about a damaged one.
-    """
-
-    whose: str
-    names: re.Pattern[str]
-    cure: str
+    whose: str  # in words, such as `a run`
+    names: re.Pattern[str]  # names of parts that it may hold
+    cure: str  # sentence that ends the message about a damaged one
 
 
 def compute_parts_digest(parts: Iterable[Part]) -> str:

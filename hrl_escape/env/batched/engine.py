@@ -48,21 +48,13 @@ AUTORESETS = ("next-step", "same-step", "disabled")
 
 
 class RoomInfo(NamedTuple):
-    """The `info` of every room.
+    """The `info` of every room."""
 
-    Attributes:
-        primitives: primitives of the episode so far, int32 (rooms,).
-        pressed: 1 for each target pressed by this primitive, int8 (rooms, targets).
-        buttons_on: 1 for each target that is on, int8 (rooms, targets).
-        instance: index of the instance, int64 (rooms,).
-        success: 1 if the episode has ended by an escape, else 0, int32 (rooms,).
-    """
-
-    primitives: Tensor
-    pressed: Tensor
-    buttons_on: Tensor
-    instance: Tensor
-    success: Tensor
+    primitives: Tensor  # primitives of the episode so far, int32 (rooms,)
+    pressed: Tensor  # 1 for each target pressed by this primitive, int8 (rooms, targets)
+    buttons_on: Tensor  # 1 for each target that is on, int8 (rooms, targets)
+    instance: Tensor  # index of the instance, int64 (rooms,)
+    success: Tensor  # 1 if the episode has ended by an escape, else 0, int32 (rooms,)
 
 
 class Outcome(NamedTuple):

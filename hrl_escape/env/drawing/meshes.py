@@ -36,17 +36,11 @@ _LONGEST_SHADOW = 1.3
 
 
 class Mesh(NamedTuple):
-    """Triangles.
+    """Triangles."""
 
-    Attributes:
-        vertices: (n, 3), float64, m.
-        normals: (n, 3), float64, unit.
-        triangles: (m, 3), int64, numbers of vertices.
-    """
-
-    vertices: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    triangles: NDArray[np.int64]
+    vertices: NDArray[np.float64]  # (n, 3), float64, m
+    normals: NDArray[np.float64]  # (n, 3), float64, unit
+    triangles: NDArray[np.int64]  # (m, 3), int64, numbers of vertices
 
     def moved(self, x: float, y: float) -> Mesh:
         """The same mesh elsewhere on the floor."""

@@ -28,15 +28,10 @@ NAMES: tuple[str, ...] = get_args(Craft)
 
 
 class Recipe(NamedTuple):
-    """Requirements of a material or thing.
+    """Requirements of a material or thing."""
 
-    Attributes:
-        takes: things that must be there; they are not used up.
-        uses: materials that are used up, with the number of each.
-    """
-
-    takes: tuple[str, ...] = ()
-    uses: tuple[tuple[str, int], ...] = ()
+    takes: tuple[str, ...] = ()  # things that must be there; they are not used up
+    uses: tuple[tuple[str, int], ...] = ()  # materials that are used up, with the number of each
 
 
 RECIPES: dict[str, Recipe] = {

@@ -24,17 +24,11 @@ Towers: TypeAlias = tuple[int, ...]
 
 
 class TowersGoal(NamedTuple):
-    """Demands on towers.
+    """Demands on towers."""
 
-    Attributes:
-        on: pairs of a block and what it must stand on, itself for the table.
-        clear: blocks on which nothing may stand, and which are not held.
-        is_free: the hand must be empty.
-    """
-
-    on: tuple[tuple[int, int], ...]
-    clear: tuple[int, ...] = ()
-    is_free: bool = False
+    on: tuple[tuple[int, int], ...]  # pairs of a block and what it must stand on, itself for the table
+    clear: tuple[int, ...] = ()  # blocks on which nothing may stand, and which are not held
+    is_free: bool = False  # the hand must be empty
 
 
 class Problem(NamedTuple):
