@@ -17,12 +17,10 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import GridError
 from hrl_escape.files import read_json, write_json
 from hrl_escape.ladder.certificate import compute_task_overlap
 from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.keys import compute_task_key
 from hrl_escape.ladder.room_sets import parse_room_set
 from hrl_escape.ladder.tower import RoomSets, Tower, list_sets, load_rooms
 from hrl_escape.names import parse_whole
@@ -77,8 +75,7 @@ class Split:
     @cached_property
     def task_overlap(self) -> float:
         """Share of the rooms to be tested in whose puzzle, up to the numbers of buttons, is trained on too."""
-        return compute_task_overlap(*([compute_task_key(sample_puzzle(each.config, seed)[1])
-                                       for each in list_sets(rooms) for seed in each.seeds]
+        return compute_task_overlap(*([task for each in list_sets(rooms) for task in each.tasks]
                                       for rooms in (self.train, self.test)))
 
 

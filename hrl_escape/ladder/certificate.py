@@ -8,16 +8,24 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from hrl_escape.errors import VerificationError
-from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.ladder.hidden import derive_seed
+from hrl_escape.ladder.instance_set import InstanceSet, derive_task
 from hrl_escape.ladder.keys import RoomKeys, compute_keys
+from hrl_escape.ladder.layouts import LATEST_LAYOUTS, SeenLayouts
 from hrl_escape.ladder.manifest import ROLES, Manifest, RungRecord
 from hrl_escape.ladder.merkle import compute_root
-from hrl_escape.ladder.rung import Rung, choose_seeds
+from hrl_escape.ladder.rung import HELD_OUT, Rung, choose_seeds, is_held_out
+from hrl_escape.names import count_nouns
 
-__all__ = ["RungCertificate", "certify_rung", "compute_task_overlap", "find_overlaps", "freeze_manifest"]
+__all__ = ["LEAST_TASKS", "RungCertificate", "certify_rung", "compute_task_overlap", "find_overlaps", "freeze_manifest"]
+
+
+LEAST_TASKS = 20
+"""Different tasks without which a set of unseen tasks says little."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,15 +37,18 @@ class RungCertificate:
         rooms: number of rooms of each set.
         roots: Merkle root of each set.
         task_overlap: share of the test's rooms whose task some training room has.
+        tasks: number of different tasks in each set.
     """
 
     rung: str
     rooms: Mapping[str, int]
     roots: Mapping[str, str]
     task_overlap: float
+    tasks: Mapping[str, int]
 
     def __str__(self) -> str:
-        rooms = ", ".join(f"{role} {count}" for role, count in self.rooms.items())
+        rooms = ", ".join(f"{role} {count} ({count_nouns(self.tasks[role], 'task')})"
+                          for role, count in self.rooms.items())
         return f"{self.rung}: {rooms}; disjoint in content and layout; task overlap {self.task_overlap:.0%}"
 
 
@@ -48,9 +59,9 @@ def find_overlaps(sets: Mapping[str, Sequence[RoomKeys]]) -> list[str]:
         for key in ("content", "layout", "task"):
             if key == "task" and "test_task" not in (first, second):
                 continue
-            seen = {getattr(keys, key): index for index, keys in enumerate(those)}
-            found += [f"room {index} of {second} has the {key} of room {seen[getattr(keys, key)]} of {first}"
-                      for index, keys in enumerate(these) if getattr(keys, key) in seen]
+            seen = SeenLayouts(getattr(keys, key) for keys in those)  # hashes are found by equality
+            found += [f"room {index} of {second} has the {key} of room {other} of {first}"
+                      for index, keys in enumerate(these) if (other := seen.find(getattr(keys, key))) is not None]
     return found
 
 
@@ -70,7 +81,7 @@ def certify_rung(rung: Rung) -> RungCertificate:
     Raises:
         VerificationError: a root differs, or two sets share a room.
     """
-    keys = {role: [compute_keys(room) for room in rooms] for role, rooms in rung.sets.items()}
+    keys = {role: [compute_keys(room, rung.layouts) for room in rooms] for role, rooms in rung.sets.items()}
     roots = {role: compute_root([each.content for each in keys[role]]) for role in keys}
     overlap = compute_task_overlap(_list_tasks(keys["train"]), _list_tasks(keys["test"]))
     problems = [f"the root of {role} is {root[:16]}..., not {stated[:16]}..." for role, root in roots.items()
@@ -81,13 +92,15 @@ def certify_rung(rung: Rung) -> RungCertificate:
     if problems:
         raise VerificationError(f"{rung.benchmark}/{rung.name}: {'; '.join(problems[:5])}"
                                 + (f"; and {len(problems) - 5} more" if len(problems) > 5 else ""))
-    return RungCertificate(rung.name, {role: len(each) for role, each in keys.items()}, roots, overlap)
+    return RungCertificate(rung.name, {role: len(each) for role, each in keys.items()}, roots, overlap,
+                           {role: len(set(_list_tasks(each))) for role, each in keys.items()})
 
 
-def freeze_rung(benchmark: str, record: RungRecord) -> RungRecord:
-    """Fill in what a rung's rooms decide: indices to skip, roots, task overlap."""
-    rung = Rung(benchmark, record)
-    seen: set[str] = set()
+def freeze_rung(benchmark: str, record: RungRecord, layouts: int) -> RungRecord:
+    """Fill in what a rung's rooms decide: indices to skip, roots, task overlap, and whether tasks are held out."""
+    if layouts > 1 and record.test_task is not None and not _has_tasks(Rung(benchmark, record)):
+        record = dataclasses.replace(record, test_task=None)
+    rung, seen = Rung(benchmark, record, layouts=layouts), SeenLayouts()
     keys: dict[str, list[RoomKeys]] = {}
     for role in ROLES:
         stated = record.get_record(role)
@@ -95,18 +108,34 @@ def freeze_rung(benchmark: str, record: RungRecord) -> RungRecord:
             continue
         skipped: list[int] = []
         if stated.seeds:
-            keys[role] = [compute_keys(room) for room in InstanceSet("", rung.config, stated.seeds)]
+            keys[role] = [compute_keys(room, layouts) for room in InstanceSet("", rung.config, stated.seeds)]
         else:
-            skipped, chosen = choose_seeds(rung.config, rung.iterate_seeds(role), stated.count, seen)
+            skipped, chosen = choose_seeds(rung.config, rung.iterate_seeds(role), stated.count, seen, layouts)
             keys[role] = list(chosen.values())
-        seen |= {each.layout for each in keys[role]}
+        seen.update(each.layout for each in keys[role])
         root = compute_root([each.content for each in keys[role]])
         record = dataclasses.replace(record, **{role: dataclasses.replace(stated, root=root, skipped=tuple(skipped))})
     overlap = compute_task_overlap(_list_tasks(keys["train"]), _list_tasks(keys["test"]))
     return dataclasses.replace(record, task_overlap=overlap)
 
 
+def _has_tasks(rung: Rung) -> bool:
+    """Return whether the tasks that a rung holds out are enough different ones to be tested on."""
+    record = rung.record.test_task
+    assert record is not None
+    seeds = record.seeds or [derive_seed(rung.benchmark, rung.name, "test_task", i)
+                             for i in range(2 * HELD_OUT * record.count)]  # there may be no such task at all
+    drawn = [task for seed in seeds if is_held_out(task := derive_task(rung.config, seed))]
+    return len(set(drawn[: record.count])) >= min(LEAST_TASKS, math.ceil(record.count / 2))
+
+
 def freeze_manifest(manifest: Manifest, version: str) -> Manifest:
-    """Fill in what the rooms of all rungs decide, for this version of the package."""
-    rungs = tuple(freeze_rung(manifest.name, record) for record in manifest.rungs)
-    return dataclasses.replace(manifest, package=version, rungs=rungs)
+    """Fill in what the rooms of all rungs decide, for this version of the package.
+
+    A manifest that has no roots yet gets the latest version of layouts; and rungs whose tasks held out are fewer than
+    `LEAST_TASKS`, or than half the rooms of a smaller set, get no `test_task`.
+    """
+    is_new = not any(record.train.root for record in manifest.rungs)
+    layouts = LATEST_LAYOUTS if is_new else manifest.layouts
+    rungs = tuple(freeze_rung(manifest.name, record, layouts) for record in manifest.rungs)
+    return dataclasses.replace(manifest, package=version, layouts=layouts, rungs=rungs)

@@ -17,19 +17,26 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, describe_damage
 from hrl_escape.figures import Pictured
 from hrl_escape.files import read_json, write_json
+from hrl_escape.ladder.keys import compute_task_key
 
 if TYPE_CHECKING:
     from hrl_escape.env.vector_env import EscapeRoomVectorEnv
     from hrl_escape.options.batched.env import BatchedOptionsEnv
 
-__all__ = ["InstanceSet", "InstanceSetEnv", "LazySeeds"]
+__all__ = ["InstanceSet", "InstanceSetEnv", "LazySeeds", "derive_task"]
 
 LADDER_ID, LADDER_ENTRY = "hrl_escape/Ladder-v1", "hrl_escape.ladder.room_sets:make_ladder_env"
 CHOOSING_ROOMS = ("config", "instance", "instance_seed", "instances", "resample_instance")
 """Arguments of `EscapeRoomEnv` that a set gives itself."""
+
+
+def derive_task(config: RoomConfig, seed: int) -> str:
+    """Key of the task of one room, which is not generated for it."""
+    return compute_task_key(sample_puzzle(config, seed)[1])
 
 
 class LazySeeds(Sequence[int]):
@@ -112,6 +119,11 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
     def ids(self) -> tuple[str, ...]:
         """Content hashes of all rooms, 64 hexadecimal digits each; generates them."""
         return tuple(room.digest for room in self)
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """Keys of the rooms' tasks, of which equal ones are one task; generates no room."""
+        return tuple(derive_task(self.config, seed) for seed in self.seeds)
 
     # --- parts -------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""The three keys of a room: its content, its layout, and its task up to the names of buttons.
+"""The three keys of a room: its content, its layout, and its task up to the numbers of buttons.
 
 Two sets of rooms are disjoint in content if no room of one is in the other, in layout if none looks alike, and in
 task if none asks for the same puzzle.
@@ -15,6 +15,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.ladder.canonical import compute_canonical_form
+from hrl_escape.ladder.layouts import LayoutKey, list_points
 
 __all__ = ["RoomKeys", "compute_keys", "compute_layout_key", "compute_task_key"]
 
@@ -25,22 +26,24 @@ TURN = math.radians(30)
 
 
 class RoomKeys(NamedTuple):
-    """Keys of one room, 64 hexadecimal digits of SHA-256 each.
+    """Keys of one room; hashes are 64 hexadecimal digits of SHA-256.
 
     Attributes:
         content: everything that can be observed or computed in the room.
-        layout: the room with places rounded to 0.5 m and directions to 30 degrees.
+        layout: what stands where; of version 1 a hash of places rounded to 0.5 m and directions to 30 degrees, of
+            version 2 points that are compared with a margin, see `layouts.py`.
         task: the puzzle up to the numbers of its buttons.
     """
 
     content: str
-    layout: str
+    layout: LayoutKey
     task: str
 
 
-def compute_keys(room: RoomInstance) -> RoomKeys:
-    """Compute the keys of a room."""
-    return RoomKeys(room.digest, compute_layout_key(room), compute_task_key(room.puzzle))
+def compute_keys(room: RoomInstance, layouts: int = 1) -> RoomKeys:
+    """Compute the keys of a room, its layout in this version."""
+    layout = compute_layout_key(room) if layouts == 1 else list_points(room)
+    return RoomKeys(room.digest, layout, compute_task_key(room.puzzle))
 
 
 def compute_layout_key(room: RoomInstance) -> str:

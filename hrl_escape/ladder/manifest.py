@@ -14,6 +14,7 @@ from typing import Annotated, Any
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.files import parse_json, read_json, write_json
+from hrl_escape.ladder.layouts import LATEST_LAYOUTS
 from hrl_escape.settings import Range, Settings
 
 __all__ = ["ROLES", "Manifest", "RungRecord", "SetRecord", "list_manifests", "load_manifest"]
@@ -79,6 +80,8 @@ class Manifest(Settings):
     """Schema version of the instances."""
     rungs: tuple[RungRecord, ...] = ()
     """Rungs from easy to hard."""
+    layouts: Annotated[int, Range(1, LATEST_LAYOUTS)] = 1
+    """Version by which rooms look alike: 1 by rounded places, 2 turned or mirrored and within a margin."""
     hidden_round: Annotated[int, Range(1, 2**63 - 1)] | None = None
     """Round of drand's quicknet that decides hidden tests, announced before agents are frozen (None: not yet)."""
 

@@ -7,16 +7,16 @@ tasks, chosen by their hash, occurs in `test_task` only.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from functools import cached_property
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import ConfigError, EscapeError, GenerationError
 from hrl_escape.ladder.hidden import derive_hidden_seed, derive_seed, read_beacon
-from hrl_escape.ladder.instance_set import InstanceSet, LazySeeds
-from hrl_escape.ladder.keys import RoomKeys, compute_keys, compute_layout_key, compute_task_key
+from hrl_escape.ladder.instance_set import InstanceSet, LazySeeds, derive_task
+from hrl_escape.ladder.keys import RoomKeys, compute_keys
+from hrl_escape.ladder.layouts import LayoutKey, SeenLayouts
 from hrl_escape.ladder.manifest import ROLES, RungRecord
 
 __all__ = ["Rung", "choose_seeds", "is_held_out"]
@@ -38,6 +38,7 @@ class Rung:
         record: the rung in the manifest.
         source: name or file by which `load_benchmark` finds it, so that environments of its sets have a `spec`.
         hidden_round: round of the beacon that the benchmark has announced for hidden tests.
+        layouts: version by which rooms look alike, see `Manifest`.
 
     Attributes:
         name: of the rung.
@@ -45,8 +46,10 @@ class Rung:
         config: schematic of its rooms.
     """
 
-    def __init__(self, benchmark: str, record: RungRecord, source: str = "", hidden_round: int | None = None) -> None:
+    def __init__(self, benchmark: str, record: RungRecord, source: str = "", hidden_round: int | None = None,
+                 layouts: int = 1) -> None:
         self.benchmark, self.record, self.source, self.hidden_round = benchmark, record, source, hidden_round
+        self.layouts = layouts
         self.name, self.isolates, self.config = record.name, record.isolates, record.config
 
     def __repr__(self) -> str:
@@ -97,11 +100,8 @@ class Rung:
 
     def _keep_tasks(self, held_out: bool, seeds: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
         for index, seed in seeds:
-            if self.record.test_task is None or is_held_out(self._get_task(seed)) == held_out:
+            if self.record.test_task is None or is_held_out(derive_task(self.config, seed)) == held_out:
                 yield index, seed
-
-    def _get_task(self, seed: int) -> str:
-        return compute_task_key(sample_puzzle(self.config, seed)[1])
 
     def make_hidden_test(self, beacon: str, count: int = 100) -> InstanceSet:
         """Make the hidden test that public randomness decides; no agent may be changed after it was published.
@@ -119,20 +119,21 @@ class Rung:
         if self.hidden_round not in (None, read.round):
             raise ConfigError("beacon", beacon, f"round {self.hidden_round}, which {self.benchmark} has announced")
         seeds = ((i, derive_hidden_seed(read, self.benchmark, self.name, i)) for i in itertools.count())
-        seen = {compute_layout_key(room) for rooms in self.sets.values() for room in rooms}
-        _, kept = choose_seeds(self.config, self._keep_tasks(False, seeds), count, seen)
+        seen = SeenLayouts(compute_keys(room, self.layouts).layout for rooms in self.sets.values() for room in rooms)
+        _, kept = choose_seeds(self.config, self._keep_tasks(False, seeds), count, seen, self.layouts)
         return InstanceSet(f"{self.benchmark}/{self.name}/hidden/{read.round}", self.config, list(kept))
 
 
-def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], count: int, seen: Collection[str]
-                 ) -> tuple[list[int], dict[int, RoomKeys]]:
+def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], count: int, seen: Container[LayoutKey],
+                 layouts: int = 1) -> tuple[list[int], dict[int, RoomKeys]]:
     """Choose the first seeds whose rooms can be generated and look like none that was seen.
 
     Args:
         config: the schematic.
         candidates: (index, seed) pairs.
         count: number of seeds.
-        seen: layout keys of other sets.
+        seen: layouts of other sets.
+        layouts: version of these.
 
     Returns:
         Indices skipped, and the keys of the rooms chosen, by seed.
@@ -144,7 +145,7 @@ def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], coun
     kept: dict[int, RoomKeys] = {}
     for index, seed in candidates:
         try:
-            keys = compute_keys(generate(config, seed))
+            keys = compute_keys(generate(config, seed), layouts)
         except GenerationError:
             keys = None
         if keys is not None and keys.layout not in seen:

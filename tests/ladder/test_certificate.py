@@ -35,8 +35,9 @@ def test_a_frozen_benchmark_verifies(capsys):
     bench = Benchmark(make_manifest())
     lines: list[str] = []
     bench.verify(report=lines.append)
-    assert lines[0] == "one: train 12, valid 4, test 4; disjoint in content and layout; task overlap 100%"
-    assert lines[1].startswith("five: train 12, valid 4, test 4, test_task 4; disjoint")
+    assert lines[0] == (
+        "one: train 12 (1 task), valid 4 (1 task), test 4 (1 task); disjoint in content and layout; task overlap 100%")
+    assert lines[1].startswith("five: train 12 (")
 
 
 def test_a_manifest_survives_its_file(tmp_path):

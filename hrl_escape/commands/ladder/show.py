@@ -56,9 +56,9 @@ def run(args: ShowArgs) -> None:
         return
     console = Console(soft_wrap=True, highlight=False, width=120)  # a root has 64 digits
     console.print(f"[bold]{rung.name}[/bold]: {rung.isolates}; {describe_schematic(rung.config)}")
-    table = Table("set", "rooms", "skipped", "root", box=None, pad_edge=False)
+    table = Table("set", "rooms", "tasks", "skipped", "root", box=None, pad_edge=False)
     for role, row in report["sets"].items():
-        table.add_row(role, str(row["rooms"]), str(row["skipped"]), row["root"])
+        table.add_row(role, str(row["rooms"]), str(row["tasks"]), str(row["skipped"]), row["root"])
     console.print(table)
     console.print(f"Test rooms whose task occurs in training: {rung.record.task_overlap:.0%}")
     console.print(f"Schematic: {json.dumps(report['config'])}")
@@ -71,7 +71,8 @@ def _describe(rung: Rung) -> dict[str, Any]:
     return {
         "benchmark": rung.benchmark, "rung": rung.name, "isolates": rung.isolates,
         "config": list_changes(rung.config), "task_overlap": rung.record.task_overlap,
-        "sets": {role: {"rooms": record.count, "skipped": len(record.skipped), "root": record.root}
+        "sets": {role: {"rooms": record.count, "tasks": len(set(rung.sets[role].tasks)),
+                        "skipped": len(record.skipped), "root": record.root}
                  for role, record in records.items() if record is not None},
     }
 

@@ -46,7 +46,7 @@ def test_a_frozen_manifest_verifies_and_a_changed_one_does_not(capsys, tmp_path)
         {"name": "one", "config": make_config(2, "chain").to_dict(), **sizes}]}))
     assert call_script(capsys, "benchmarks.ladder", "freeze", path)[:2] == (0, f"mine: 1 rungs; wrote {path}\n")
     code, out, _ = call(capsys, "verify", "--benchmark", str(path))
-    assert code == 0 and out.startswith("one: train 3, valid 2, test 2")
+    assert code == 0 and out.startswith("one: train 3 (1 task), valid 2 (1 task), test 2")
     path.write_text(path.read_text().replace('"room": {', '"horizon": 77, "room": {', 1))
     code, _, err = call(capsys, "verify", "--benchmark", str(path))
     assert code == 2 and "mine/one: the root of train is" in err and err.count("\n") == 1
