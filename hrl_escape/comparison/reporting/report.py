@@ -39,83 +39,6 @@ from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.files import write_text
 from hrl_escape.templates import embed_json, render_template
 
-BEST, MEDIAN = "best", "median"
-
-
-def make_page_data(summary: Summary, agent_styles: Sequence[AgentStyle], replays: Sequence[dict[str, Any]]
-                   ) -> dict[str, Any]:
-    """Collect what the page's scripts need."""
-    rooms = [describe_room(room.instance) for room in summary.rooms]
-    for replay in replays:
-        room, primitives = rooms[replay["room"]], _list_primitives(summary.rooms[replay["room"]].instance)
-        chosen = {name for name, _, _ in replay["decisions"]} - primitives
-        room["options"] = sorted(chosen.union(room["options"]))
-    return {
-        "agents": [_describe_agent(agent, look) for agent, look in zip(summary.agents, agent_styles, strict=True)],
-        "thresholds": PROFILE.tolist(),
-        "rooms": rooms,
-        "replays": list(replays),
-        "looks": PLAYER_COLOURS,
-    }
-
-
-def choose_replays(comparison: Comparison) -> list[dict[str, Any]]:
-    """The best and the median of the last evaluation's episodes, of each agent in each room, over all its runs.
-
-    Returns:
-        Episodes as `record_episode` gives them, with `agent`, `room` (index), `seed`, `episode` and
-        `kinds`: `best`, `median`, or both where they are the same. The median of an even number is the better
-        of the two in the middle.
-    """
-    chosen = []
-    for number, spec in enumerate(comparison.grid.agents):
-        for room, place in enumerate(comparison.places):
-            runs = [run for run, _ in comparison.runs if run.number == number and run.place_id == place.id]
-            episodes = [
-                {"agent": spec.label, "room": room, "seed": run.seed, "episode": index, **episode}
-                for run in runs for index, episode in enumerate(read_episodes(comparison.out, run))
-            ]
-            if not episodes:
-                continue
-            episodes.sort(key=lambda episode: -episode["return"])  # stable: equal ones stay in order of seeds
-            best, median = episodes[0], episodes[(len(episodes) - 1) // 2]
-            if best["return"] == median["return"]:
-                chosen.append({**best, "kinds": [BEST, MEDIAN]})
-            else:
-                chosen += [{**best, "kinds": [BEST]}, {**median, "kinds": [MEDIAN]}]
-    return chosen
-
-
-def _describe_agent(agent: AgentSummary, look: AgentStyle) -> dict[str, Any]:
-    return {
-        "label": agent.label,
-        "colour": look.colour,
-        "text": look.text,
-        "dash": look.is_dashed,
-        "is_level": is_level(agent.spec),
-        "curve": _describe_curve(agent.curve),
-        "room_curves": [None if curve is None else _describe_curve(curve) for curve in agent.room_curves],
-        "profile": _round(agent.profile),
-    }
-
-
-def _describe_curve(curve: Curve) -> dict[str, Any]:
-    return {
-        "primitives": _round(curve.primitives),
-        "decisions": _round(curve.decisions),
-        "seconds": _round(curve.seconds),
-        **{name: [_round(line) for line in lines] for name, lines in curve.metrics.items()},
-    }
-
-
-def _round(values: NDArray[np.float64]) -> list[float]:
-    return [float(f"{value:.5g}") for value in values]
-
-
-def _list_primitives(instance: RoomInstance) -> set[str]:
-    return set(instance.robot.actions.names)
-
-
 PAGE = "report.html"
 SCRIPTS = ("chart.js", "moving_map.js", "page.js")
 BETTER, EVEN, WORSE = (0, 114, 178), (120, 110, 90), (213, 94, 0)
@@ -386,3 +309,82 @@ def _format_seconds(seconds: float) -> str:
         return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 100 else f"{minutes / 60:.1f} h"
+
+
+# --- the data inside the page ---------------------------------------------------------------
+
+BEST, MEDIAN = "best", "median"
+
+
+def make_page_data(summary: Summary, agent_styles: Sequence[AgentStyle], replays: Sequence[dict[str, Any]]
+                   ) -> dict[str, Any]:
+    """Collect what the page's scripts need."""
+    rooms = [describe_room(room.instance) for room in summary.rooms]
+    for replay in replays:
+        room, primitives = rooms[replay["room"]], _list_primitives(summary.rooms[replay["room"]].instance)
+        chosen = {name for name, _, _ in replay["decisions"]} - primitives
+        room["options"] = sorted(chosen.union(room["options"]))
+    return {
+        "agents": [_describe_agent(agent, look) for agent, look in zip(summary.agents, agent_styles, strict=True)],
+        "thresholds": PROFILE.tolist(),
+        "rooms": rooms,
+        "replays": list(replays),
+        "looks": PLAYER_COLOURS,
+    }
+
+
+def choose_replays(comparison: Comparison) -> list[dict[str, Any]]:
+    """The best and the median of the last evaluation's episodes, of each agent in each room, over all its runs.
+
+    Returns:
+        Episodes as `record_episode` gives them, with `agent`, `room` (index), `seed`, `episode` and
+        `kinds`: `best`, `median`, or both where they are the same. The median of an even number is the better
+        of the two in the middle.
+    """
+    chosen = []
+    for number, spec in enumerate(comparison.grid.agents):
+        for room, place in enumerate(comparison.places):
+            runs = [run for run, _ in comparison.runs if run.number == number and run.place_id == place.id]
+            episodes = [
+                {"agent": spec.label, "room": room, "seed": run.seed, "episode": index, **episode}
+                for run in runs for index, episode in enumerate(read_episodes(comparison.out, run))
+            ]
+            if not episodes:
+                continue
+            episodes.sort(key=lambda episode: -episode["return"])  # stable: equal ones stay in order of seeds
+            best, median = episodes[0], episodes[(len(episodes) - 1) // 2]
+            if best["return"] == median["return"]:
+                chosen.append({**best, "kinds": [BEST, MEDIAN]})
+            else:
+                chosen += [{**best, "kinds": [BEST]}, {**median, "kinds": [MEDIAN]}]
+    return chosen
+
+
+def _describe_agent(agent: AgentSummary, look: AgentStyle) -> dict[str, Any]:
+    return {
+        "label": agent.label,
+        "colour": look.colour,
+        "text": look.text,
+        "dash": look.is_dashed,
+        "is_level": is_level(agent.spec),
+        "curve": _describe_curve(agent.curve),
+        "room_curves": [None if curve is None else _describe_curve(curve) for curve in agent.room_curves],
+        "profile": _round(agent.profile),
+    }
+
+
+def _describe_curve(curve: Curve) -> dict[str, Any]:
+    return {
+        "primitives": _round(curve.primitives),
+        "decisions": _round(curve.decisions),
+        "seconds": _round(curve.seconds),
+        **{name: [_round(line) for line in lines] for name, lines in curve.metrics.items()},
+    }
+
+
+def _round(values: NDArray[np.float64]) -> list[float]:
+    return [float(f"{value:.5g}") for value in values]
+
+
+def _list_primitives(instance: RoomInstance) -> set[str]:
+    return set(instance.robot.actions.names)
