@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium
 import numpy as np
@@ -75,18 +75,6 @@ def read_model(env: gymnasium.Env) -> TabularModel:
     return TabularModel(outcomes, np.asarray(starts, np.float64), range(len(rules)))
 
 
-class StatefulEnv(Protocol):
-    """An environment whose state can be read and set."""
-
-    def get_state(self) -> Any:
-        """Everything that decides what follows, as `set_state` takes it."""
-        ...
-
-    def set_state(self, state: Any) -> None:
-        """Go on from a state."""
-        ...
-
-
 def enumerate_model(
     env: gymnasium.Env,
     key: Callable[[Any], Hashable] = lambda state: state,
@@ -96,7 +84,8 @@ def enumerate_model(
     """Enumerate a deterministic environment by trying every action in every state that can be reached.
 
     Args:
-        env: with `get_state` and `set_state` (`StatefulEnv`) and Discrete actions. Truncations are left out.
+        env: with Discrete actions, `get_state()` (everything that decides what follows) and `set_state(state)`, which
+            goes on from it. Truncations are left out.
         key: state -> what tells it from others; leave out clocks, or no state is ever met again.
         seeds: of the first states, which are equally likely.
         most_states: bound on states.

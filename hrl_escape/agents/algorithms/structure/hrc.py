@@ -31,18 +31,6 @@ InterventionRule = Literal["uniform", "targeted", "ancestors"]
 n / (n + 1), else another one; `ancestors`: an ancestor, as long as there is one."""
 
 
-def find_causes(parents: Mapping[int, Collection[int]], goal: int) -> frozenset[int]:
-    """Everything that a goal depends on, directly or not, itself left out."""
-    found: set[int] = set()
-    waiting = list(parents.get(goal, ()))
-    while waiting:
-        node = waiting.pop()
-        if node not in found:
-            found.add(node)
-            waiting += parents.get(node, ())
-    return frozenset(found)
-
-
 def compute_intervention_probabilities(
     candidates: Sequence[int], ancestors: Collection[int], made: int, rule: InterventionRule
 ) -> list[float]:

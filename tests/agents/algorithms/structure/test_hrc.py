@@ -13,7 +13,6 @@ from hrl_escape.agents.algorithms.structure.hrc import (
     Hrc,
     HrcSettings,
     compute_intervention_probabilities,
-    find_causes,
 )
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
@@ -23,6 +22,17 @@ from tests.agents.running import interact
 CHAIN = {n: [n - 1] if n else [] for n in range(8)}
 TREE = {n: [(n - 1) // 2] if n else [] for n in range(10)}
 LAYERED = {0: [], 1: [], 2: [], 3: [0, 1], 4: [1, 2], 5: [0, 2], 6: [3, 4], 7: [4, 5], 8: [6]}
+
+
+def find_causes(parents, goal):
+    """Everything that a goal depends on, directly or not, itself left out."""
+    found, waiting = set(), list(parents.get(goal, ()))
+    while waiting:
+        node = waiting.pop()
+        if node not in found:
+            found.add(node)
+            waiting += parents.get(node, ())
+    return frozenset(found)
 
 
 def compute_expected_cost(parents, goal, rule, gate="and"):
