@@ -1,5 +1,6 @@
 from .agents.registry import make_agent
 from .agents.training.train import train
+from .comparison.board.pretrained import load_pretrained
 from .env.config import RoomConfig
 from .env.escape_room import EscapeRoomEnv
 from .env.instance import RoomInstance
@@ -19,6 +20,7 @@ __all__ = [
     "__version__",
     "generate",
     "get_preset",
+    "load_pretrained",
     "make_agent",
     "train",
 ]

@@ -1,3 +1,4 @@
+from .board.pretrained import Pretrained, list_pretrained, load_pretrained
 from .comparison import run_grid
 from .grid import AgentSpec, Grid
 from .places import RoomSpec
@@ -9,7 +10,10 @@ __all__ = [
     "AgentSpec",
     "RecordedEpisode",
     "Grid",
+    "Pretrained",
     "RoomSpec",
+    "list_pretrained",
+    "load_pretrained",
     "record_episode",
     "run_grid",
     "write_report",

@@ -20,8 +20,6 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.ladder.tower import list_sets
 
-__all__ = ["Rates", "count_buttons", "describe_cost", "estimate_hours", "estimate_rate", "load_rates"]
-
 Rates = Mapping[str, Mapping[int, float]]
 """Seconds of one core for a thousand primitives, by agent and number of buttons."""
 

@@ -22,8 +22,6 @@ from scipy.sparse.csgraph import maximum_bipartite_matching  # pyright: ignore[r
 
 from hrl_escape.env.instance import RoomInstance
 
-__all__ = ["LATEST_LAYOUTS", "ALIKE_WITHIN", "LayoutKey", "SeenLayouts", "are_alike", "list_points"]
-
 ALIKE_WITHIN = 0.5
 """Distance within which a point is in the same place, m."""
 LATEST_LAYOUTS = 2

@@ -43,9 +43,6 @@ from hrl_escape.files import (
 )
 from hrl_escape.settings import read_record
 
-__all__ = ["LARGEST_ARCHIVE", "ArchiveKind", "Part", "compute_parts_digest", "describe_part", "making_folder",
-           "pack_parts", "read_parts"]
-
 MANIFEST, FORMAT = "manifest.json", 1
 LARGEST_ARCHIVE = 2**32 - 2**16
 """Bytes of the largest archive: what a zip holds without its extension to 64 bits."""
@@ -79,23 +76,14 @@ def compute_parts_digest(parts: Iterable[Part]) -> str:
 
 
 def describe_part(name: str, source: Path | bytes, what: str = "part of an archive") -> Part:
-    """Size and hash of a file, or of bytes, as a part of this name.
-
-    Raises:
-        FileReadError: the file is missing, or a link.
-    """
+    """Size and hash of a file, or of bytes, as a part of this name; a link raises `FileReadError`."""
     with _open(source, what) as file:
         return _copy(file, None, name)
 
 
 def pack_parts(path: str | os.PathLike[str], sources: Mapping[str, Path | bytes], kind: ArchiveKind
                ) -> tuple[Part, ...]:
-    """Write an archive, atomically.
-
-    Args:
-        path: the archive.
-        sources: file or content of each part, by its name.
-        kind: of the archive.
+    """Write an archive of these files or contents, by the names of their parts, atomically.
 
     Raises:
         FileReadError: a file is missing, or a link.
@@ -154,11 +142,7 @@ def read_parts(path: str | os.PathLike[str], kind: ArchiveKind, wanted: Iterable
 
 @contextmanager
 def refusing_archive(path: Path, kind: ArchiveKind) -> Iterator[None]:
-    """Say in one sentence what an archive is not, whatever its content has raised.
-
-    Raises:
-        CheckpointError: it is damaged, or of another kind.
-    """
+    """Turn whatever the content of an archive raises into one sentence, a `CheckpointError`."""
     try:
         yield
     except CheckpointError:

@@ -18,23 +18,14 @@ from hrl_escape.files import read_json, write_json
 from hrl_escape.ladder.rung import Rung
 from hrl_escape.settings import read_record
 
-__all__ = ["Check", "Record", "Row", "conclude", "describe_score", "read_records", "write_page"]
-
 
 class Row(NamedTuple):
-    """Row of a rung's table.
+    """Row of a rung's table."""
 
-    Attributes:
-        name: of the agent, as Markdown.
-        cells: further columns, as Markdown.
-        score: efficiency in the test rooms.
-        agent: name of the package's agent or reference; empty for a program.
-    """
-
-    name: str
-    cells: tuple[str, ...]
-    score: Estimate
-    agent: str
+    name: str  # of the agent, as Markdown
+    cells: tuple[str, ...]  # further columns, as Markdown
+    score: Estimate  # efficiency in the test rooms
+    agent: str  # name of the package's agent or reference; empty for a program
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,11 +51,7 @@ class Record:
 
 
 def read_records(folder: Path) -> list[Record]:
-    """Read the records of a folder, in the order of their files' names.
-
-    Raises:
-        FileReadError: one is damaged.
-    """
+    """Records of a folder, in the order of their files' names; a damaged one is a `FileReadError`."""
     found = []
     for path in sorted(folder.glob("*.json")):
         value = read_json(path, "record of a board")
@@ -88,14 +75,7 @@ def describe_score(submission: Submission, rung: Rung) -> str:
 
 
 def write_page(records: Sequence[Record]) -> tuple[str, list[str]]:
-    """Write the page of a board.
-
-    Args:
-        records: of verified submissions.
-
-    Returns:
-        Markdown, and the names of agents that are left out because they were not tested in every room.
-    """
+    """Markdown of a board's page, and names of agents left out because they were not tested in every room."""
     rungs: dict[str, list[Row]] = {}
     left_out = []
     for record in records:

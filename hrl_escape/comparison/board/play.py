@@ -43,8 +43,6 @@ from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.rung import Rung
 from hrl_escape.settings import replace_settings
 
-__all__ = ["CheckedCell", "make_view_env", "pack_submission", "play_cells", "read_view", "verify_cells"]
-
 _DEFAULTS = {"options": None, "discounted_reward": False, "observation": "pass", "planner": "auto"}
 """Arguments of `OptionsEnv` that a view leaves at their defaults."""
 
@@ -62,11 +60,7 @@ class CheckedCell(NamedTuple):
 
 
 def read_view(described: Mapping[str, Any]) -> RoomView:
-    """RoomView that the environment of a run gave its agent, from the run's description.
-
-    Raises:
-        UnsupportedError: the environment is no room, or has wrappers that would change the count of primitives.
-    """
+    """View that a described run gave its agent; `UnsupportedError` where a wrapper could change what counts."""
     env, options, memory = described["environment"], None, False
     try:
         for wrapper in env["wrappers"]:
@@ -96,15 +90,7 @@ def make_view_env(view: RoomView, rooms: InstanceSet, schedule: Mapping[str, int
 
 def play_cells(entry: Entry, folder: Path, rooms: InstanceSet, role: str, numbers: Iterable[int], trust: bool = False
                ) -> Iterator[Cell]:
-    """Play an episode in each of some rooms; which others are played makes no difference.
-
-    Args:
-        entry: names the agent.
-        folder: with the agent's files.
-        rooms: the whole set.
-        role: `test` or `hidden`.
-        numbers: rooms of the set.
-        trust: start the program that the card names.
+    """Play an episode in each of some rooms of a set; which others are played makes no difference.
 
     Raises:
         TrustError: the agent is a program, and is not trusted.
@@ -203,14 +189,7 @@ def _list_sets(entry: Entry, rung: Rung) -> dict[str, InstanceSet]:
 
 
 def verify_cells(path: Path, rung: Rung, count: int, seed: int, trust: bool = False) -> list[CheckedCell]:
-    """Play some cells of a submission again.
-
-    Args:
-        path: the submission.
-        rung: see `find_rung`.
-        count: number of cells.
-        seed: fixes which; whoever submits must not know it.
-        trust: start the program of an agent that is not of this package.
+    """Play some cells of a submission again, drawn by a seed that whoever submits must not know.
 
     Raises:
         TrustError: it is needed, and not given; nothing was started.

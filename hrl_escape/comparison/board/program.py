@@ -35,8 +35,6 @@ from hrl_escape.comparison.references.rules import ReferenceSettings
 from hrl_escape.errors import ContractError, show_value
 from hrl_escape.names import parse_whole
 
-__all__ = ["ProgramAgent", "describe_command"]
-
 ANSWER_SECONDS = 120.0
 """Seconds that a program may take for a decision; its start counts with the first."""
 LONGEST_LINE = 100

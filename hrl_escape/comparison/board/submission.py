@@ -39,9 +39,6 @@ from hrl_escape.ladder.rung import Rung
 from hrl_escape.settings import Range, Settings, read_record
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["RUN", "SUBMISSION", "Card", "Cell", "Entry", "Submission", "RoomView", "describe_package", "find_rung",
-           "read_submission", "score_cells", "write_submission"]
-
 RUN = "run.zip"
 """Part that holds the training run of an agent of this package."""
 _FILE = r"(?!submission\.json$|cells\.csv$|run\.zip$|manifest\.json$)[A-Za-z0-9_][A-Za-z0-9_.-]{0,39}"
@@ -144,40 +141,24 @@ class Entry(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """Result in one room.
+    """Result in one room."""
 
-    Attributes:
-        set: `test` or `hidden`.
-        room: its number in the set.
-        escaped: whether the agent got out.
-        primitives: of the episode.
-        decisions: of the episode.
-        total: undiscounted return.
-        fewest: primitives of the best known escape, or their expectation where moves err.
-    """
-
-    set: str
-    room: int
-    escaped: bool
-    primitives: int
-    decisions: int
-    total: float
-    fewest: float
+    set: str  # `test` or `hidden`
+    room: int  # its number in the set
+    escaped: bool  # whether the agent got out
+    primitives: int  # of the episode
+    decisions: int  # of the episode
+    total: float  # undiscounted return
+    fewest: float  # primitives of the best known escape, or their expectation where moves err
 
 
 @dataclasses.dataclass(frozen=True)
 class Submission:
-    """A submission that was read, or its record.
+    """A submission that was read, or its record."""
 
-    Attributes:
-        entry: what it states.
-        cells: a result for each room.
-        parts: its files.
-    """
-
-    entry: Entry
-    cells: tuple[Cell, ...]
-    parts: tuple[Part, ...]
+    entry: Entry  # what it states
+    cells: tuple[Cell, ...]  # a result for each room
+    parts: tuple[Part, ...]  # its files
 
     @property
     def agent_digest(self) -> str:
@@ -216,14 +197,10 @@ def _hash_package() -> str:
 
 
 def find_rung(entry: Entry, manifest: str = "") -> Rung:
-    """The rung that a submission is about.
-
-    Args:
-        entry: of the submission; its names never become paths.
-        manifest: file of a benchmark that does not come with the package.
+    """The rung that a submission is about; its names never become paths.
 
     Raises:
-        VerificationError: the benchmark is another, or has another test set.
+        VerificationError: neither the package nor the manifest, a file, has this benchmark with this test set.
     """
     if not manifest and entry.benchmark not in list_benchmarks():
         raise VerificationError(f"benchmark {entry.benchmark[:40]!r} does not come with this package, which has "
@@ -239,12 +216,7 @@ def find_rung(entry: Entry, manifest: str = "") -> Rung:
 
 
 def score_cells(cells: Sequence[Cell], is_expected: bool = False) -> Estimate:
-    """Mean efficiency over rooms, with its 95 % interval.
-
-    Args:
-        cells: one or more.
-        is_expected: fewest primitives are expectations, which luck may beat; see `compute_mean_efficiency`.
-    """
+    """Mean efficiency over rooms, with its 95 % interval; for `is_expected` see `compute_mean_efficiency`."""
     escaped, primitives, fewest = np.array([(cell.escaped, cell.primitives, cell.fewest) for cell in cells]).T
     value = compute_mean_efficiency(escaped, primitives, fewest, is_expected)
     each = np.minimum(compute_efficiency(escaped, primitives, fewest), 1.0)
@@ -254,14 +226,7 @@ def score_cells(cells: Sequence[Cell], is_expected: bool = False) -> Estimate:
 
 def write_submission(path: str | Path, entry: Entry, cells: Iterable[Cell], agent: Mapping[str, Path | bytes]
                      ) -> Submission:
-    """Write a submission to one file, atomically.
-
-    Args:
-        path: the file, by custom ending in `.zip`.
-        entry: what is submitted.
-        cells: a result for each room.
-        agent: `run.zip`, the files of a program, or nothing for a reference.
-    """
+    """Write a submission of `run.zip`, the files of a program, or nothing for a reference, atomically."""
     cells, text = tuple(cells), io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(field.name for field in dataclasses.fields(Cell))
@@ -272,11 +237,7 @@ def write_submission(path: str | Path, entry: Entry, cells: Iterable[Cell], agen
 
 
 def read_submission(path: str | Path, folder: Path | None = None) -> Submission:
-    """Read a submission and check its hashes; no code of it is run.
-
-    Args:
-        path: the file.
-        folder: an empty folder for its parts; None writes nothing.
+    """Read a submission and check its hashes, and write its parts to an empty folder if one is given; none is run.
 
     Raises:
         FileReadError: there is none, or it may not be read.

@@ -10,6 +10,8 @@ import pytest
 
 from hrl_escape.cli import main
 from hrl_escape.comparison.board.board import Check, Record, Row, conclude, read_records, write_page
+from hrl_escape.comparison.board.play import verify_cells
+from hrl_escape.comparison.board.submission import find_rung, read_submission
 from hrl_escape.comparison.inference import Estimate
 from hrl_escape.errors import FileReadError
 
@@ -67,3 +69,14 @@ def test_a_record_survives_its_file_and_a_damaged_one_is_named(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps(value))
     with pytest.raises(FileReadError, match="a.json: this is no record"):
         read_records(tmp_path)
+
+
+KEPT = sorted(BOARD.glob("*.zip"))
+
+
+@pytest.mark.parametrize("path", KEPT, ids=lambda path: path.stem)
+def test_a_submission_kept_beside_its_record_is_the_record_s_and_plays_to_its_results(path):
+    (record,) = [record for record in read_records(BOARD) if record.submission == read_submission(path)]
+    assert record.submission.entry.rooms == len(record.submission.cells)
+    checked = verify_cells(path, find_rung(record.submission.entry), 2, seed=0, trust=True)  # ours, read and known
+    assert all(each.is_equal for each in checked)

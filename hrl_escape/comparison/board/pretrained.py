@@ -1,0 +1,101 @@
+"""Trained agents that come with the package, each a submission: it plays its rooms again to the published score."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from importlib.resources import files
+from pathlib import Path
+
+import gymnasium
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.training.results import TrainResult, load_result
+from hrl_escape.agents.training.run_archive import unpack_run
+from hrl_escape.agents.training.train import load_agent
+from hrl_escape.comparison.board.board import describe_score
+from hrl_escape.comparison.board.play import CheckedCell, make_view_env, verify_cells
+from hrl_escape.comparison.board.submission import RUN, Card, Submission, find_rung, read_submission, score_cells
+from hrl_escape.comparison.inference import Estimate
+from hrl_escape.errors import UnknownNameError
+from hrl_escape.ladder.rung import Rung
+
+_FOLDER = Path(str(files("hrl_escape.ladder") / "data" / "pretrained"))
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Pretrained:
+    """A trained agent, with its card, its learning curve and its results room by room.
+
+    Attributes:
+        agent: acts with frozen weights.
+        result: training that made it; `result.plot()` is its learning curve.
+        submission: its card and results.
+        rung: it was tested on.
+        path: its file, which `hrl-escape ladder verify-submission` reads.
+    """
+
+    agent: Agent
+    result: TrainResult
+    submission: Submission
+    rung: Rung
+    path: Path
+
+    def __repr__(self) -> str:
+        return f"<Pretrained {self.card.name}: {describe_score(self.submission, self.rung)}>"
+
+    @property
+    def card(self) -> Card:
+        """Authors, training command and costs."""
+        return self.submission.entry.card
+
+    @property
+    def score(self) -> Estimate:
+        """Published efficiency in the test rooms, with its interval."""
+        return score_cells(self.submission.cells, self.rung.config.dynamics.is_random)
+
+    def make_env(self, role: str = "test") -> gymnasium.Env:
+        """Make an environment over a set of its rung, as the agent sees it: `train`, `valid`, `test`."""
+        return make_view_env(self.card.view, self.rung.sets[role])[0]
+
+    def verify(self, rooms: int = 5, seed: int = 0) -> list[CheckedCell]:
+        """Play some test rooms again, beside what is published of them."""
+        return verify_cells(self.path, self.rung, rooms, seed)
+
+
+def list_pretrained() -> dict[str, tuple[str, ...]]:
+    """Rungs with pretrained agents, such as `marks-1/told`, and the names of these agents."""
+    found: dict[str, tuple[str, ...]] = {}
+    for path in sorted(_FOLDER.glob("*/*/*.zip")):
+        rung = f"{path.parent.parent.name}/{path.parent.name}"
+        found[rung] = (*found.get(rung, ()), path.stem)
+    return found
+
+
+def load_pretrained(rung: str, agent: str = "") -> Pretrained:
+    """Load a trained agent that comes with the package.
+
+    Args:
+        rung: benchmark and rung, such as `marks-1/told`.
+        agent: as `hrl-escape ladder run` names it, such as `smdp-ppo+objects+memory+no-primitives`; the rung's first
+            one by default.
+
+    Raises:
+        UnknownNameError: there is none; the message names those that there are.
+    """
+    known = list_pretrained()
+    if rung not in known:
+        raise UnknownNameError("rung with a pretrained agent", rung, known)
+    if agent not in ("", *known[rung]):
+        raise UnknownNameError(f"pretrained agent on {rung}", agent, known[rung])
+    path = _FOLDER / rung / f"{agent or known[rung][0]}.zip"
+    with tempfile.TemporaryDirectory() as made:
+        submission = read_submission(path, Path(made))
+        unpack_run(Path(made) / RUN, Path(made) / "run")
+        found = find_rung(submission.entry)
+        env = make_view_env(submission.entry.card.view, found.test)[0]
+        try:
+            return Pretrained(load_agent(Path(made) / "run", env), load_result(Path(made) / "run"), submission, found,
+                              path)
+        finally:
+            env.close()
