@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from rich.console import Console
-
 from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.comparison.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.comparison.cost import describe_cost
@@ -15,7 +13,6 @@ from hrl_escape.comparison.launching.local import Launcher, LocalLauncher
 from hrl_escape.comparison.launching.ray import RayLauncher
 from hrl_escape.comparison.launching.slurm import SlurmLauncher
 from hrl_escape.errors import ConfigError
-from hrl_escape.files import make_folder
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -41,17 +38,14 @@ class LaunchArgs:
     """Run nothing: print how many runs are to be made and about how long they take."""
 
     def make_runs(self, grid: Grid, out: Path) -> Comparison:
-        """Say what a grid's runs cost, and make the part that is asked for; or read all that are finished.
+        """Make the part of a grid's runs that is asked for, or read all that are finished.
 
         Raises:
             EscapeError: the grid, the part or the resources are impossible.
         """
         if self.report:
             return read_comparison(out, grid)
-        launcher = self._make_launcher()
-        make_folder(out)
-        Console(stderr=True, highlight=False, soft_wrap=True).print(f"{grid.name}: {describe_cost(grid)}", markup=False)
-        return run_grid(grid, out, launcher, shard=Shard.parse(self.shard or "1/1"))
+        return run_grid(grid, out, self._make_launcher(), shard=Shard.parse(self.shard or "1/1"))
 
     def format_options(self, *known: str) -> list[str]:
         """Words of the command line for what is not at its default, without the fields that are known or decide no run.
@@ -83,6 +77,6 @@ class LaunchArgs:
         runs, missing, seconds = count_missing(grid, out)
         words = f"{runs:,} runs, {missing:,} to be made in {out}"
         if seconds is None:
-            return f"{words}; {describe_cost(grid)}"
+            return f"{words}; {describe_cost(grid, grid.make_places())}"
         return (f"{words}; {seconds:.3g} s of training each in the median of {runs - missing:,}, so about "
                 f"{missing * seconds / 3600:.2g} core hours")

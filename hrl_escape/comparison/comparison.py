@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from rich.console import Console
 
+from hrl_escape.comparison.cost import describe_cost
 from hrl_escape.comparison.grid import Grid, GridRun, load_grid
 from hrl_escape.comparison.launching.local import Failure, Launcher, LocalLauncher
 from hrl_escape.comparison.launching.monitor import Monitor
@@ -180,6 +181,8 @@ def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console, is_alone:
             monitor.keep(run, result)
     if len(unfinished) < len(plan.runs):
         console.print(f"{len(plan.runs) - len(unfinished)} of {len(plan.runs)} runs were finished before and are kept")
+    else:
+        console.print(describe_cost(plan.grid, plan.places))
     with monitor.watch():
         launcher.run(unfinished, out, monitor)
     order = {run.folder: number for number, run in enumerate(plan.runs)}

@@ -19,6 +19,7 @@ from hrl_escape.comparison.places import RunPlace
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.ladder.tower import list_sets
+from hrl_escape.names import make_console_text
 
 Rates = Mapping[str, Mapping[int, float]]
 """Seconds of one core for a thousand primitives, by agent and number of buttons."""
@@ -65,12 +66,12 @@ def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterab
     return seconds / 3600, unknown
 
 
-def describe_cost(grid: Grid) -> str:
-    """Words on the core hours that training in a grid takes."""
-    hours, unknown = estimate_hours(grid.agents, grid.primitives, map(_count_at, grid.make_places()), grid.runs,
-                                    load_rates())
-    but = f", and those of {', '.join(unknown)}, of which no rate is published" if unknown else ""
-    return f"about {hours:.2g} core hours of training by published rates{but}"
+def describe_cost(grid: Grid, places: Iterable[RunPlace]) -> str:
+    """Words, for a console, on the core hours that training in all places of a grid takes."""
+    hours, unknown = estimate_hours(grid.agents, grid.primitives, map(_count_at, places), grid.runs, load_rates())
+    names = ", ".join(map(make_console_text, unknown))
+    return (f"about {hours:.2g} core hours of training by published rates"
+            + (f", and those of {names}, of which no rate is published" if unknown else ""))
 
 
 def _count_at(place: RunPlace) -> float:

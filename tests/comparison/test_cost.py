@@ -43,7 +43,8 @@ def test_buttons_of_a_schematic_are_counted_for_every_puzzle():
 
 
 def test_words_on_a_grid_and_the_list_of_rungs_tell_the_cost(capsys):
-    told = describe_cost(Grid(agents=(AgentSpec("smdp-q-learning"), AgentSpec("dac")), runs=2, primitives=50))
+    grid = Grid(agents=(AgentSpec("smdp-q-learning"), AgentSpec("dac")), runs=2, primitives=50)
+    told = describe_cost(grid, grid.make_places())
     assert told.startswith("about ") and told.endswith("and those of dac, of which no rate is published")
     assert main(["ladder", "list", "--json"]) == 0
     rows = {row["rung"]: row for row in json.loads(capsys.readouterr().out)["rungs"]}

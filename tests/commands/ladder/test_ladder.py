@@ -63,7 +63,7 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
                "--primitives", "10", "--workers", "1", "--out", str(tmp_path)]
     code, out, err = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
     assert code == 0 and "doormat: 2 runs finished, 0 failed" in out
-    assert err.startswith("ladder-1-doormat-generalise: about 0 core hours of training by published rates\n")
+    assert err.startswith("about 0 core hours of training by published rates\n")
     code, out, err = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
     assert code == 0 and "2 of 2 runs were finished before" in err
     assert (tmp_path / "generalise" / "doormat" / "report.html").exists()
