@@ -266,6 +266,8 @@ def test_first_escapes_are_held_against_the_searcher(searched: int, words: str):
     ratios = {label: [compare(runs, others, 0.0)] for (label, _), runs in {**GOOD, **LOST}.items()}
     assert tell_searcher(ratios, "s").startswith(words), tell_searcher(ratios, "s")
     level = {seed: (100 * (1 + 0.3 * (-1) ** seed), True) for seed in range(10)}
+    lost = [run._replace(waits={0.0: (10_000, run.seed > 2)}) for run in GOOD["a", 1]]
+    assert compare(lost, level, 0.0).middle.knowledge == "bound", "three never escaped, so there is no upper end"
     same = {"a": [compare(GOOD["a", 1], level, 0.0)]}
     assert "No flat learner is shown to escape later or sooner" in tell_searcher(same, "s")
 
