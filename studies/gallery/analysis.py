@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 
 import matplotlib
 import numpy as np
@@ -21,6 +22,7 @@ from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
 from hrl_escape.settings import read_record
@@ -137,16 +139,20 @@ def measure(study: Study, args: Args, store: Store) -> None:
 
 
 def _measure_missing(study: Study, args: Args, store: Store) -> Iterator[SolvedRoom | PlayedRun]:
-    there, learner, players = {line.place for line in store.load()}, study.data["learner"], study.data["players"]
+    there, learner = {line.place for line in store.load()}, study.data["learner"]
+    players = (*study.data["players"], study.data["informed"])
     for preset in args.presets or [entry.preset for entry in list_entries(study)]:
         room = generate(get_preset(preset), 0)
         if preset not in there:
             yield _solve_room(preset, room)
-        for agent in players[:-1] if room.dynamics.kind == "physics" else players:  # learning would take minutes
+        for agent in players:
+            if agent == learner and room.dynamics.kind == "physics":  # it would take minutes
+                continue
             for seed in range(args.runs if agent == learner else 1):
                 budget = args.primitives if agent == learner else 0
                 if (preset, agent, seed, budget, args.episodes) not in there:
-                    yield _play_room(preset, room, agent, seed, budget, args.episodes)
+                    with suppress(UnsupportedError):  # a puzzle that the informed searcher does not know
+                        yield _play_room(preset, room, agent, seed, budget, args.episodes)
 
 
 def _solve_room(preset: str, room: RoomInstance) -> SolvedRoom:
@@ -194,7 +200,8 @@ def analyse(study: Study, lines: Sequence[SolvedRoom | PlayedRun]) -> Page:
     played = {agent: {entry.name: lengths for entry in shown if (lengths := _select(runs, entry.preset, agent))}
               for agent in players}
     rows = [[f"`{entry.preset}`", entry.level, rooms[entry.preset].fewest, rooms[entry.preset].planned or "",
-             *(_tell_escapes(_select(runs, entry.preset, agent)) for agent in players)] for entry in shown]
+             *(_tell_escapes(_select(runs, entry.preset, agent)) for agent in (*players, study.data["informed"]))]
+            for entry in shown]
     return Page({
         "always": {agent: [name for name, lengths in own.items() if None not in lengths]
                    for agent, own in played.items()},
@@ -202,7 +209,8 @@ def analyse(study: Study, lines: Sequence[SolvedRoom | PlayedRun]) -> Page:
                    if None not in lengths and None in played[players[2]].get(name, [None])],
         "never": [name for name, lengths in played[learner].items() if set(lengths) == {None}],
         "table_of_puzzles": make_table(
-            ["puzzle", "exact", "fewest operators", "planner", "random", "in order", "searching", "learning"], rows),
+            ["puzzle", "exact", "fewest operators", "planner", "random", "in order", "searching", "learning",
+             "told the schematic"], rows),
         "entries": [(entry, _tell_optimum(entry, rooms[entry.preset])) for entry in shown],
         "seeds": len({run.seed for run in learned}), "runs": 1 + max((run.seed for run in learned), default=0),
         "budget": max((run.primitives for run in learned), default=0),
