@@ -21,7 +21,7 @@ from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
 from studies.running import GridArgs
 from studies.scaling.difficulty import tell_difficulty
-from studies.scaling.findings import advise_sizes, tell_replication, tell_sizes
+from studies.scaling.findings import advise_sizes, tell_certainty, tell_replication, tell_sizes
 from studies.scaling.followed_runs import FollowedRuns, Pick, count_spared, follow_runs, list_bins
 from studies.scaling.results import ScalingRun
 from studies.scaling.rounds import (
@@ -112,7 +112,7 @@ def analyse(study: Study, lines: Sequence[ScalingRun]) -> Page:
         "BAR_RUNS": BAR_RUNS, "GRAPHS": GRAPHS, "HOLDS": HOLDS, "bar_agent": BAR_AGENT.removeprefix("smdp-"),
         "sentences": [*tell_sizes(results), *tell_difficulty(results, np.random.default_rng(0))],
         "advice": " ".join(filter(None, [advise_sizes(results), advise_told(everything)])),
-        "bar": _tabulate_bar(results), "again": tell_replication(fresh, results),
+        "certainty": tell_certainty(results), "bar": _tabulate_bar(results), "again": tell_replication(fresh, results),
         "escapes": _tabulate(results, _get_escape), "by_edges": _tabulate_bins(results, "edges"),
         "by_depth": _tabulate_bins(results, "depth"),
         "near": _tabulate([run for run in results if run.agent != "smdp-random"], lambda run: run.near_best),

@@ -10,7 +10,7 @@ from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 from hrl_escape.comparison.inference import correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.statistics import LEAST_RUNS, NEAR_BEST
-from hrl_escape.names import join_words
+from hrl_escape.names import count_nouns, join_words
 from studies.scaling.followed_runs import count_spared
 from studies.scaling.results import ScalingRun
 from studies.scaling.rounds import (
@@ -21,7 +21,7 @@ from studies.scaling.rounds import (
     SIZES,
 )
 
-__all__ = ["advise_sizes", "tell_replication", "tell_sizes"]
+__all__ = ["advise_sizes", "tell_certainty", "tell_replication", "tell_sizes"]
 
 
 def tell_sizes(results: Sequence[ScalingRun]) -> list[str]:
@@ -66,6 +66,18 @@ def _find_reach(own: Sequence[ScalingRun]) -> tuple[int, bool]:
             break
         most = size
     return most, is_tried
+
+
+def tell_certainty(results: Sequence[ScalingRun]) -> str:
+    """A sentence: lower 95 % end of the share that escape, where all runs of a cell do, by their number."""
+    cells: dict[tuple[str, str, int], list[bool]] = {}
+    for run in results:
+        cells.setdefault((run.agent, run.rule, run.buttons), []).append(run.first_escape is not None)
+    counts = sorted({len(escaped) for escaped in cells.values() if all(escaped)})
+    parts = [f"{0.025 ** (1 / count):.2f} or more with {count_nouns(count, 'run')}" for count in
+             dict.fromkeys(counts[:1] + counts[-1:])]
+    return (f"Where all runs of a cell escape, the share that would is {join_words(parts)} (Clopper and Pearson)."
+            if parts else "")
 
 
 def tell_replication(fresh: Sequence[ScalingRun], published: Sequence[ScalingRun]) -> list[str]:

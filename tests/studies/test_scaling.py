@@ -20,7 +20,7 @@ from hrl_escape.errors import ComparisonError, RunBusyError, UnknownNameError
 from studies.__main__ import main
 from studies.scaling import rounds as scaling
 from studies.scaling.difficulty import compute_rank_correlations, tell_difficulty
-from studies.scaling.findings import advise_sizes, tell_replication, tell_sizes
+from studies.scaling.findings import advise_sizes, tell_certainty, tell_replication, tell_sizes
 from studies.scaling.followed_runs import count_spared, follow_runs, list_bins
 from studies.scaling.results import (
     RoomKind,
@@ -331,6 +331,15 @@ def test_sizes_that_all_runs_master_are_told_agent_by_agent():
                         for buttons in SIZES)]
     assert "take `r-max`, which comes furthest whatever the rule, up to 4 buttons" in advise_sizes(hard)
     assert "Begin with fewer buttons" in advise_sizes(results[-2:-1])
+
+
+def test_few_runs_that_all_escape_leave_much_open():
+    runs = [make_result(run=run) for run in range(4)] + [make_result(buttons=6, run=run) for run in range(10)]
+    low = [stats.binomtest(count, count).proportion_ci(0.95, "exact").low for count in (4, 10)]
+    assert tell_certainty(runs) == (
+        f"Where all runs of a cell escape, the share that would is {low[0]:.2f} or more with 4 runs and {low[1]:.2f} or "
+        "more with 10 runs (Clopper and Pearson).")
+    assert tell_certainty([make_result(first=None)]) == ""
 
 
 def test_what_structure_learners_are_told_is_what_the_labels_say():
