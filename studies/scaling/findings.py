@@ -73,7 +73,8 @@ def tell_certainty(results: Sequence[ScalingRun]) -> str:
     cells: dict[tuple[str, str, int], list[bool]] = {}
     for run in results:
         cells.setdefault((run.agent, run.rule, run.buttons), []).append(run.first_escape is not None)
-    counts = sorted({len(escaped) for escaped in cells.values() if all(escaped)})
+    counts = sorted({len(escaped) for (agent, rule, size), escaped in cells.items()
+                     if all(escaped) and not count_spared(results, rule, agent, size)})
     parts = [f"{0.025 ** (1 / count):.2f} or more with {count_nouns(count, 'run')}" for count in
              dict.fromkeys(counts[:1] + counts[-1:])]
     return (f"Where all runs of a cell escape, the share that would is {join_words(parts)} (Clopper and Pearson)."

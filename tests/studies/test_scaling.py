@@ -337,8 +337,8 @@ def test_few_runs_that_all_escape_leave_much_open():
     runs = [make_result(run=run) for run in range(4)] + [make_result(buttons=6, run=run) for run in range(10)]
     low = [stats.binomtest(count, count).proportion_ci(0.95, "exact").low for count in (4, 10)]
     assert tell_certainty(runs) == (
-        f"Where all runs of a cell escape, the share that would is {low[0]:.2f} or more with 4 runs and {low[1]:.2f} or "
-        "more with 10 runs (Clopper and Pearson).")
+        f"Where all runs of a cell escape, the share that would is {low[0]:.2f} or more with 4 runs and {low[1]:.2f} "
+        "or more with 10 runs (Clopper and Pearson).")
     assert tell_certainty([make_result(first=None)]) == ""
 
 
