@@ -30,7 +30,7 @@ from studies.page import make_table
 from studies.price.contestants import CONTESTANTS, sample_replicate_room
 from studies.price.ratios import COSTS, CostRatio, correct_prices, find_middle
 from studies.price.runs import PriceRun
-from studies.price.words import conclude, tell_number
+from studies.price.words import tell_factor, tell_number
 from studies.running import open_store
 from studies.statistics import compute_median_interval
 from studies.store import Store
@@ -270,20 +270,30 @@ def tell_cheapest(cells: Cells, sizes: Sequence[int], level: float) -> list[tupl
         arrived = list(list_arrived(cells, size, level))
         if len(arrived) > 1:
             first, second = arrived[:2]
-            found.append((first, compare(cells[second, size], {run.seed: run.waits[level] for run in cells[first, size]
-                                                               if level in run.waits}, level), second))
+            found.append((first, compare(cells[second, size], list_waits(cells[first, size], level), level), second))
     return found
 
 
-def compare(runs: Sequence[Attempt], others: Mapping[int, tuple[float, bool]], level: float) -> CostRatio:
-    """Ratios of what runs wait to what others do in the same rooms, with their middle."""
-    logs = {}
+def compare(runs: Sequence[Attempt], others: Mapping[tuple[int, int], tuple[float, bool]], level: float) -> CostRatio:
+    """Ratios of what runs wait to what others do in the same rooms, with their middle.
+
+    Args:
+        runs: of one learner.
+        others: (buttons, seed) -> primitives that another waits for the level, and whether it reached it.
+        level: that is waited for.
+    """
+    logs = []
     for run in runs:
-        if level in run.waits and run.seed in others:
+        if level in run.waits and (run.buttons, run.seed) in others:
             (low, high), (least, most) = ((math.log(max(spent, 1)), math.log(max(spent, 1)) if arrived else math.inf)
-                                          for spent, arrived in (run.waits[level], others[run.seed]))
-            logs[run.seed] = (low - most, high - least)
-    return CostRatio(runs[0].buttons, logs, find_middle(list(logs.values())))
+                                          for spent, arrived in (run.waits[level], others[run.buttons, run.seed]))
+            logs.append((low - most, high - least))
+    return CostRatio(runs[0].buttons, dict(enumerate(logs)), find_middle(logs))
+
+
+def list_waits(runs: Sequence[Attempt], level: float) -> dict[tuple[int, int], tuple[float, bool]]:
+    """Waits by buttons and seed."""
+    return {(run.buttons, run.seed): run.waits[level] for run in runs if level in run.waits}
 
 
 def tell_quickest(found: Sequence[tuple[str, CostRatio, str]]) -> str:
@@ -298,25 +308,26 @@ def tell_quickest(found: Sequence[tuple[str, CostRatio, str]]) -> str:
     return f"Efficient after the fewest primitives: {'; '.join(parts)}." if parts else ""
 
 
-def tell_searcher(ratios: Mapping[str, Sequence[CostRatio]], searcher: str) -> str:
-    """A sentence: whether any flat learner escapes as soon as the searcher, over all learners and rooms."""
-    every = [(label, ratio) for label, own in ratios.items() for ratio in own if len(ratio.logs) >= LEAST_RUNS]
-    if not every:
-        return ""
-    later, sooner = ([part for part in every if part[1].middle.p < ALPHA and is_on_side(part[1])]
-                     for is_on_side in (lambda ratio: ratio.middle.low > 1, lambda ratio: ratio.middle.high < 1))
+def tell_searcher(ratios: Mapping[str, CostRatio], searcher: str) -> str:
+    """A sentence: who escapes later or sooner than the searcher, over all rooms that both were run in."""
+    every = {label: ratio for label, ratio in ratios.items() if len(ratio.logs) >= LEAST_RUNS}
+    shown = {label: ratio.middle for label, ratio in every.items() if ratio.middle.p < ALPHA}
+    later, sooner = ([label for label, middle in shown.items() if is_on_side(middle)]
+                     for is_on_side in (lambda middle: middle.low > 1, lambda middle: middle.high < 1))
     name = f"`{searcher}`, which chooses among planned options and learns nothing"
     if sooner:
-        names = join_words(f"`{label}` with {count_nouns(ratio.buttons, 'button')}" for label, ratio in sooner)
-        return f"Sooner than {name}, {'escapes' if len(sooner) == 1 else 'escape'} {names}."
+        verb = "escapes" if len(sooner) == 1 else "escape"
+        return f"Sooner than {name}, {verb} {join_words(f'`{label}`' for label in sooner)}."
     if not later:
-        return f"No flat learner is shown to escape later or sooner than {name}."
-    label, least = min(later, key=lambda part: part[1].middle.factor)
-    verdict = ("Every flat learner" if len(later) == len(every) else
-               f"In {len(later)} of {len(every)} cells a flat learner")
-    return (f"{verdict} escapes later than {name}: the soonest, `{label}` with {count_nouns(least.buttons, 'button')}, "
-            f"after {tell_number(least.middle.factor)} ({tell_number(least.middle.low)} to "
-            f"{tell_number(least.middle.high)}) times its primitives.")
+        return f"No flat learner is shown to escape later or sooner than {name}." if every else ""
+    rooms = max(len(every[label].logs) for label in later)
+    least = min((label for label in later if len(every[label].logs) == rooms),
+                key=lambda label: every[label].middle.factor)
+    middle = every[least].middle
+    who = ("Every flat learner escapes" if len(later) == len(every) else
+           f"{len(later)} of {len(every)} flat learners escape")
+    return (f"{who} later than {name}: the soonest, `{least}`, after {tell_number(middle.factor)} "
+            f"({tell_number(middle.low)} to {tell_number(middle.high)}) times its primitives, over {rooms} rooms.")
 
 
 def advise(cells: Cells, sizes: Sequence[int], levels: Sequence[float], budget: int) -> str:
@@ -371,15 +382,16 @@ def analyse(study: Study, lines: Sequence[Any]) -> Page:
     sizes, budget, levels, searcher = data["sizes"], data["budget"], data["efficient"], data["searcher"]
     labels = [table["label"] for table in data["learners"]]
     cells = gather(study, lines)
-    searched = {size: {line.seed: (line.escaped_at or budget, line.escaped_at is not None) for line in lines
-                       if isinstance(line, SearcherRun) and (line.searcher, line.buttons) == (searcher, size)}
-                for size in sizes}
-    ratios = {label: [compare(cells[label, size], searched[size], ESCAPE) for size in sizes if (label, size) in cells
-                      and is_followed(cells[label, size], ESCAPE, budget)] for label in labels}
+    searched = {(line.buttons, line.seed): (float(line.escaped_at or budget), line.escaped_at is not None)
+                for line in lines if isinstance(line, SearcherRun) and line.searcher == searcher}
+    followed = {label: own for label in labels if (own := [
+        run for size in sizes if is_followed(cells.get((label, size), ()), ESCAPE, budget)
+        for run in cells[label, size]])}
+    ratios = {label: compare(own, searched, ESCAPE) for label, own in followed.items()}
     quickest = tell_cheapest(cells, sizes, levels[-1])
-    corrected, _ = correct_prices([*ratios.values(), [ratio for _, ratio, _ in quickest]])
-    ratios = dict(zip(ratios, corrected, strict=False))
-    quickest = [(first, ratio, second) for (first, _, second), ratio in zip(quickest, corrected[-1], strict=True)]
+    (pooled, first), _ = correct_prices([list(ratios.values()), [ratio for _, ratio, _ in quickest]])
+    ratios = dict(zip(ratios, pooled, strict=True))
+    quickest = [(label, ratio, second) for (label, _, second), ratio in zip(quickest, first, strict=True)]
     headline = tell_arrivals(cells, sizes, levels[-1], budget)
     trials = [run for run in lines if isinstance(run, FlatRun) and run.agent not in labels]
     events = {ESCAPE: "the first escape", **{level: f"an efficiency of {level:g}" for level in levels}}
@@ -389,13 +401,17 @@ def analyse(study: Study, lines: Sequence[Any]) -> Page:
         "tables": [make_table([f"primitives to {event}", *(count_nouns(size, "button") for size in sizes)], [
             *([f"`{label}`", *(_describe(cells.get((label, size), ()), level, budget) for size in sizes)]
               for label in labels if any((label, size) in cells for size in sizes)),
-            *([[f"`{searcher}`", *(_describe_times(sorted(at if is_out else math.inf for at, is_out in
-                                                          searched[size].values())) for size in sizes)]]
+            *([[f"`{searcher}`", *(_describe_times([at for (buttons, _), (at, _) in searched.items()
+                                                    if buttons == size]) for size in sizes)]]
               if level == ESCAPE else []),
             *([["the planner", *(_describe_times(sorted(find_fewest(cells, size).values())) for size in sizes)]]
               if level == ESCAPE else [])]) for level, event in events.items()],
-        "prices": [conclude(own, label, searcher, COSTS[1]) for label, own in ratios.items() if own],
-        "left": list(tell_left(study, cells)), "budget": budget, "trials": make_table(
+        "prices": make_table(["learner", "rooms", "all rooms", *(count_nouns(size, "button") for size in sizes)], [
+            [f"`{label}`", len(ratios[label].logs), tell_factor(ratios[label].middle),
+             *(tell_factor(compare(own, searched, ESCAPE).middle) if (own := [
+                 run for run in followed[label] if run.buttons == size]) else "-" for size in sizes)]
+            for label in followed]),
+        "left": tell_left(study, cells), "budget": budget, "trials": make_table(
             ["candidate", "settings", "first escape, mean", "late episodes that escape", "efficiency at the end"],
             [_describe_trial(candidate, [run for run in trials if run.agent == candidate.label])
              for label in labels for candidate in list_candidates(study, label)
@@ -405,25 +421,28 @@ def analyse(study: Study, lines: Sequence[Any]) -> Page:
     }, {"league": draw(cells, searched, labels, searcher, sizes, budget, levels[-1])}, [headline, *sentences])
 
 
-def tell_left(study: Study, cells: Cells) -> Iterator[str]:
-    """Cells that are not whole runs, and why: by rule, from another study with less budget, or not made yet."""
-    data = study.data
+def tell_left(study: Study, cells: Cells) -> list[str]:
+    """Cells that are not whole runs, by reason: by rule, of another study with less budget, or not made yet."""
+    data, found = study.data, {}
     for table in data["learners"]:
         label = table["label"]
         own = [run for (name, _), runs in cells.items() if name == label for run in runs]
+        reasons: dict[str, list[str]] = {}
         for size in data["sizes"]:
-            runs, where = cells.get((label, size), ()), f"`{label}` with {count_nouns(size, 'button')}"
+            runs = cells.get((label, size), ())
             course = choose_course(data, own, size) if "price" not in table else "whole"
             short = [run.spent for run in runs
                      if run.spent < data["budget"] and not run.waits[data["efficient"][-1]][1]]
-            if course == "none":
-                yield f"{where}: not run, as no run escaped with fewer"
-            elif len(runs) < data["runs"]:
-                yield f"{where}: {count_nouns(len(runs), 'run')} of {data['runs']} made"
-            elif course == "first escape":
-                yield (f"{where}: followed to the first escape, as none reached {data['efficient'][0]:g} with fewer")
-            elif short:
-                yield f"{where}: {count_nouns(len(short), 'run')} given up after {max(short):,} primitives"
+            reason = ("not run, as no run escaped with fewer" if course == "none" else
+                      f"{len(runs)} of {data['runs']} runs made" if len(runs) < data["runs"] else
+                      f"followed to the first escape, as none reached {data['efficient'][0]:g} with fewer"
+                      if course == "first escape" else
+                      f"runs given up after {max(short):,} primitives" if short else "")
+            reasons.setdefault(reason, []).append(str(size))
+        for reason, sizes in reasons.items():
+            buttons = "button" if sizes == ["1"] else "buttons"
+            found.setdefault(reason, []).append(f"`{label}` with {join_words(sizes, 'or')} {buttons}")
+    return [f"{reason}: {join_words(names)}" for reason, names in found.items() if reason]
 
 
 def find_fewest(cells: Cells, size: int) -> dict[int, float]:
@@ -439,7 +458,8 @@ def _describe(runs: Sequence[Attempt], level: float, budget: int) -> str:
         most = max(spent for spent, arrived in (run.waits[level] for run in told) if not arrived) if any(
             not run.waits[level][1] for run in told) else 0
         return f"{count_arrived(told, level)} of {len(told)}" + (f" within {most:,.0f}" if most else "")
-    return f"{count_arrived(told, level)} of {len(told)}; {_describe_times(list_times(told, level))}"
+    share = f"{count_arrived(told, level)} of {len(told)}"
+    return f"{share}; {_describe_times(list_times(told, level))}" if count_arrived(told, level) else share
 
 
 def _describe_times(times: Sequence[float]) -> str:
@@ -456,7 +476,7 @@ def _describe_trial(candidate: FlatLearner, runs: Sequence[FlatRun]) -> list[Any
             f"{np.mean(late):.0%}" if late else "", f"{np.mean([run.efficiency for run in runs]):.2f}"]
 
 
-def draw(cells: Cells, searched: Mapping[int, Mapping[int, tuple[float, bool]]], labels: Sequence[str], searcher: str,
+def draw(cells: Cells, searched: Mapping[tuple[int, int], tuple[float, bool]], labels: Sequence[str], searcher: str,
          sizes: Sequence[int], budget: int, level: float) -> Figure:
     """First escapes (dots) and efficiency (diamonds) of every run, above searcher and planner; a panel a size."""
     rows = [*labels, searcher, "planner"]
@@ -465,7 +485,7 @@ def draw(cells: Cells, searched: Mapping[int, Mapping[int, tuple[float, bool]]],
         for axes, size in zip(figure.subplots(1, len(sizes), sharey=True, squeeze=False)[0], sizes, strict=True):
             for at, label in enumerate(rows[::-1]):
                 own = cells.get((label, size), ())
-                known = {searcher: [spent for spent, arrived in searched[size].values() if arrived],
+                known = {searcher: [at for (buttons, _), (at, out) in searched.items() if out and buttons == size],
                          "planner": list(find_fewest(cells, size).values())}.get(label)
                 marks = [("o", 0.14, list_times(own, ESCAPE)), ("D", -0.14, list_times(own, level))]
                 colour = palette.LINES[at % len(palette.LINES)] if label in labels else palette.INK

@@ -22,7 +22,7 @@ from studies.price.ratios import (
 from studies.price.runs import PriceRun
 from studies.statistics import find_visible_shift, tell_power
 
-__all__ = ["advise", "compare_with_chance", "conclude", "conclude_prices", "conclude_variants", "tell_factor",
+__all__ = ["advise", "compare_with_chance", "conclude_prices", "conclude_variants", "tell_factor",
            "tell_longest", "tell_number", "tell_ready", "tell_visible"]
 
 
@@ -54,7 +54,7 @@ def conclude_prices(runs: Sequence[PriceRun], claims: Sequence[tuple[str, str, R
     """
     ratios = [_compare(runs, flat, options, [cost])[0] for flat, options, cost in claims]
     ratios, growths = correct_prices(ratios, [measure_growth(own) for own in ratios])
-    told = [conclude(own, *claim) for own, claim in zip(ratios, claims, strict=True)]
+    told = [_conclude(own, *claim) for own, claim in zip(ratios, claims, strict=True)]
     return [f"{words} {_tell_growth(growth)}" if words.startswith("Until") else words
             for words, growth in zip(told, growths, strict=True)]
 
@@ -69,7 +69,7 @@ def conclude_variants(runs: Sequence[PriceRun], one: str, other: str, costs: Seq
         costs: in their order.
     """
     ratios, _ = correct_prices(_compare(runs, one, other, costs))
-    return [conclude(own, one, other, cost) for own, cost in zip(ratios, costs, strict=True)]
+    return [_conclude(own, one, other, cost) for own, cost in zip(ratios, costs, strict=True)]
 
 
 def advise(runs: Sequence[PriceRun], flat: str, options: str, chance: str, costs: Sequence[RunCost]) -> str:
@@ -113,8 +113,7 @@ def _compare(runs: Sequence[PriceRun], one: str, other: str, costs: Sequence[Run
     return [compare_costs(paid, others, cost) for cost in costs]
 
 
-def conclude(ratios: Sequence[CostRatio], one: str, other: str, cost: RunCost) -> str:
-    """One sentence: how many times another learner's cost one pays, size by size, as far as the ratios show it."""
+def _conclude(ratios: Sequence[CostRatio], one: str, other: str, cost: RunCost) -> str:
     groups: dict[str, list[CostRatio]] = {name: [] for name in ("dearer", "beyond", "cheaper", "below", "equal",
                                                                 "unknown", "short")}
     for ratio in ratios:

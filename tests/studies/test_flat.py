@@ -258,17 +258,17 @@ def test_the_quickest_is_told_apart_only_where_the_runs_do():
 
 @pytest.mark.parametrize(("searched", "words"), [
     (20, "Every flat learner escapes later than `s`, which chooses among planned options and learns nothing: the "
-         "soonest, `a` with 1 button, after 5 (5 to 5) times its primitives."),
-    (500, "Sooner than `s`, which chooses among planned options and learns nothing, escape `a` with 1 button and `c`"),
+         "soonest, `a`, after 5 (5 to 5) times its primitives, over 10 rooms."),
+    (500, "Sooner than `s`, which chooses among planned options and learns nothing, escape `a` and `c`."),
 ])
 def test_first_escapes_are_held_against_the_searcher(searched: int, words: str):
-    others = {seed: (searched * (1 + 0.02 * ((7 * seed) % 10)), True) for seed in range(10)}
-    ratios = {label: [compare(runs, others, 0.0)] for (label, _), runs in {**GOOD, **LOST}.items()}
+    others = {(1, seed): (searched * (1 + 0.02 * ((7 * seed) % 10)), True) for seed in range(10)}
+    ratios = {label: compare(runs, others, 0.0) for (label, _), runs in {**GOOD, **LOST}.items()}
     assert tell_searcher(ratios, "s").startswith(words), tell_searcher(ratios, "s")
-    level = {seed: (100 * (1 + 0.3 * (-1) ** seed), True) for seed in range(10)}
+    level = {(1, seed): (100 * (1 + 0.3 * (-1) ** seed), True) for seed in range(10)}
     lost = [run._replace(waits={0.0: (10_000, run.seed > 2)}) for run in GOOD["a", 1]]
     assert compare(lost, level, 0.0).middle.knowledge == "bound", "three never escaped, so there is no upper end"
-    same = {"a": [compare(GOOD["a", 1], level, 0.0)]}
+    same = {"a": compare(GOOD["a", 1], level, 0.0)}
     assert "No flat learner is shown to escape later or sooner" in tell_searcher(same, "s")
 
 
@@ -328,7 +328,7 @@ def test_trials_and_runs_resume_and_make_the_page(tmp_path: Path, monkeypatch: p
     assert main(["league", "--docs", str(tmp_path)]) == 0 and "first escape" not in capsys.readouterr().out
     page = (tmp_path / "league.md").read_text()
     assert "q-learning, counts / 3" in page and "Nothing is concluded, as no learner has 10 runs" in page
-    assert "with 2 buttons: not run, as no run escaped with fewer" in page
+    assert "not run, as no run escaped with fewer: `q-learning, counts` with 2 buttons" in page
     small["runs"] = 10
     save("league", [dataclasses.replace(run, curve=((0, 0.95), (100, 0.95)), first_escape=90, seed=seed, key=str(seed))
                     for run in runs if run.seed == 0 for seed in range(10)], tmp_path)
