@@ -251,16 +251,16 @@ def tell_arrivals(cells: Cells, sizes: Sequence[int], level: float, budget: int)
     """The finding: which learners are efficient in half of their runs or more, by number of buttons."""
     parts = []
     for size in sizes:
-        asked = [label for (label, buttons), runs in cells.items() if buttons == size and len(runs) >= LEAST_RUNS]
-        arrived = [f"`{label}` ({count} of {len(cells[label, size])})"
+        asked = sum(buttons == size and len(runs) >= LEAST_RUNS for (_, buttons), runs in cells.items())
+        arrived = [f"`{label}` in {count} of {len(cells[label, size])}"
                    for label, count in list_arrived(cells, size, level).items()]
         if asked:
             parts.append(f"with {count_nouns(size, 'button')} "
-                         + (f"{join_words(arrived)} of {len(asked)}" if arrived else f"none of {len(asked)}"))
+                         + (f"{len(arrived)} of {count_nouns(asked, 'learner')} ({join_words(arrived)})" if arrived else
+                            f"none of {count_nouns(asked, 'learner')}"))
     if not parts:
         return f"Nothing is concluded, as no learner has {LEAST_RUNS} runs with any number of buttons."
-    return f"Flat learners that are efficient in half of their runs or more within {budget:,} primitives: " \
-           f"{'; '.join(parts)}."
+    return f"Efficient in half of the runs or more within {budget:,} primitives: {'; '.join(parts)}."
 
 
 def tell_cheapest(cells: Cells, sizes: Sequence[int], level: float) -> list[tuple[str, CostRatio, str]]:

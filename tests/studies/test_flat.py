@@ -241,8 +241,8 @@ def test_a_league_is_told_by_runs_that_stay_efficient():
     few = make_cells("b", 3, 1, 1, 1, 9)
     cells = {**LOST, **LATE, **GOOD, **make_cells("a", 2, 100, None, None), **few}
     told = tell_arrivals(cells, (1, 2, 3), 0.9, 1_000_000)
-    assert told == ("Flat learners that are efficient in half of their runs or more within 1,000,000 primitives: with "
-                    "1 button `a` (10 of 10) and `b` (10 of 10) of 3; with 2 buttons none of 1.")
+    assert told == ("Efficient in half of the runs or more within 1,000,000 primitives: with 1 button 2 of 3 learners "
+                    "(`a` in 10 of 10 and `b` in 10 of 10); with 2 buttons none of 1 learner.")
     assert "Nothing is concluded" in tell_arrivals(make_cells("a", 1, 1, 1, 1, 9), (1,), 0.9, 1_000)
 
 
@@ -334,7 +334,7 @@ def test_trials_and_runs_resume_and_make_the_page(tmp_path: Path, monkeypatch: p
     save("league", [dataclasses.replace(run, curve=((0, 0.95), (100, 0.95)), first_escape=90, seed=seed, key=str(seed))
                     for run in runs if run.seed == 0 for seed in range(10)], tmp_path)
     assert main(["league", "--from-raw", "--docs", str(tmp_path)]) == 0
-    assert "with 1 button `q-learning, counts` (10 of 10) of 1." in (tmp_path / "league.md").read_text()
+    assert "with 1 button 1 of 1 learner (`q-learning, counts` in 10 of 10)." in (tmp_path / "league.md").read_text()
 
 
 def test_shares_are_of_the_floor():
