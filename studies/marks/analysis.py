@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
 from typing import NamedTuple
@@ -34,10 +34,12 @@ from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["LINES", "Args", "Cells", "MarksRun", "analyse", "gather", "measure", "run_once", "tell"]
+__all__ = ["LINES", "Args", "Cells", "MarksRun", "analyse", "gather", "measure", "run_once", "tell", "tell_all"]
 
 ALIKE = 0.1
 """Efficiency within which the control counts as at the searcher's level."""
+RISE, FEW = 0.2, 16
+"""Gain in efficiency that counts as learned across rooms, from so few training rooms to the most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +60,7 @@ class MarksRun:
 
     Attributes:
         agent: name with traits.
-        rung: rung of training and test.
+        rung: rung of training and test, with its benchmark: `marks-1/told`.
         rooms: number of training rooms; 0 for who does not learn.
         seed: of training.
         primitives: training budget.
@@ -89,18 +91,19 @@ LINES = (MarksRun,)
 
 
 @lru_cache(maxsize=8)
-def _get_sets(benchmark: str, rung: str, tested: int) -> tuple[InstanceSet, InstanceSet, tuple[float, ...]]:
+def _get_sets(rung: str, tested: int) -> tuple[InstanceSet, InstanceSet, tuple[float, ...]]:
     """Rooms to learn in, rooms to be tested in, and the fewest known primitives of each of these."""
-    found = load_benchmark(benchmark)[rung]
+    benchmark, name = rung.split("/")
+    found = load_benchmark(benchmark)[name]
     test = found.test[:tested]
     known = [find_best_known(room, Kinematics(room).make_state(room.starts[0])).primitives for room in test]
     return found.train, test, tuple(float(fewest or 0) for fewest in known)
 
 
-def run_once(benchmark: str, agent: str, rung: str, rooms: int, seed: int, primitives: int, tested: int) -> MarksRun:
+def run_once(agent: str, rung: str, rooms: int, seed: int, primitives: int, tested: int) -> MarksRun:
     """Train an agent in the first rooms of a rung, and test it in others; who does not learn is only tested."""
     spec = AgentSpec.parse(agent)
-    train_set, test_set, fewest = _get_sets(benchmark, rung, tested)
+    train_set, test_set, fewest = _get_sets(rung, tested)
     order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(tested)}
     test_env, recorder = make_env(spec, test_set, "objects", order)
     player: Agent | None
@@ -123,15 +126,17 @@ def run_once(benchmark: str, agent: str, rung: str, rooms: int, seed: int, primi
 def measure(study: Study, args: Args, store: Store) -> None:
     """Run what is missing: searchers and ceiling once, the learner seed by seed with every number of rooms."""
     data, console = study.data, Console(stderr=True, highlight=False)
-    jobs = [(agent, rung, 0, 0) for agent in (*data["searchers"], data["ceiling"])
-            for rung in (data["told"], data["control"])]
-    for seed in range(args.first_seed, args.first_seed + (args.runs or data["runs"])):
-        jobs += [(data["learner"], data["told"], size, seed) for size in data["sizes"]]
-        jobs.append((data["learner"], data["control"], data["sizes"][-1], seed))
+    seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
+    jobs: dict[tuple[str, str, int, int], int] = {}  # a place, and the primitives to learn from
+    for kind in data["kind"]:
+        rungs, sizes = (kind["told"], kind["control"]), kind["sizes"]
+        jobs |= {(agent, rung, 0, 0): 0 for agent in (*data["searchers"], data["ceiling"]) for rung in rungs}
+        jobs |= {(data["learner"], rung, size, seed): kind["primitives"] for seed in seeds
+                 for rung, size in (*((kind["told"], size) for size in sizes), (kind["control"], sizes[-1]))}
     known = {run.place for run in store.load()}
     with ProcessPoolExecutor(args.workers, multiprocessing.get_context("spawn")) as pool:
-        open_jobs = [pool.submit(run_once, data["benchmark"], *job, data["primitives"], data["tested"])
-                     for job in jobs if job not in known]
+        open_jobs = [pool.submit(run_once, *job, primitives, data["tested"])
+                     for job, primitives in jobs.items() if job not in known]
         for done, job in enumerate(as_completed(open_jobs), 1):
             run = job.result()
             store.add([run])
@@ -160,8 +165,8 @@ class Cells(NamedTuple):
     ceiling: float
 
 
-def gather(study: Study, lines: Sequence[MarksRun]) -> Cells:
-    """Sort lines into cells.
+def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Cells]:
+    """Sort lines into cells, by title of the kind of regularity.
 
     Raises:
         ComparisonError: runs are missing without which nothing can be said.
@@ -172,13 +177,17 @@ def gather(study: Study, lines: Sequence[MarksRun]) -> Cells:
         return np.array([line.efficiency for line in lines
                          if line.agent in agents and line.rung == rung and line.rooms == rooms])
 
-    told = {size: pick([data["learner"]], data["told"], size) for size in data["sizes"]}
-    control = pick([data["learner"]], data["control"], data["sizes"][-1])
-    searched = [pick(data["searchers"], rung, 0) for rung in (data["told"], data["control"])]
-    ceiling = pick([data["ceiling"]], data["told"], 0)
-    if min(map(len, (*told.values(), control))) < 2 or not all(map(len, (*searched, ceiling))):
-        raise ComparisonError("two runs of every cell, the searchers and the ceiling are needed to tell of marks")
-    return Cells(told, control, searched[0].max(), searched[1].max(), ceiling[0])
+    found = {}
+    for kind in data["kind"]:
+        told = {size: pick([data["learner"]], kind["told"], size) for size in kind["sizes"]}
+        control = pick([data["learner"]], kind["control"], kind["sizes"][-1])
+        searched = [pick(data["searchers"], kind[rung], 0) for rung in ("told", "control")]
+        ceiling = pick([data["ceiling"]], kind["told"], 0)
+        if min(map(len, (*told.values(), control))) < 2 or not all(map(len, (*searched, ceiling))):
+            raise ComparisonError(f"two runs of every cell, the searchers and the ceiling are needed to tell of "
+                                  f"{kind['told']}")
+        found[kind["title"]] = Cells(told, control, searched[0].max(), searched[1].max(), ceiling[0])
+    return found
 
 
 def _bound(values: np.ndarray, level: float = 0.95) -> tuple[float, float, float]:
@@ -225,19 +234,45 @@ def tell(cells: Cells) -> list[str]:
     return sentences
 
 
+def has_risen(cells: Cells) -> bool:
+    """True if runs show a rise by `RISE` from `FEW` rooms to the most, to above the searcher and below the ceiling."""
+    many = cells.told[max(cells.told)]
+    _, least, _ = _bound(many - cells.told[FEW])
+    _, low, high = _bound(many)
+    return least >= RISE and low > cells.searcher and high < cells.ceiling
+
+
+def tell_all(found: Mapping[str, Cells]) -> str:
+    """Headline over all kinds: those in which more rooms are shown to teach more."""
+    most = max(size for cells in found.values() for size in cells.told)
+    risen = [title.lower() for title, cells in found.items() if has_risen(cells)]
+    claim = (f"efficiency in unseen rooms rise by {RISE} or more from {FEW} to {most:,} training rooms, to above the "
+             "best searcher that learns nothing and below the ceiling")
+    if not risen:
+        return f"On no rung with marks is it shown that {claim.replace('rise', 'rises', 1)}."
+    others = "" if len(risen) == len(found) else (
+        f"; on the other {len(found) - len(risen)} of {len(found)} rungs they do not")
+    return f"With {' and with '.join(risen)} runs show {claim}{others}."
+
+
 def analyse(study: Study, lines: Sequence[MarksRun]) -> Page:
-    """Sentences, table and figure."""
-    cells = gather(study, lines)
-    told = tell(cells)
-    rows = [[f"learner, {size:,} room{'s' * (size > 1)}", *_describe(values, cells.searcher, cells.ceiling)]
-            for size, values in cells.told.items()]
-    rows.append(["learner, marks shuffled", *_describe(cells.control, cells.control_searcher, None)])
-    rows += [[name, f"{value:.3f}", "", ""] for name, value in (
-        ("searcher", cells.searcher), ("searcher, marks shuffled", cells.control_searcher), ("ceiling", cells.ceiling))]
-    data = study.data
-    return Page({"headline": told[0], "sentences": told[1:], "table": make_table(
+    """Sentences, tables and figure."""
+    found, data = gather(study, lines), study.data
+    rows, parts = [], []
+    for kind, cells in zip(data["kind"], found.values(), strict=True):
+        headline, *sentences = tell(cells)
+        parts.append({**kind, "headline": headline, "sentences": sentences})
+        rows += [[f"{kind['told']}, {size:,} room{'s' * (size > 1)}", *_describe(values, cells.searcher, cells.ceiling)]
+                 for size, values in cells.told.items()]
+        rows.append([kind["control"], *_describe(cells.control, cells.control_searcher, None)])
+        rows += [[f"{rung}, {name}", f"{value:.3f}", "", ""] for rung, name, value in (
+            (kind["told"], "searcher", cells.searcher), (kind["control"], "searcher", cells.control_searcher),
+            (kind["told"], "ceiling", cells.ceiling))]
+    headline = tell_all(found)
+    return Page({"headline": headline, "parts": parts, "table": make_table(
         ["", "efficiency in unseen rooms", "runs from ... to", "learned share"], rows), **data,
-        "shown": len(cells.told[data["sizes"][-1]])}, {"marks": draw(cells)}, told)
+        "shown": min(len(values) for cells in found.values() for values in cells.told.values())},
+        {"marks": draw(found)}, [headline, *(f"{part['title']}: {part['headline']}" for part in parts)])
 
 
 def _describe(values: np.ndarray, searcher: float, ceiling: float | None) -> list[str]:
@@ -247,26 +282,25 @@ def _describe(values: np.ndarray, searcher: float, ceiling: float | None) -> lis
             "" if share is None else f"{share:.2f}"]
 
 
-def draw(cells: Cells) -> Figure:
-    """Efficiency against training rooms, a dot a run; searcher and ceiling as lines."""
+def draw(found: Mapping[str, Cells]) -> Figure:
+    """Efficiency against training rooms, a panel a kind and a dot a run; searcher and ceiling as lines."""
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(7.0, 3.6), facecolor=palette.BACKGROUND, layout="constrained")
-        axes = figure.add_subplot()
-        sizes = sorted(cells.told)
-        for number, size in enumerate(sizes):
-            axes.scatter([number] * len(cells.told[size]), cells.told[size], s=14, alpha=0.5, color=palette.LINES[0],
-                         linewidths=0)
-        axes.plot(range(len(sizes)), [cells.told[size].mean() for size in sizes], "o-", color=palette.LINES[0],
-                  label="marks that tell the rank")
-        last = len(sizes) - 1
-        axes.scatter([last + 0.08] * len(cells.control), cells.control, s=14, alpha=0.5, color=palette.LINES[1],
-                     linewidths=0)
-        axes.plot([last + 0.08], [cells.control.mean()], "s", color=palette.LINES[1], label="marks shuffled")
-        axes.axhline(cells.ceiling, color=palette.INK, linewidth=1, label="ceiling: knows the code")
-        axes.axhline(cells.searcher, color=palette.MUTED, linewidth=1, linestyle="--",
-                     label="best searcher that learns nothing")
-        axes.set(xlabel="training rooms", ylabel="efficiency in unseen rooms", ylim=(0, 1.03))
-        finish_axes(axes)
-        axes.set_xticks(range(len(sizes)), [f"{size:,}" for size in sizes])
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+        figure = Figure(figsize=(2.2 + 2.6 * len(found), 3.6), facecolor=palette.BACKGROUND, layout="constrained")
+        panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
+        for axes, (title, cells) in zip(panels, found.items(), strict=True):
+            sizes, last = sorted(cells.told), len(cells.told) - 1
+            for place, values, colour in (*((number, cells.told[size], 0) for number, size in enumerate(sizes)),
+                                          (last + 0.08, cells.control, 1)):
+                axes.scatter([place] * len(values), values, s=14, alpha=0.5, color=palette.LINES[colour], linewidths=0)
+            axes.plot(range(len(sizes)), [cells.told[size].mean() for size in sizes], "o-", color=palette.LINES[0],
+                      label="marks that tell the rank")
+            axes.plot([last + 0.08], [cells.control.mean()], "s", color=palette.LINES[1], label="marks shuffled")
+            axes.axhline(cells.ceiling, color=palette.INK, linewidth=1, label="ceiling: knows the code")
+            axes.axhline(cells.searcher, color=palette.MUTED, linewidth=1, linestyle="--",
+                         label="best searcher that learns nothing")
+            axes.set(title=title, xlabel="training rooms", ylim=(0, 1.03))
+            finish_axes(axes)
+            axes.set_xticks(range(len(sizes)), [f"{size:,}" for size in sizes])
+        panels[0].set_ylabel("efficiency in unseen rooms")
+        panels[-1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure

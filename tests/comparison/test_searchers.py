@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -267,6 +268,17 @@ def test_marks_are_worth_what_follows_by_hand(truth: float):
         if likelihood:
             expected += likelihood * count_presses(condition_on_marks(family, config.marks, marks))
     assert expected == pytest.approx(2 + (1 - truth) / 2)
+
+
+@pytest.mark.parametrize(("motifs", "presses"), [(1, 3.0), (2, 3.5), (6, 4.5)])
+def test_motifs_cost_the_presses_that_find_out_which_holds(motifs: int, presses: float):
+    """Three in a chain: one press fails in half of the rooms if two orders are possible; all six tell nothing."""
+    rules = MarksConfig("rank", levels=3, symbols=9, motifs=motifs)
+    family = make_family(make_marked(3, levels=3, symbols=9), 3)
+    marks = rules.draw(3, ((0, 1), (1, 2)), 2, np.random.default_rng(0))
+    assert count_presses(condition_on_marks(family, rules, marks)) == pytest.approx(presses)
+    with pytest.raises(UnsupportedError, match="know one motif") if motifs > 1 else nullcontext():
+        GraphParticles(make_marked(7, levels=3, symbols=9, motifs=motifs), 7, np.random.default_rng(0), (0,) * 7)
 
 
 @pytest.mark.parametrize(("levels", "presses"), [(5, 5.0), (2, 1 + 4 * 7 / 4)])

@@ -20,9 +20,10 @@ PERMUTATIONS = 200
 
 
 def make_set(marks: MarksConfig, rooms: int) -> InstanceSet:
+    kind = "layered" if marks.motifs == 1 else "chain"  # which classes a room shows would tell which motif it has
     config = RoomConfig(
         room=ShapeConfig(width=7, depth=7), robot=RobotConfig(body_radius=0.3, turn_step_deg=90.0),
-        puzzle=ButtonsConfig(count=COUNT, graph=GraphConfig(kind="layered", max_parents=2), buttons=Panels(width=0.8),
+        puzzle=ButtonsConfig(count=COUNT, graph=GraphConfig(kind=kind, max_parents=2), buttons=Panels(width=0.8),
                              marks=marks))
     return InstanceSet("leaks", config, list(range(rooms)))
 
@@ -41,7 +42,8 @@ def list_numbers(observation: NDArray[np.float32], info: dict, width: int) -> ND
 def look(rooms: InstanceSet) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Numbers of every button of every room, (rooms, buttons, numbers), its depth and the class of its mark.
 
-    Every room is entered once by number, in an order that says nothing.
+    The last number is that of the button's symbol, which beyond its class is to tell nothing, as are those of the mark
+    that are not kept. Every room is entered once by number, in an order that says nothing.
     """
     env = rooms.make_env(options=True, observation="objects")
     width, rules = len(env.observation_space.words), rooms.config.puzzle.marks
@@ -50,8 +52,9 @@ def look(rooms: InstanceSet) -> tuple[NDArray[np.float64], NDArray[np.int64], ND
     for index in np.random.default_rng(0).permutation(len(rooms)).tolist():
         observation, info = env.reset(seed=index, options={"instance_index": index})
         numbers = list_numbers(observation, info, width)
-        found.append(np.concatenate([numbers[:, kept], numbers[:, width:]], axis=1))
         puzzle = env.unwrapped.instance.puzzle
+        symbols = np.array(puzzle.marks or np.zeros(COUNT))[:, None]
+        found.append(np.concatenate([numbers[:, kept], numbers[:, width:], symbols], axis=1))
         depths.append(compute_depths(COUNT, puzzle.edge_list))
         classes.append(rules.meanings[list(puzzle.marks)] if puzzle.marks else np.zeros(COUNT))
     env.close()
@@ -100,6 +103,7 @@ def make_measure(cells: NDArray[np.int64], stratum: NDArray[np.int64]) -> Callab
 
 
 DECEPTIVE = MarksConfig("rank", levels=LEVELS, symbols=8, truth=0.5)
+MOTIFS = MarksConfig("rank", levels=LEVELS, symbols=32, motifs=3)
 
 
 def check(marks: MarksConfig, rooms: int) -> None:
@@ -109,13 +113,13 @@ def check(marks: MarksConfig, rooms: int) -> None:
     assert varying >= 8 and leaks == []
 
 
-@pytest.mark.parametrize("marks", [MarksConfig(), DECEPTIVE], ids=["bare", "marked"])
+@pytest.mark.parametrize("marks", [MarksConfig(), DECEPTIVE, MOTIFS], ids=["bare", "deceptive", "motifs"])
 def test_nothing_tells_of_the_graph_before_the_first_press(marks):
     check(marks, 250)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("marks", [MarksConfig(), DECEPTIVE], ids=["bare", "marked"])
+@pytest.mark.parametrize("marks", [MarksConfig(), DECEPTIVE, MOTIFS], ids=["bare", "deceptive", "motifs"])
 def test_nothing_tells_of_the_graph_in_two_thousand_rooms(marks):
     check(marks, 2_000)
 
@@ -126,11 +130,14 @@ def test_planted_leaks_are_seen():
     planted = {5: numbers[..., 5] + 0.15 * (depths - 1) * np.ptp(numbers[..., 5]) * rng.random(depths.shape),
                # a place that moves with depth; half sizes that differ by a hair; numbers that follow the order
                9: numbers[..., 9] + 1e-6 * depths,
-               numbers.shape[2] - 9: np.where(rng.random((len(depths), 1)) < 0.4, depths, np.arange(COUNT))}
+               numbers.shape[2] - 10: np.where(rng.random((len(depths), 1)) < 0.4, depths, np.arange(COUNT))}
     for number, values in planted.items():
         changed = numbers.copy()
         changed[..., number] = values
         assert number in find_leaks(changed, depths, classes), number
+    motifs, depths_of_motifs, symbols = look(make_set(MOTIFS, 250))
+    motifs[..., 5] = MOTIFS.orders[1][symbols] == depths_of_motifs  # one that lights where a motif holds
+    assert 5 in find_leaks(motifs, depths_of_motifs, symbols)
     told = numbers.copy()
     told[..., 5] = classes  # what marks tell is no leak
     assert 5 not in find_leaks(told, depths, classes)

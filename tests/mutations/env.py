@@ -20,8 +20,8 @@ MUTATIONS = [
     Mutation(
         "a deceptive mark is never a true one",
         "env/puzzles/marks.py",
-        "return np.prod(self.truth * own + (1 - self.truth) / self.symbols, axis=1)",
-        "return np.prod(self.truth * own + (1 - self.truth) * (own == 0) / self.symbols, axis=1)",
+        "(1 - self.truth) / self.symbols, axis=2)",
+        "(1 - self.truth) * (own == 0) / self.symbols, axis=2)",
         "env/puzzles/test_marks.py::test_likelihoods_are_those_of_the_draws",
     ),
     Mutation(

@@ -3,42 +3,45 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hrl_escape.errors import ComparisonError
-from studies.marks.analysis import Args, MarksRun, gather, measure, run_once, tell
+from studies.marks.analysis import Args, MarksRun, gather, measure, run_once, tell, tell_all
 from studies.running import open_store
 from studies.study import find_study
 from tests.studies.pages import tell as write_page
 
 STUDY = find_study("marks")
-DATA = STUDY.data
-SIZES = DATA["sizes"]
+KIND = STUDY.data["kind"][0]
+DATA = {**STUDY.data, "kind": [KIND]}
+ONE = dataclasses.replace(STUDY, data=DATA)
+SIZES = KIND["sizes"]
 
 
 def make_lines(told: Sequence[float], control: float, searcher: float = 0.7, ceiling: float = 0.98,
-               spread: float = 0.02) -> list[MarksRun]:
+               spread: float = 0.02, kind: Mapping[str, Any] = KIND) -> list[MarksRun]:
     """Ten runs a cell around these efficiencies, by numbers of training rooms; who does not learn has one."""
     rng = np.random.default_rng(4)
 
     def make(agent: str, rung: str, rooms: int, seed: int, value: float) -> MarksRun:
         return MarksRun(agent, rung, rooms, seed, 0, 64, value, 1.0)
 
-    lines = [make(agent, rung, 0, 0, value) for rung in (DATA["told"], DATA["control"])
+    lines = [make(agent, rung, 0, 0, value) for rung in (kind["told"], kind["control"])
              for agent, value in ((DATA["searchers"][0], searcher), (DATA["searchers"][1], 0.5),
-                                  (DATA["ceiling"], ceiling if rung == DATA["told"] else searcher + 0.03))]
-    for size, value in zip(SIZES, told, strict=True):
-        lines += [make(DATA["learner"], DATA["told"], size, seed, value + spread * rng.normal()) for seed in range(10)]
-    return lines + [make(DATA["learner"], DATA["control"], SIZES[-1], seed, control + spread * rng.normal())
+                                  (DATA["ceiling"], ceiling if rung == kind["told"] else searcher + 0.03))]
+    for size, value in zip(kind["sizes"], told[-len(kind["sizes"]):], strict=True):
+        lines += [make(DATA["learner"], kind["told"], size, seed, value + spread * rng.normal()) for seed in range(10)]
+    return lines + [make(DATA["learner"], kind["control"], kind["sizes"][-1], seed, control + spread * rng.normal())
                     for seed in range(10)]
 
 
 def say(*args, **changes) -> list[str]:
-    return tell(gather(STUDY, make_lines(*args, **changes)))
+    return tell(*gather(ONE, make_lines(*args, **changes)).values())
 
 
 def test_a_learner_above_the_searcher_has_learned_and_its_share_is_told():
@@ -61,32 +64,52 @@ def test_other_truths_give_other_sentences():
     assert "learned share" not in say((0.6, 0.8, 0.9), 0.7, ceiling=0.72)[0], "nothing lies between the two"
 
 
+def test_the_headline_names_the_kinds_in_which_more_rooms_teach_more():
+    def summarise(*truths: tuple[float, ...]) -> str:
+        return tell_all({f"Kind {number}": gather(ONE, make_lines(truth, 0.7))[KIND["title"]]
+                         for number, truth in enumerate(truths)})
+
+    learned, flat = (0.5, 0.6, 0.9), (0.5, 0.9, 0.9)
+    assert summarise(learned, learned) == (
+        "With kind 0 and with kind 1 runs show efficiency in unseen rooms rise by 0.2 or more from 16 to 1,000 "
+        "training rooms, to above the best searcher that learns nothing and below the ceiling.")
+    assert summarise(flat, learned).startswith("With kind 1 runs show")
+    assert summarise(flat, learned).endswith("; on the other 1 of 2 rungs they do not.")
+    for truth in (flat, (0.5, 0.75, 0.9), (0.1, 0.3, 0.65), (0.5, 0.6, 0.99)):
+        assert summarise(truth).startswith("On no rung with marks is it shown that efficiency in unseen rooms rises"), (
+            "no rise, too little, not above the searcher, not below the ceiling")
+
+
 def test_missing_cells_are_refused():
     lines = make_lines((0.6, 0.8, 0.9), 0.7)
-    for field, value in (("rooms", 16), ("agent", DATA["ceiling"]), ("rung", DATA["control"])):
+    for field, value in (("rooms", 16), ("agent", DATA["ceiling"]), ("rung", KIND["control"])):
         kept = [line for line in lines if getattr(line, field) != value]
         with pytest.raises(ComparisonError, match="are needed"):
-            gather(STUDY, kept)
+            gather(ONE, kept)
 
 
 def test_a_page_of_another_truth_says_another_thing(tmp_path: Path):
-    page = write_page("marks", make_lines((0.5, 0.5, 0.5), 0.5), tmp_path)
-    assert "**What marks mean is not learned." in page and (tmp_path / "figures/marks.svg").stat().st_size > 10_000
+    lines = {line.place: line for kind in STUDY.data["kind"] for line in make_lines((0.5, 0.5, 0.5), 0.5, kind=kind)}
+    page = write_page("marks", list(lines.values()), tmp_path)
+    assert "**On no rung with marks is it shown" in page and (tmp_path / "figures/marks.svg").stat().st_size > 10_000
+    assert page.count("What marks mean is not learned.") == len(STUDY.data["kind"])
+    assert all(f"## {kind['title']}" in page for kind in STUDY.data["kind"])
 
 
 def test_a_searcher_is_no_better_than_the_ceiling():
-    searcher, ceiling = (run_once("marks-1", agent, "told", 0, 0, 0, 3)
+    searcher, ceiling = (run_once(agent, KIND["told"], 0, 0, 0, 3)
                          for agent in (DATA["searchers"][0], DATA["ceiling"]))
     assert 0 < searcher.efficiency < ceiling.efficiency <= 1 and searcher.escapes == 1
 
 
 @pytest.mark.slow
 def test_runs_are_made_once_and_to_the_bit(tmp_path: Path):
-    small = dataclasses.replace(STUDY, data={**DATA, "sizes": [2], "primitives": 300, "tested": 3, "runs": 1})
+    kind = {**KIND, "sizes": [2], "primitives": 300}
+    small = dataclasses.replace(STUDY, data={**DATA, "kind": [kind], "tested": 3, "runs": 1})
     store = open_store(small, tmp_path)
     for _ in range(2):
         measure(small, Args(), store)
         runs = {run.place: run for run in store.load()}
         assert len(runs) == 8 and store.path.read_text().count("\n") == 8
-    learner = runs[DATA["learner"], "told", 2, 0]
-    assert learner == run_once("marks-1", DATA["learner"], "told", 2, 0, 300, 3)
+    learner = runs[DATA["learner"], KIND["told"], 2, 0]
+    assert learner == run_once(DATA["learner"], KIND["told"], 2, 0, 300, 3)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hrl_escape.comparison.references.graph_family import can_light
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import Edges, mask_parents, sample_relabelled
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.ranges import Between
 
 __all__ = ["GraphParticles"]
@@ -35,6 +36,9 @@ class GraphParticles:
         rng: draws and moves.
         marks: of the room's buttons; none without marks.
 
+    Raises:
+        UnsupportedError: marks of several motifs.
+
     Attributes:
         parents: uint64 (particles, buttons), the bits of each button's parents.
         goals: int64 (particles,), the button that opens the exit.
@@ -42,6 +46,9 @@ class GraphParticles:
 
     def __init__(self, config: ButtonsConfig, count: int, rng: np.random.Generator, marks: tuple[int, ...] = ()
                  ) -> None:
+        if marks and config.marks.motifs > 1:
+            raise UnsupportedError(f"marks of {config.marks.motifs} motifs on {count} buttons: smdp-bayes lists the "
+                                   "graphs of fewer, and its samples of more know one motif")
         self._rng, self._presses = rng, list[tuple[int, int, bool, bool]]()
         self.parents = np.zeros((PARTICLES, count), np.uint64)
         self.goals = np.zeros(PARTICLES, np.int64)

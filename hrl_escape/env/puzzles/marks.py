@@ -1,13 +1,16 @@
 """Marks: a symbol on every target that says something of the hidden graph, by a code that all rooms share.
 
 A symbol is a colour, a shape and a size. The code, part of the schematic, gives each symbol one class, and a target
-shows some symbol of its own class: so what a symbol means can be learned in some rooms and used in others. Marks never
-change the rules. Nothing else that can be observed before the first press tells of the graph.
+shows some symbol of its own class: so what a symbol means can be learned in some rooms and used in others. With
+several motifs the classes that symbols stand for are put into one of a few orders, drawn for each room and not shown:
+what has been learned says which orders there are, and the first presses which of them holds. Marks never change the
+rules. Nothing else that can be observed before the first press tells of the graph.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from functools import cached_property
 from typing import Annotated, Literal, TypeAlias
 
@@ -73,12 +76,18 @@ class MarksConfig(Schematic):
     shuffled: bool = False
     """Marks are those of another graph of the schematic: they look the same and say nothing, for control."""
     code: Annotated[int, Range(0, 2**63 - 1)] = 0
-    """Seed of the code, which gives each symbol its class."""
+    """Seed of the code, which gives each symbol its class, and of the motifs."""
+    motifs: Annotated[int, Range(1, 64)] = 1
+    """Orders of the classes, of which each room draws one that nothing shows before the first press; with 1 a symbol
+    means the same class in every room."""
 
     def check(self) -> None:
         """Check that there are symbols for every class."""
         if self.kind != "none" and self.symbols < self.classes:
             raise ConfigError("marks.symbols", self.symbols, f"at least {self.classes}, one for each class of targets")
+        if self.motifs > math.factorial(self.classes):
+            raise ConfigError("marks.motifs", self.motifs, f"at most {math.factorial(self.classes)}, the orders of "
+                              f"{self.classes} classes")
 
     @property
     def classes(self) -> int:
@@ -90,6 +99,15 @@ class MarksConfig(Schematic):
         """Class of each symbol, (symbols,): as many of each class as of any other, or one more."""
         return np.random.default_rng([self.code, 3]).permutation(self.symbols) % self.classes
 
+    @cached_property
+    def orders(self) -> NDArray[np.int64]:
+        """Class that a symbol of each class stands for under each motif, (motifs, classes); the first changes none."""
+        rng, orders = np.random.default_rng([self.code, 4]), [tuple(range(self.classes))]
+        while len(orders) < self.motifs:
+            order = tuple(rng.permutation(self.classes).tolist())
+            orders += [] if order in orders else [order]
+        return np.array(orders)
+
     def classify(self, count: int, edges: Edges, goal: int) -> NDArray[np.int64]:
         """Class of each target of a graph, (count,)."""
         if self.kind == "needed":
@@ -99,7 +117,8 @@ class MarksConfig(Schematic):
 
     def draw(self, count: int, edges: Edges, goal: int, rng: np.random.Generator) -> tuple[int, ...]:
         """Draw the mark of each target of a graph."""
-        meanings = self.meanings
+        order = self.orders[rng.integers(self.motifs) if self.motifs > 1 else 0]
+        meanings = order[self.meanings]
         return tuple(int(rng.choice(np.flatnonzero(meanings == own) if rng.random() < self.truth else self.symbols))
                      for own in self.classify(count, edges, goal))
 
@@ -115,7 +134,6 @@ class MarksConfig(Schematic):
         """
         if self.kind == "none" or self.shuffled:
             return np.ones(len(classes))
-        meanings = self.meanings
-        read = meanings[list(marks)]
-        own = (read == classes) / np.bincount(meanings, minlength=self.classes)[read]
-        return np.prod(self.truth * own + (1 - self.truth) / self.symbols, axis=1)
+        read = self.meanings[list(marks)]
+        own = (self.orders[:, None, read] == classes) / np.bincount(self.meanings, minlength=self.classes)[read]
+        return np.prod(self.truth * own + (1 - self.truth) / self.symbols, axis=2).mean(axis=0)

@@ -88,18 +88,33 @@ def test_the_share_of_true_marks_is_what_is_asked_for_and_shuffled_ones_are_at_c
         assert sorted(rules.meanings[list(puzzle.marks)]) == [0, 1, 2, 3]
 
 
-def test_likelihoods_are_those_of_the_draws():
-    rules = MarksConfig("rank", levels=2, symbols=5, truth=0.7)
+@pytest.mark.parametrize("motifs", [1, 2])
+def test_likelihoods_are_those_of_the_draws(motifs):
+    rules = MarksConfig("rank", levels=2, symbols=5, truth=0.7, motifs=motifs)
     every = list(itertools.product(range(5), repeat=2))
     classes = np.array([[0, 1], [1, 0]])
     table = np.array([rules.compute_likelihood(marks, classes) for marks in every])
     assert table.sum(axis=0) == pytest.approx([1, 1])
+    assert np.allclose(table[:, 0], table[:, 1]) == (motifs == 2)  # both orders of two: nothing is told any more
     rng = np.random.default_rng(0)
     drawn = [rules.draw(2, ((0, 1),), 1, rng) for _ in range(6_000)]
     shares = np.array([drawn.count(marks) for marks in every]) / len(drawn)
     assert np.abs(shares - table[:, 0]).max() < 0.02
     shuffled = dataclasses.replace(rules, shuffled=True).compute_likelihood((0, 3), classes)
     assert shuffled[0] == shuffled[1]
+
+
+def test_each_room_has_one_motif_and_all_motifs_are_as_frequent():
+    rules = MarksConfig("rank", levels=4, symbols=12, motifs=3)
+    assert rules.orders[0].tolist() == [0, 1, 2, 3] and len({tuple(order) for order in rules.orders}) == 3
+    assert (np.sort(rules.orders, axis=1) == np.arange(4)).all()
+    found = []
+    for puzzle in draw_puzzles(make_with(rules), 300):
+        ranks = rules.classify(4, puzzle.edge_list, puzzle.goal)
+        motif, = np.flatnonzero((rules.orders[:, rules.meanings[list(puzzle.marks)]] == ranks).all(axis=1))
+        found.append(motif)
+    assert np.bincount(found) == pytest.approx([100, 100, 100], abs=33)  # four standard errors
+    assert MarksConfig("rank", levels=2, symbols=2, motifs=2).orders.tolist() == [[0, 1], [1, 0]]
 
 
 def test_every_symbol_looks_different():
@@ -195,6 +210,7 @@ def test_marked_and_bare_rooms_are_no_batch_and_batched_cameras_refuse_marks():
 @pytest.mark.parametrize(("changes", "words"), [
     ({"kind": "rank", "levels": 8, "symbols": 6}, "marks.symbols = 6 is not possible: at least 8"),
     ({"kind": "rank", "symbols": 97}, "97"),
+    ({"kind": "needed", "motifs": 3}, "marks.motifs = 3 is not possible: at most 2, the orders of 2 classes"),
     ({"kind": "rank", "truth": 1.5}, "1.5"),
     ({"kind": "colour"}, "needed"),
 ])
