@@ -131,7 +131,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     for kind in data["kind"]:
         rungs, sizes = (kind["told"], kind["control"]), kind["sizes"]
         jobs |= {(agent, rung, 0, 0): 0 for agent in (*data["searchers"], data["ceiling"]) for rung in rungs}
-        jobs |= {(data["learner"], rung, size, seed): kind["primitives"] for seed in seeds
+        jobs |= {(kind["learner"], rung, size, seed): kind["primitives"] for seed in seeds
                  for rung, size in (*((kind["told"], size) for size in sizes), (kind["control"], sizes[-1]))}
     known = {run.place for run in store.load()}
     with ProcessPoolExecutor(args.workers, multiprocessing.get_context("spawn")) as pool:
@@ -179,8 +179,8 @@ def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Cells]:
 
     found = {}
     for kind in data["kind"]:
-        told = {size: pick([data["learner"]], kind["told"], size) for size in kind["sizes"]}
-        control = pick([data["learner"]], kind["control"], kind["sizes"][-1])
+        told = {size: pick([kind["learner"]], kind["told"], size) for size in kind["sizes"]}
+        control = pick([kind["learner"]], kind["control"], kind["sizes"][-1])
         searched = [pick(data["searchers"], kind[rung], 0) for rung in ("told", "control")]
         ceiling = pick([data["ceiling"]], kind["told"], 0)
         if min(map(len, (*told.values(), control))) < 2 or not all(map(len, (*searched, ceiling))):

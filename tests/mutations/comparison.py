@@ -27,6 +27,13 @@ MUTATIONS = [
         "comparison/test_searchers.py::test_marks_are_worth_what_follows_by_hand",
     ),
     Mutation(
+        "the ceiling is told which motif a room has",
+        "env/puzzles/marks.py",
+        "axis=2).mean(axis=0)",
+        "axis=2)[0]",
+        "comparison/test_searchers.py::test_motifs_cost_the_presses_that_find_out_which_holds",
+    ),
+    Mutation(
         "the learned share is a share of the way to the planner",
         "comparison/ladder_score.py",
         "return (efficiency - searcher) / (ceiling - searcher) if",

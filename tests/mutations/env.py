@@ -25,6 +25,13 @@ MUTATIONS = [
         "env/puzzles/test_marks.py::test_likelihoods_are_those_of_the_draws",
     ),
     Mutation(
+        "every room has the same motif",
+        "env/puzzles/marks.py",
+        "rng.integers(self.motifs) if self.motifs > 1 else 0",
+        "0",
+        "env/puzzles/test_marks.py::test_each_room_has_one_motif_and_all_motifs_are_as_frequent",
+    ),
+    Mutation(
         "a rectangle's corners sweep through solids between its first and its last heading",
         "env/bases/rectangle.py",
         "return (bearing - corner) % math.pi <= turn or (bearing + corner) % math.pi <= turn",

@@ -4,6 +4,13 @@ from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
     Mutation(
+        "any rise across rooms is one of 0.2",
+        "studies/marks/analysis.py",
+        "return least >= RISE and",
+        "return least > 0 and",
+        "studies/test_marks.py::test_the_headline_names_the_kinds_in_which_more_rooms_teach_more",
+    ),
+    Mutation(
         "a flat run that was given up counts as if it had arrived",
         "studies/price/ratios.py",
         "float(np.log(spent)) if has_arrived else np.inf",

@@ -35,8 +35,8 @@ def make_lines(told: Sequence[float], control: float, searcher: float = 0.7, cei
              for agent, value in ((DATA["searchers"][0], searcher), (DATA["searchers"][1], 0.5),
                                   (DATA["ceiling"], ceiling if rung == kind["told"] else searcher + 0.03))]
     for size, value in zip(kind["sizes"], told[-len(kind["sizes"]):], strict=True):
-        lines += [make(DATA["learner"], kind["told"], size, seed, value + spread * rng.normal()) for seed in range(10)]
-    return lines + [make(DATA["learner"], kind["control"], kind["sizes"][-1], seed, control + spread * rng.normal())
+        lines += [make(kind["learner"], kind["told"], size, seed, value + spread * rng.normal()) for seed in range(10)]
+    return lines + [make(kind["learner"], kind["control"], kind["sizes"][-1], seed, control + spread * rng.normal())
                     for seed in range(10)]
 
 
@@ -111,5 +111,5 @@ def test_runs_are_made_once_and_to_the_bit(tmp_path: Path):
         measure(small, Args(), store)
         runs = {run.place: run for run in store.load()}
         assert len(runs) == 8 and store.path.read_text().count("\n") == 8
-    learner = runs[DATA["learner"], KIND["told"], 2, 0]
-    assert learner == run_once(DATA["learner"], KIND["told"], 2, 0, 300, 3)
+    learner = runs[KIND["learner"], KIND["told"], 2, 0]
+    assert learner == run_once(KIND["learner"], KIND["told"], 2, 0, 300, 3)
