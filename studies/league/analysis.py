@@ -37,8 +37,10 @@ from studies.store import Store
 from studies.study import Page, Study, find_study
 
 __all__ = ["LINES", "Args", "Attempt", "SearcherRun", "advise", "analyse", "choose_candidate", "choose_course",
-           "measure", "read_flat", "read_price", "tell_arrivals", "tell_cheapest", "tell_searcher"]
+           "measure", "read_flat", "read_price", "tell_arrivals", "tell_cheapest", "tell_privileged", "tell_quickest",
+           "tell_searcher"]
 
+FIELDS = {field.name for field in dataclasses.fields(FlatLearner)}
 ESCAPE = 0.0
 """The level that the first escape stands for, among efficiencies."""
 Course: TypeAlias = Literal["whole", "first escape", "none", "later"]
@@ -124,8 +126,7 @@ def list_candidates(study: Study, label: str) -> Iterator[FlatLearner]:
     """Candidates of a learner, labelled by their number."""
     (table,) = (table for table in study.data["learners"] if table["label"] == label)
     for number, candidate in enumerate(table["candidates"], 1):
-        yield read_record(FlatLearner, {name: value for name, value in table.items() if name not in
-                                        ("candidates", "price", "note")} |
+        yield read_record(FlatLearner, {name: table[name] for name in table.keys() & FIELDS} |
                           {"label": f"{label} / {number}", "settings": table["settings"] | candidate})
 
 
@@ -298,14 +299,27 @@ def list_waits(runs: Sequence[Attempt], level: float) -> dict[tuple[int, int], t
 
 def tell_quickest(found: Sequence[tuple[str, CostRatio, str]]) -> str:
     """A sentence: who is efficient first, and whether that is shown; empty where nobody can be compared."""
-    parts = []
+    said: dict[str, list[str]] = {}
     for first, ratio, second in found:
-        middle, buttons = ratio.middle, count_nouns(ratio.buttons, "button")
+        middle = ratio.middle
         by = "" if math.isinf(middle.high) else f" ({tell_number(middle.low)} to {tell_number(middle.high)})"
-        parts.append(f"with {buttons} `{first}`, where `{second}` needs {tell_number(middle.factor)}{by} times as many"
-                     if middle.p < ALPHA and middle.low > 1 else
-                     f"with {buttons} `{first}` by its median, which is not shown to be quicker than `{second}`")
+        words = (f"`{first}`, where `{second}` needs {tell_number(middle.factor)}{by} times as many"
+                 if middle.p < ALPHA and middle.low > 1 else
+                 f"`{first}` by its median, which is not shown to be quicker than `{second}`")
+        said.setdefault(words, []).append(str(ratio.buttons))
+    parts = [f"with {join_words(sizes)} button{'' if sizes == ['1'] else 's'} {words}" for words, sizes in said.items()]
     return f"Efficient after the fewest primitives: {'; '.join(parts)}." if parts else ""
+
+
+def tell_privileged(cells: Cells, labels: Sequence[str], sizes: Sequence[int], level: float) -> str:
+    """A sentence a learner that may do what no other may: in how many runs it is efficient."""
+    told = []
+    for label in labels:
+        shares = [f"{count_arrived(runs, level)} of {len(runs)} with {count_nouns(size, 'button')}" for size in sizes
+                  if (runs := cells.get((label, size), ()))]
+        if shares:
+            told.append(f"With a privilege that no other learner has, `{label}` is efficient in {join_words(shares)}.")
+    return " ".join(told)
 
 
 def tell_searcher(ratios: Mapping[str, CostRatio], searcher: str) -> str:
@@ -381,23 +395,27 @@ def analyse(study: Study, lines: Sequence[Any]) -> Page:
     data = study.data
     sizes, budget, levels, searcher = data["sizes"], data["budget"], data["efficient"], data["searcher"]
     labels = [table["label"] for table in data["learners"]]
+    privileged = [table["label"] for table in data["learners"] if table.get("privileged")]
     cells = gather(study, lines)
+    plain = {place: runs for place, runs in cells.items() if place[0] not in privileged}
     searched = {(line.buttons, line.seed): (float(line.escaped_at or budget), line.escaped_at is not None)
                 for line in lines if isinstance(line, SearcherRun) and line.searcher == searcher}
     followed = {label: own for label in labels if (own := [
         run for size in sizes if is_followed(cells.get((label, size), ()), ESCAPE, budget)
         for run in cells[label, size]])}
     ratios = {label: compare(own, searched, ESCAPE) for label, own in followed.items()}
-    quickest = tell_cheapest(cells, sizes, levels[-1])
+    quickest = tell_cheapest(plain, sizes, levels[-1])
     (pooled, first), _ = correct_prices([list(ratios.values()), [ratio for _, ratio, _ in quickest]])
     ratios = dict(zip(ratios, pooled, strict=True))
     quickest = [(label, ratio, second) for (label, _, second), ratio in zip(quickest, first, strict=True)]
-    headline = tell_arrivals(cells, sizes, levels[-1], budget)
+    headline = tell_arrivals(plain, sizes, levels[-1], budget)
     trials = [run for run in lines if isinstance(run, FlatRun) and run.agent not in labels]
     events = {ESCAPE: "the first escape", **{level: f"an efficiency of {level:g}" for level in levels}}
-    sentences = list(filter(None, [tell_quickest(quickest), tell_searcher(ratios, searcher)]))
+    sentences = list(filter(None, [
+        tell_quickest(quickest), tell_privileged(cells, privileged, sizes, levels[-1]),
+        tell_searcher({label: ratio for label, ratio in ratios.items() if label not in privileged}, searcher)]))
     return Page({
-        "headline": headline, "sentences": sentences, "advice": advise(cells, sizes, levels, budget),
+        "headline": headline, "sentences": sentences, "advice": advise(plain, sizes, levels, budget),
         "tables": [make_table([f"primitives to {event}", *(count_nouns(size, "button") for size in sizes)], [
             *([f"`{label}`", *(_describe(cells.get((label, size), ()), level, budget) for size in sizes)]
               for label in labels if any((label, size) in cells for size in sizes)),

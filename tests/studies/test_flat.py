@@ -32,6 +32,7 @@ from studies.league.analysis import (
     read_price,
     tell_arrivals,
     tell_cheapest,
+    tell_privileged,
     tell_quickest,
     tell_searcher,
 )
@@ -254,6 +255,16 @@ def test_the_quickest_is_told_apart_only_where_the_runs_do():
                     for run in near["b", 1]]
     assert "not shown to be quicker than" in tell_quickest(tell_cheapest({**near, **GOOD}, (1,), 0.9))
     assert tell_quickest(tell_cheapest(GOOD, (1,), 0.9)) == "", "nobody beside it"
+    both = tell_cheapest({**near, **GOOD}, (1,), 0.9) * 2
+    both[1] = (both[1][0], both[1][1]._replace(buttons=2), both[1][2])
+    assert "with 1 and 2 buttons `a` by its median" in tell_quickest(both)
+
+
+def test_who_has_a_privilege_is_said_apart():
+    assert tell_privileged({**GOOD, **make_cells("a", 2, 1, None, None)}, ["a"], (1, 2, 3), 0.9) == (
+        "With a privilege that no other learner has, `a` is efficient in 10 of 10 with 1 button and 0 of 10 with 2 "
+        "buttons.")
+    assert tell_privileged(GOOD, ["b"], (1,), 0.9) == ""
 
 
 @pytest.mark.parametrize(("searched", "words"), [
