@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,7 +70,7 @@ def read_view(described: Mapping[str, Any]) -> RoomView:
                 options = OptionsView(**{name: given[name] for name in names})
             elif kind == "DecisionMemory" and options is not None:
                 memory = True
-            elif kind not in ("RoomSchedule", "PassiveEnvChecker", "OrderEnforcing"):
+            elif kind != "RoomSchedule":
                 raise UnsupportedError(f"a run with {kind} around its room cannot be submitted: a board knows rooms "
                                        "with OptionsEnv, of the package's own options, and DecisionMemory")
         seen = env["arguments"]["observation"]
@@ -99,18 +99,14 @@ def play_cells(entry: Entry, folder: Path, rooms: InstanceSet, role: str, number
     seeds = {number: compute_episode_seed(0, "evaluation" if role == "test" else role, number) for number in numbers}
     env, recorder = make_view_env(entry.card.view, rooms, {str(seed): number for number, seed in seeds.items()})
     room: Any = env.unwrapped
-    with _opening(entry, folder, env, recorder, trust) as player, tempfile.TemporaryDirectory() as cache:
-        try:
-            for number, seed in seeds.items():
-                primitives, decisions, total, escaped = 0, 0, 0.0, False
-                for step, info in play_episode(player, env, seed):
-                    primitives, decisions, total = primitives + step.duration, decisions + 1, total + step.summed_reward
-                    escaped = read_success(info, step.terminated)
-                start = (room.instance, recorder.states[0])
-                known = compute_score_range([start], AgentSpec(), Path(cache))
-                yield Cell(role, number, escaped, primitives, decisions, total, float(known.fewest[0]))
-        finally:
-            env.close()
+    with closing(env), _opening(entry, folder, env, recorder, trust) as player, tempfile.TemporaryDirectory() as cache:
+        for number, seed in seeds.items():
+            primitives, decisions, total, escaped = 0, 0, 0.0, False
+            for step, info in play_episode(player, env, seed):
+                primitives, decisions, total = primitives + step.duration, decisions + 1, total + step.summed_reward
+                escaped = read_success(info, step.terminated)
+            known = compute_score_range([(room.instance, recorder.states[0])], AgentSpec(), Path(cache))
+            yield Cell(role, number, escaped, primitives, decisions, total, float(known.fewest[0]))
 
 
 @contextmanager

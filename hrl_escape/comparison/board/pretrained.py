@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
+from contextlib import closing
 from importlib.resources import files
 from pathlib import Path
 
@@ -93,9 +94,6 @@ def load_pretrained(rung: str, agent: str = "") -> Pretrained:
         submission = read_submission(path, Path(made))
         unpack_run(Path(made) / RUN, Path(made) / "run")
         found = find_rung(submission.entry)
-        env = make_view_env(submission.entry.card.view, found.test)[0]
-        try:
-            return Pretrained(load_agent(Path(made) / "run", env), load_result(Path(made) / "run"), submission, found,
-                              path)
-        finally:
-            env.close()
+        with closing(make_view_env(submission.entry.card.view, found.test)[0]) as env:
+            loaded = load_agent(Path(made) / "run", env)
+        return Pretrained(loaded, load_result(Path(made) / "run"), submission, found, path)
