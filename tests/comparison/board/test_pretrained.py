@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -27,8 +28,17 @@ def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent
     env.close()
 
 
+def test_the_agent_that_reads_marks_has_the_score_that_the_study_of_marks_published():
+    """The study trained with the same seed, rooms and budget, and counted efficiency in the same 64 rooms by itself."""
+    lines = [json.loads(line) for line in (BOARD.parents[1] / "studies/marks/raw.jsonl").read_text().splitlines()]
+    (published,) = [line["efficiency"] for line in lines
+                    if (line["rung"], line["rooms"], line["seed"], line["primitives"]) == ("told", 1000, 0, 24_000)]
+    found = load_pretrained("marks-1/told")
+    assert round(found.score.value, 4) == published and found.result.seed == 0
+
+
 def test_there_are_pretrained_agents_they_are_small_and_stand_on_the_board():
-    assert "ladder-1/chain-3" in list_pretrained()
+    assert {"marks-1/told", "ladder-1/chain-3"} <= list_pretrained().keys()
     digests = {record.submission.agent_digest for record in read_records(BOARD)}
     sizes = 0
     for rung, agent in AGENTS:
@@ -38,7 +48,7 @@ def test_there_are_pretrained_agents_they_are_small_and_stand_on_the_board():
         whole = load_benchmark(benchmark)[name].record.test.count == found.submission.entry.rooms
         assert (found.submission.agent_digest in digests) == whole
     assert sizes < 1.5e6
-    with pytest.raises(UnknownNameError, match="ladder-1/chain-3"):
-        load_pretrained("ladder-1/chain-2")
-    with pytest.raises(UnknownNameError, match="smdp-q-learning"):
-        load_pretrained("ladder-1/chain-3", "smdp-dqn")
+    with pytest.raises(UnknownNameError, match="marks-1/told"):
+        load_pretrained("marks-1/tell")
+    with pytest.raises(UnknownNameError, match="smdp-ppo"):
+        load_pretrained("marks-1/told", "smdp-dqn")
