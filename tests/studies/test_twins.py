@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.agents.registry import find_agent_module
+from hrl_escape.comparison.references.graph_family import find_schematic
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.synthesis.kinds import KINDS
 from studies.__main__ import main
 from studies.baseline import BaselineRun
@@ -75,6 +77,13 @@ def test_advice_follows_the_answers(better: dict[str, float], words: tuple[str, 
 def test_advice_answers_questions_of_the_study(study: Study):
     assert {table["question"] for table in study.data["advice"]} - {""} < {
         question.heading for question in list_questions(study)}
+
+
+@pytest.mark.parametrize("study", [LEARNED_HIERARCHIES, INTRA_OPTION], ids=lambda study: study.name)
+def test_the_optimal_searcher_does_not_know_rooms_of_no_preset(study: Study):
+    for room in study.grids[0].rooms:
+        with pytest.raises(UnsupportedError, match="take a preset or a rung"):
+            find_schematic(room.make_instance())
 
 
 @STUDIES
