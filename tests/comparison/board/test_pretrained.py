@@ -31,8 +31,9 @@ def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent
 def test_the_agent_that_reads_marks_has_the_score_that_the_study_of_marks_published():
     """The study trained with the same seed, rooms and budget, and counted efficiency in the same 64 rooms by itself."""
     lines = [json.loads(line) for line in (BOARD.parents[1] / "studies/marks/raw.jsonl").read_text().splitlines()]
+    subject = ("marks-1/told", 1000, 0, 24_000)
     (published,) = [line["efficiency"] for line in lines
-                    if (line["rung"], line["rooms"], line["seed"], line["primitives"]) == ("told", 1000, 0, 24_000)]
+                    if (line["rung"], line["rooms"], line["seed"], line["primitives"]) == subject]
     found = load_pretrained("marks-1/told")
     assert round(found.score.value, 4) == published and found.result.seed == 0
 
