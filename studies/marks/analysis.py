@@ -166,15 +166,15 @@ class Cells(NamedTuple):
 
 
 def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Cells]:
-    """Sort lines into cells, by title of the kind of regularity.
+    """Sort lines into cells, by title of the kind of regularity; kinds of which runs are missing are left out.
 
     Raises:
-        ComparisonError: runs are missing without which nothing can be said.
+        ComparisonError: runs of every kind are missing, so that nothing can be said.
     """
     data = study.data
 
     def pick(agents: Sequence[str], rung: str, rooms: int) -> np.ndarray:
-        return np.array([line.efficiency for line in lines
+        return np.array([line.efficiency for line in sorted(lines, key=lambda line: line.seed)
                          if line.agent in agents and line.rung == rung and line.rooms == rooms])
 
     found = {}
@@ -183,10 +183,10 @@ def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Cells]:
         control = pick([kind["learner"]], kind["control"], kind["sizes"][-1])
         searched = [pick(data["searchers"], kind[rung], 0) for rung in ("told", "control")]
         ceiling = pick([data["ceiling"]], kind["told"], 0)
-        if min(map(len, (*told.values(), control))) < 2 or not all(map(len, (*searched, ceiling))):
-            raise ComparisonError(f"two runs of every cell, the searchers and the ceiling are needed to tell of "
-                                  f"{kind['told']}")
-        found[kind["title"]] = Cells(told, control, searched[0].max(), searched[1].max(), ceiling[0])
+        if min(map(len, (*told.values(), control))) >= 2 and all(map(len, (*searched, ceiling))):
+            found[kind["title"]] = Cells(told, control, searched[0].max(), searched[1].max(), ceiling[0])
+    if not found:
+        raise ComparisonError("two runs of every cell, the searchers and the ceiling are needed to tell of marks")
     return found
 
 
@@ -195,6 +195,12 @@ def _bound(values: np.ndarray, level: float = 0.95) -> tuple[float, float, float
     mean, error = float(np.mean(values)), max(float(stats.sem(values)), 1e-3)
     reach = error * float(stats.t.ppf((1 + level) / 2, len(values) - 1))
     return mean, mean - reach, mean + reach
+
+
+def _pair(cells: Cells, size: int) -> np.ndarray:
+    """Gain of each seed that was run in so many rooms and in the most."""
+    few, many = cells.told[size], cells.told[max(cells.told)]
+    return many[: len(few)] - few[: len(many)]
 
 
 def tell(cells: Cells) -> list[str]:
@@ -215,8 +221,7 @@ def tell(cells: Cells) -> list[str]:
                  + ("." if share is None else f", so its learned share is {share:.0%}."))
     sentences = [headline]
     for size in sizes[:-1]:
-        gain = cells.told[many][: len(cells.told[size])] - cells.told[size][: len(cells.told[many])]
-        rise, least, most = _bound(gain)
+        rise, least, most = _bound(_pair(cells, size))
         interval = f"{rise:+.2f} ({least:+.2f} to {most:+.2f})"
         sentences.append(
             f"From {size:,} to {many:,} training rooms efficiency rises by {interval}." if least > 0 else
@@ -236,9 +241,8 @@ def tell(cells: Cells) -> list[str]:
 
 def has_risen(cells: Cells) -> bool:
     """True if runs show a rise by `RISE` from `FEW` rooms to the most, to above the searcher and below the ceiling."""
-    many = cells.told[max(cells.told)]
-    _, least, _ = _bound(many - cells.told[FEW])
-    _, low, high = _bound(many)
+    _, least, _ = _bound(_pair(cells, FEW))
+    _, low, high = _bound(cells.told[max(cells.told)])
     return least >= RISE and low > cells.searcher and high < cells.ceiling
 
 
@@ -259,26 +263,26 @@ def analyse(study: Study, lines: Sequence[MarksRun]) -> Page:
     """Sentences, tables and figure."""
     found, data = gather(study, lines), study.data
     rows, parts = [], []
-    for kind, cells in zip(data["kind"], found.values(), strict=True):
+    for kind in (kind for kind in data["kind"] if kind["title"] in found):
+        cells = found[kind["title"]]
         headline, *sentences = tell(cells)
         parts.append({**kind, "headline": headline, "sentences": sentences})
         rows += [[f"{kind['told']}, {size:,} room{'s' * (size > 1)}", *_describe(values, cells.searcher, cells.ceiling)]
                  for size, values in cells.told.items()]
         rows.append([kind["control"], *_describe(cells.control, cells.control_searcher, None)])
-        rows += [[f"{rung}, {name}", f"{value:.3f}", "", ""] for rung, name, value in (
+        rows += [[f"{rung}, {name}", "", f"{value:.3f}", "", ""] for rung, name, value in (
             (kind["told"], "searcher", cells.searcher), (kind["control"], "searcher", cells.control_searcher),
             (kind["told"], "ceiling", cells.ceiling))]
     headline = tell_all(found)
     return Page({"headline": headline, "parts": parts, "table": make_table(
-        ["", "efficiency in unseen rooms", "runs from ... to", "learned share"], rows), **data,
-        "shown": min(len(values) for cells in found.values() for values in cells.told.values())},
+        ["", "runs", "efficiency in unseen rooms", "runs from ... to", "learned share"], rows), **data},
         {"marks": draw(found)}, [headline, *(f"{part['title']}: {part['headline']}" for part in parts)])
 
 
 def _describe(values: np.ndarray, searcher: float, ceiling: float | None) -> list[str]:
     mean, low, high = _bound(values)
     share = None if ceiling is None else compute_learned_share(mean, searcher, ceiling)
-    return [f"{mean:.3f} ({low:.3f} to {high:.3f})", f"{values.min():.2f} to {values.max():.2f}",
+    return [str(len(values)), f"{mean:.3f} ({low:.3f} to {high:.3f})", f"{values.min():.2f} to {values.max():.2f}",
             "" if share is None else f"{share:.2f}"]
 
 

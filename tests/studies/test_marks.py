@@ -86,6 +86,9 @@ def test_missing_cells_are_refused():
         kept = [line for line in lines if getattr(line, field) != value]
         with pytest.raises(ComparisonError, match="are needed"):
             gather(ONE, kept)
+    other = {**KIND, "title": "Another", "told": "marks-2/words"}
+    both = dataclasses.replace(STUDY, data={**DATA, "kind": [KIND, other]})
+    assert list(gather(both, lines)) == [KIND["title"]], "what is there is told of"
 
 
 def test_a_page_of_another_truth_says_another_thing(tmp_path: Path):
