@@ -227,6 +227,10 @@ def tell(cells: Cells) -> list[str]:
             f"From {size:,} to {many:,} training rooms efficiency rises by {interval}." if least > 0 else
             f"From {size:,} to {many:,} training rooms efficiency falls by {interval}." if most < 0 else
             f"From {size:,} to {many:,} training rooms no change is shown: {interval}.")
+        mean, _, highest = _bound(cells.told[size])
+        if highest < cells.searcher:
+            sentences.append(
+                f"Trained in {size:,} room{'s' * (size > 1)} it is worse than the searcher, with {mean:.2f}.")
     if high > cells.ceiling + 0.01:
         sentences.append(f"The interval of the learner ({low:.2f} to {high:.2f}) reaches above the ceiling.")
     mean, low, high = _bound(cells.control - cells.control_searcher)
@@ -236,6 +240,9 @@ def tell(cells: Cells) -> list[str]:
         f"{control}: marks that say nothing lift it above the searcher, so something else carries over." if low > 0 else
         f"{control}: at the searcher's level." if low > -ALIKE else
         f"{control}: below the searcher." if high < 0 else f"{control}: the runs differ too much to say more.")
+    worth = stats.ttest_ind(cells.told[many], cells.control, equal_var=False).confidence_interval()
+    sentences.append(f"True marks are worth {np.mean(cells.told[many]) - np.mean(cells.control):+.2f} "
+                     f"({worth.low:+.2f} to {worth.high:+.2f}) against shuffled ones.")
     return sentences
 
 
@@ -250,13 +257,13 @@ def tell_all(found: Mapping[str, Cells]) -> str:
     """Headline over all kinds: those in which more rooms are shown to teach more."""
     most = max(size for cells in found.values() for size in cells.told)
     risen = [title.lower() for title, cells in found.items() if has_risen(cells)]
-    claim = (f"efficiency in unseen rooms rise by {RISE} or more from {FEW} to {most:,} training rooms, to above the "
-             "best searcher that learns nothing and below the ceiling")
+    others = [title.lower() for title in found if title.lower() not in risen]
+    claim = (f"efficiency in unseen rooms rises by {RISE} or more from {FEW} to {most:,} training rooms, and ends "
+             "above the best searcher that learns nothing and below the ceiling")
     if not risen:
-        return f"On no rung with marks is it shown that {claim.replace('rise', 'rises', 1)}."
-    others = "" if len(risen) == len(found) else (
-        f"; on the other {len(found) - len(risen)} of {len(found)} rungs they do not")
-    return f"With {' and with '.join(risen)} runs show {claim}{others}."
+        return f"On no rung with marks is it shown that {claim}."
+    rest = f"; with {' and '.join(others)} this is not shown" if others else ""
+    return f"With {' and '.join(risen)}, {claim}{rest}."
 
 
 def analyse(study: Study, lines: Sequence[MarksRun]) -> Page:

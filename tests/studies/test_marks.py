@@ -49,18 +49,21 @@ def test_a_learner_above_the_searcher_has_learned_and_its_share_is_told():
     assert headline.startswith("What marks mean is learned across rooms. Trained in 1,000 rooms")
     assert "the best searcher that learns nothing (0.70); the ceiling is 0.98, so its learned share is 7" in headline
     assert rest[0].startswith("From 1 to 1,000 training rooms efficiency rises by +0.3")
-    assert rest[1].startswith("From 16 to 1,000 training rooms efficiency rises by +0.1")
-    assert rest[-1].endswith("learner has 0.68, where the searcher has 0.70: at the searcher's level.")
+    assert rest[1].startswith("Trained in 1 room it is worse than the searcher, with 0.6")
+    assert rest[2].startswith("From 16 to 1,000 training rooms efficiency rises by +0.1")
+    assert rest[-1].startswith("True marks are worth +0.2")
+    assert rest[-2].endswith("learner has 0.68, where the searcher has 0.70: at the searcher's level.")
 
 
 def test_other_truths_give_other_sentences():
     assert say((0.5, 0.5, 0.5), 0.5)[0].startswith("What marks mean is not learned.")
     assert "as good" in say((0.5, 0.6, 0.7), 0.6, spread=0.1)[0]
-    assert "From 16 to 1,000 training rooms no change is shown" in say((0.6, 0.9, 0.9), 0.7)[2]
-    assert "From 16 to 1,000 training rooms efficiency falls by -0.1" in say((0.6, 0.9, 0.8), 0.7)[2]
-    assert "something else carries over" in say((0.6, 0.8, 0.9), 0.85)[-1]
-    assert say((0.6, 0.8, 0.9), 0.4)[-1].endswith("below the searcher.")
-    assert "reaches above the ceiling" in say((0.6, 0.8, 0.99), 0.7, ceiling=0.9)[-2]
+    assert "From 16 to 1,000 training rooms no change is shown" in say((0.8, 0.9, 0.9), 0.7)[2]
+    assert "From 16 to 1,000 training rooms efficiency falls by -0.1" in say((0.8, 0.9, 0.8), 0.7)[2]
+    assert "something else carries over" in say((0.6, 0.8, 0.9), 0.85)[-2]
+    assert say((0.6, 0.8, 0.9), 0.4)[-2].endswith("below the searcher.")
+    assert "reaches above the ceiling" in say((0.6, 0.8, 0.99), 0.7, ceiling=0.9)[-3]
+    assert say((0.6, 0.6, 0.6), 0.7)[-1].startswith("True marks are worth -0.1")
     assert "learned share" not in say((0.6, 0.8, 0.9), 0.7, ceiling=0.72)[0], "nothing lies between the two"
 
 
@@ -71,10 +74,10 @@ def test_the_headline_names_the_kinds_in_which_more_rooms_teach_more():
 
     learned, flat = (0.5, 0.6, 0.9), (0.5, 0.9, 0.9)
     assert summarise(learned, learned) == (
-        "With kind 0 and with kind 1 runs show efficiency in unseen rooms rise by 0.2 or more from 16 to 1,000 "
-        "training rooms, to above the best searcher that learns nothing and below the ceiling.")
-    assert summarise(flat, learned).startswith("With kind 1 runs show")
-    assert summarise(flat, learned).endswith("; on the other 1 of 2 rungs they do not.")
+        "With kind 0 and kind 1, efficiency in unseen rooms rises by 0.2 or more from 16 to 1,000 training rooms, and "
+        "ends above the best searcher that learns nothing and below the ceiling.")
+    assert summarise(flat, learned).startswith("With kind 1, efficiency")
+    assert summarise(flat, learned).endswith("; with kind 0 this is not shown.")
     for truth in (flat, (0.5, 0.75, 0.9), (0.1, 0.3, 0.65), (0.5, 0.6, 0.99)):
         assert summarise(truth).startswith("On no rung with marks is it shown that efficiency in unseen rooms rises"), (
             "no rise, too little, not above the searcher, not below the ceiling")
