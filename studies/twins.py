@@ -39,7 +39,7 @@ __all__ = ["Advice", "Contrast", "Question", "analyse", "choose_advice", "compar
 
 @dataclass(frozen=True)
 class Advice:
-    """What follows from a question for a user, in the words of its answer.
+    """Advice to a user that follows from a question, in the words of its answer.
 
     Attributes:
         question: its heading; empty for the one whether learners beat the best searcher.

@@ -300,7 +300,7 @@ def tell_searchers(ratios: Mapping[tuple[str, str], Middle], words: Mapping[str,
 
 
 def advise(ratios: Mapping[tuple[str, str], Middle], words: Mapping[str, str], most: int) -> str:
-    """What follows for a user, by whether a learner is shown to need fewer primitives than searching."""
+    """Advice to a user, by whether a learner is shown to need fewer primitives than searching."""
     cheaper = [words[learner] for (_, learner), middle in ratios.items() if middle.p < ALPHA and middle.low > 1]
     if cheaper:
         return (f"Begin with {join_words(cheaper)}: with {most} buttons it needs fewer primitives than a searcher that "

@@ -87,7 +87,7 @@ def conclude(findings: Findings) -> list[str]:
 
 
 def advise(findings: Findings, factors: Sequence[Factor]) -> str:
-    """What follows for a user: the corrections that are shown to raise the slope, and those that lower it."""
+    """Advice to a user: the corrections that are shown to raise the slope, and those that lower it."""
     words = {factor.name: factor.corrected for factor in factors}
     if not findings.is_enough:
         return "Run more rooms and seeds: too few to conclude from."

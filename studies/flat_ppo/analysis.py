@@ -153,7 +153,7 @@ def tell_remedies(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str,
 
 
 def advise(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str) -> str:
-    """What follows for a user: remedies that bring the first escape sooner, and those that only keep out of corners."""
+    """Advice to a user: remedies that bring the first escape sooner, and those that only keep out of corners."""
     corners, escapes = (compare(lines, remedies, plain, read) for read in (read_corners, read_escape))
     sooner = [f"`{label}`" for label, found in escapes.items() if found.sign < 0]
     kept = [f"`{label}`" for label, found in corners.items() if found.sign < 0 and f"`{label}`" not in sooner]

@@ -77,7 +77,7 @@ def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Se
 
 
 def advise(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], learner: str, without: str) -> str:
-    """What follows for a user: whether a memory or more training rooms bring more, as one family of two (Holm).
+    """Advice to a user: whether a memory or more training rooms bring more, as one family of two (Holm).
 
     Args:
         cells: runs by agent and number of training rooms.

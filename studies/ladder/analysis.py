@@ -132,7 +132,7 @@ def tell_visible(cells: _Cells, rungs: Sequence[str]) -> str:
 
 
 def tell_bar(cells: _Cells, rungs: Sequence[str]) -> str:
-    """What an agent has to beat: the best searcher, or where that does worse, whatever else learns nothing."""
+    """Bar for an agent: the best searcher, or where that does worse, whatever else learns nothing."""
     agents = _sort_agents(agent for _, agent in cells)
     blind = [agent for agent in agents if not (spec := AgentSpec.parse(agent)).learns and spec.name not in
              ("planner", "smdp-bayes")]

@@ -44,7 +44,7 @@ FIELDS = {field.name for field in dataclasses.fields(FlatLearner)}
 ESCAPE = 0.0
 """The level that the first escape stands for, among efficiencies."""
 Course: TypeAlias = Literal["whole", "first escape", "none", "later"]
-"""How far a learner is followed with some number of buttons."""
+"""Extent to which a learner is followed with some number of buttons."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,7 +205,7 @@ def read_price(run: PriceRun, label: str, levels: Sequence[float]) -> Attempt:
 
 
 def choose_course(data: Mapping[str, Any], own: Sequence[Attempt], size: int) -> Course:
-    """How far a learner is followed, by its runs with the next smaller number of buttons.
+    """Extent to which a learner is followed, by its runs with the next smaller number of buttons.
 
     Who never escaped there is not run; who never reached the lower efficiency is followed to its first escape; while
     runs are missing there, nothing is begun.
@@ -345,7 +345,7 @@ def tell_searcher(ratios: Mapping[str, CostRatio], searcher: str) -> str:
 
 
 def advise(cells: Cells, sizes: Sequence[int], levels: Sequence[float], budget: int) -> str:
-    """What follows for a user, by how far flat learners got."""
+    """Advice to a user, by how far flat learners got."""
     by_size = {size: list_arrived(cells, size, levels[-1]) for size in sizes
                if any(buttons == size for _, buttons in cells)}
     far = [size for size, arrived in by_size.items() if arrived]

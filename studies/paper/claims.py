@@ -207,7 +207,7 @@ def _measure(claim: Claim, results: Results, recipe: str) -> dict[str, Measureme
 
 
 def advise(results: Results) -> str:
-    """Which recipe to take: training scores with meta-actions, corrected less paper's, pair by pair of seeds (Holm)."""
+    """Recipe to take, by training scores with meta-actions, corrected less paper's, pair by pair of seeds (Holm)."""
     labels = {run.agent for run in results[META]}
     pairs = {name: [name_agent(name, recipe, META) for recipe in ("corrected", "paper")]
              for name in ("dqn", "sarsa", "ddpg")}

@@ -73,7 +73,7 @@ def conclude_variants(runs: Sequence[PriceRun], one: str, other: str, costs: Seq
 
 
 def advise(runs: Sequence[PriceRun], flat: str, options: str, chance: str, costs: Sequence[RunCost]) -> str:
-    """What follows for a user: from the first escape beside a random walk, the price, and rooms that chance solves.
+    """Advice to a user: from the first escape beside a random walk, the price, and rooms that chance solves.
 
     Args:
         runs: of all learners.

@@ -43,7 +43,7 @@ def tell_sizes(results: Sequence[ScalingRun]) -> list[str]:
 
 
 def advise_sizes(results: Sequence[ScalingRun]) -> str:
-    """What follows for a user: the agents that come furthest whatever the rule, and how far."""
+    """Advice to a user: the agents that come furthest whatever the rule, and how far."""
     reach = {agent: min(_find_reach([run for run in results if (run.agent, run.rule) == (agent, rule)])[0]
                         for rule in RULES if any((run.agent, run.rule) == (agent, rule) for run in results))
              for agent in AGENTS if any(run.agent == agent for run in results)}

@@ -144,7 +144,7 @@ def _tell_cost(cost: ToldCost) -> str:
 
 
 def advise_told(results: Sequence[ScalingRun]) -> str:
-    """What follows for a user: what to tell a learner of structure, by what being told otherwise costs."""
+    """Advice to a user: what to tell a learner of structure, by what being told otherwise costs."""
     costs = [cost for cost in compute_told_costs(results) if cost.runs >= LEAST_RUNS]
     learner = f"`{BAR_AGENT.removeprefix('smdp-')}`"
     dearer, cheaper = ([f"`{cost.label}`" for cost in costs if cost.is_shown and cost.more * sign > 0]
