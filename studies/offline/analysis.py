@@ -1,0 +1,309 @@
+"""Learning from data sets: the horizon (decisions or primitives), stitching (cut trajectories), and unseen rooms."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
+
+from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
+from hrl_escape.agents.training.train import train
+from hrl_escape.commands.room_choice import split_assignment
+from hrl_escape.comparison.episodes import StateRecorder
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.references.registry import make_reference
+from hrl_escape.comparison.runs import make_env
+from hrl_escape.data.catalogue import find_tape
+from hrl_escape.data.materialise import load_data
+from hrl_escape.data.tape import Tape, load_tape
+from hrl_escape.env.drawing import palette
+from hrl_escape.errors import ComparisonError
+from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.best_known import find_best_known, list_start_states
+from studies.figures import FIGURE_STYLE, finish_axes
+from studies.page import make_table
+from studies.running import StudyArgs
+from studies.statistics import compute_sign_flip_p
+from studies.store import Store
+from studies.study import Page, Study
+
+__all__ = ["LINES", "Args", "OfflineResult", "analyse", "measure", "run_once", "tell_difference"]
+
+SURE = 0.025
+"""Two-sided level of a question, 5 % in all, for each side."""
+BEHAVIOUR, UNSEEN = "behaviour", "unseen"
+SEARCHER = "smdp-untried-nearest"
+"""The best searcher that learns nothing; it and the learners play with options alone."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Args(StudyArgs):
+    """Options of the study."""
+
+    runs: int | None = None
+    """Rooms; those of `study.toml` by default."""
+
+
+@dataclasses.dataclass(frozen=True)
+class OfflineResult:
+    """Efficiency of one learner of one data set in one room, or in rooms that the data does not hold.
+
+    Attributes:
+        agent: with its settings; `behaviour` is the data itself, others without a data set are references.
+        kind: of the data set; empty for a reference; `UNSEEN` where it learned of all rooms and is tested in others.
+        run: number of the room, in unseen rooms the training seed.
+        efficiency: mean over episodes of escaped x best known primitives / primitives.
+    """
+
+    agent: str
+    kind: str
+    run: int
+    efficiency: float
+
+    @property
+    def place(self) -> tuple[str, str, int]:
+        """Subject of the line."""
+        return self.agent, self.kind, self.run
+
+
+LINES = (OfflineResult,)
+
+
+# --- runs ------------------------------------------------------------------------------------
+
+
+def count_fewest(tape: Tape, room: int) -> float:
+    """Primitives of the best known escape, from the first start."""
+    instance = tape.rooms[room]
+    found = find_best_known(instance, list_start_states(instance)[0]).primitives
+    if found is None:
+        raise ComparisonError(f"room {room} of {tape.about['rooms']} has no known escape")
+    return float(found)
+
+
+def score(evaluation: Evaluation, fewest: float) -> float:
+    """Mean efficiency of some episodes."""
+    return float(np.mean([fewest / length if success else 0.0
+                          for success, length in zip(evaluation.successes, evaluation.lengths, strict=True)]))
+
+
+def read_learner(text: str) -> tuple[str, dict[str, Any]]:
+    """Name and settings of a learner, from `name setting=value ...`."""
+    name, *settings = text.split()
+    return name, dict(split_assignment(each, "learner", "best=0.1") for each in settings)
+
+
+@lru_cache(maxsize=1)
+def get_unseen(rung: str, tested: int) -> tuple[InstanceSet, tuple[float, ...]]:
+    """Rooms of the rung's test set, and the fewest known primitives of each."""
+    rooms = load_benchmark("ladder-1")[rung].test[:tested]
+    known = (find_best_known(room, list_start_states(room)[0]).primitives for room in rooms)
+    return rooms, tuple(float(fewest or 0) for fewest in known)
+
+
+def run_unseen(agent: str, rung: str, seed: int, tested: int) -> OfflineResult:
+    """Train on the `play` of all rooms that a data set holds, or play a searcher; an episode in each of other rooms."""
+    rooms, fewest = get_unseen(rung, tested)
+    order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(tested)}
+    env, recorder = make_env(AgentSpec.parse(f"{SEARCHER}+no-primitives"), rooms, "objects", order)
+    try:
+        if agent == SEARCHER:
+            player = make_reference(agent, env, recorder)
+        else:
+            name, settings = read_learner(agent)
+            player = train(name, env, data=load_data(f"{rung}-play-v1", observation="objects"), seed=seed,
+                           settings={"network": "objects"} | settings, eval_episodes=0, progress=False).agent
+        assert player is not None  # a run without a folder gives its agent back
+        found = evaluate(player, env, tested)
+    finally:
+        env.close()
+    scores = [success * min(1.0, best / length)
+              for success, best, length in zip(found.successes, fewest, found.lengths, strict=True)]
+    return OfflineResult(agent, UNSEEN, seed, round(float(np.mean(scores)), 4))
+
+
+def run_once(agent: str, kind: str, rung: str, run: int, episodes: int) -> OfflineResult:
+    """Train one learner on what a data set holds of one room, and test it there."""
+    whole = load_tape(find_tape(f"{rung}-{kind}-v1"))
+    tape, fewest = whole.select(run), count_fewest(whole, run)
+    if agent == BEHAVIOUR:
+        data = load_data(tape, observation="features").read_decisions(1.0)
+        ended = np.bincount(data.trajectory, data.terminated) > 0
+        lengths = np.bincount(data.trajectory, data.duration)
+        return OfflineResult(agent, kind, run, float(np.mean(np.where(ended, fewest / lengths, 0.0))))
+    name, given = read_learner(agent)
+    options = name.startswith("smdp-")
+    env = whole.rooms[run : run + 1].make_env({"include_primitives": False} if options else False,
+                                              observation="features")
+    try:
+        result = train(name, env, data=load_data(tape, observation="features"), seed=run, eval_episodes=episodes,
+                       settings={"values": "table", "passes": 400} | given, eval_every=2**40, progress=False,
+                       observed=False)
+    finally:
+        env.close()
+    return OfflineResult(agent, kind, run, score(result.evaluations[-1], fewest))
+
+
+def run_searcher(rung: str, run: int, episodes: int) -> OfflineResult:
+    """Play the searcher in the room of a run."""
+    tape = load_tape(find_tape(f"{rung}-play-v1"))
+    recorder = StateRecorder(tape.rooms[run : run + 1].make_env(observation="features"))
+    env = OptionsEnv(recorder, include_primitives=False)
+    try:
+        found = evaluate(make_reference(SEARCHER, env, recorder), env, episodes)
+    finally:
+        env.close()
+    return OfflineResult(SEARCHER, "", run, score(found, count_fewest(tape, run)))
+
+
+def measure(study: Study, args: Args, store: Store) -> None:
+    """Run what is missing: room by room in tables, then seed by seed with networks."""
+    data, console = study.data, Console(stderr=True, highlight=False)
+    known = {line.place for line in store.load()}
+    for run in range(args.runs or data["runs"]):
+        missing = [(agent, kind) for kind in data["kinds"] for agent in (BEHAVIOUR, *data["learners"])
+                   if (agent, kind, run) not in known]
+        store.add([run_once(agent, kind, data["rung"], run, data["episodes"]) for agent, kind in missing])
+        if (SEARCHER, "", run) not in known:
+            store.add([run_searcher(data["rung"], run, data["episodes"])])
+        if missing:
+            console.print(f"room {run}: {len(missing)} runs", markup=False)
+    unseen = data["unseen"]
+    for agent, seed in [(SEARCHER, 0)] + [(agent, seed) for seed in range(args.runs or unseen["runs"])
+                                          for agent in unseen["learners"]]:
+        if (agent, UNSEEN, seed) not in known:
+            line = run_unseen(agent, data["rung"], seed, unseen["tested"])
+            store.add([line])
+            console.print(f"{agent}, seed {seed}: {line.efficiency:.3f} in unseen rooms", markup=False)
+
+
+# --- words -----------------------------------------------------------------------------------
+
+
+def tell_difference(first: NDArray[np.float64], second: NDArray[np.float64], better: str, worse: str, alike: str
+                    ) -> str:
+    """One of three sentences on paired efficiencies: the first are higher, the second are, or neither is shown.
+
+    Args:
+        first: one a room.
+        second: of the same rooms.
+        better: sentence where the first are higher.
+        worse: sentence where the second are.
+        alike: sentence where the signs could be chance.
+    """
+    differences = np.subtract(first, second)
+    if compute_sign_flip_p(differences, "above") <= SURE:
+        chosen = better
+    elif compute_sign_flip_p(differences, "below") <= SURE:
+        chosen = worse
+    else:
+        chosen = alike
+    return f"{chosen} ({np.mean(first):.2f} against {np.mean(second):.2f}, {len(differences)} rooms)."
+
+
+def tell_unseen(scores: Mapping[str, NDArray[np.float64]], words: Mapping[str, str], searcher: float) -> str:
+    """The sentence on rooms that the data does not hold, by the interval of the best learner's mean.
+
+    Args:
+        scores: of each learner, one a training seed.
+        words: what each learner stands for.
+        searcher: efficiency of the searcher in the same rooms.
+    """
+    best = max(scores, key=lambda agent: scores[agent].mean())
+    mean, count = scores[best].mean(), len(scores[best])
+    error = stats.t.ppf(1 - SURE, count - 1) * scores[best].std(ddof=1) / count**0.5 if count > 1 else np.inf
+    if mean - error > searcher:
+        verdict = "does better than the searcher"
+    elif mean + error < searcher:
+        verdict = "does worse than the searcher, which needs no data"
+    else:
+        verdict = "cannot be told apart from the searcher, which needs no data"
+    return (f"**Unseen rooms.** The best network, {words[best]}, {verdict} ({mean:.2f}, 95 % interval "
+            f"{mean - error:.2f} to {mean + error:.2f}, against {searcher:.2f}).")
+
+
+def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
+    """Sentences, tables and figure.
+
+    Raises:
+        ComparisonError: there are no runs.
+    """
+    if not lines:
+        raise ComparisonError("there are no runs to tell of")
+    data = study.data
+    words: Mapping[str, str] = {BEHAVIOUR: "the data itself"} | data["learners"]
+    by = {line.place: line.efficiency for line in lines}
+    rooms = sorted({line.run for line in lines if line.kind != UNSEEN})
+
+    def read(agent: str, kind: str) -> NDArray[np.float64]:
+        return np.array([by[agent, kind, room] for room in rooms])
+
+    horizon = [tell_difference(read(mine, "play"), read(other, "play"),
+                               f"**Horizon.** From the same data, {words[mine]} does better than {words[other]}",
+                               f"**Horizon.** From the same data, {words[other]} does better than {words[mine]}",
+                               f"**Horizon.** From the same data, {words[mine]} and {words[other]} cannot be told "
+                               "apart")
+               for mine, other in data["pairs"].items()]
+    stitching = [tell_difference(read(agent, "play"), read(agent, "stitch"),
+                                 f"**Stitching.** Cut trajectories cost {words[agent]} something",
+                                 f"**Stitching.** Cut trajectories help {words[agent]}",
+                                 f"**Stitching.** Cut trajectories cost {words[agent]} nothing that shows")
+                 for agent in data["learners"] if agent.startswith("smdp-")]
+    scores = {agent: np.array([line.efficiency for line in lines if line.kind == UNSEEN and line.agent == agent])
+              for agent in data["unseen"]["learners"]}
+    unseen = tell_unseen(scores, data["unseen"]["learners"], by[SEARCHER, UNSEEN, 0])
+    searcher = read(SEARCHER, "")
+    best = max(data["learners"], key=lambda agent: np.mean(read(agent, "play")))
+    headline = tell_difference(
+        read(best, "play"), searcher,
+        f"A thousand primitives of random play teach {words[best]} more about a room than the best searcher finds out "
+        "in an episode",
+        f"The best searcher that learns nothing does better than {words[best]} with a thousand primitives of random "
+        "play",
+        f"{words[best].capitalize()} with a thousand primitives of random play cannot be told apart from the best "
+        "searcher that learns nothing")
+    rows = [[f"{word} (`{agent}`)", *(f"{np.mean(read(agent, kind)):.2f}" for kind in data["kinds"])]
+            for agent, word in words.items()]
+    reference = f"searcher that learns nothing (`{SEARCHER}`)"
+    rows.append([reference, *[f"{np.mean(searcher):.2f}"] * len(data["kinds"])])
+    others = [[f"{data['unseen']['learners'][agent]} (`{agent}`)", f"{found.mean():.2f}",
+               f"{found.min():.2f} to {found.max():.2f}", len(found)] for agent, found in scores.items()]
+    others.append([reference, f"{by[SEARCHER, UNSEEN, 0]:.2f}", "", ""])
+    sentences = [*horizon, *stitching, unseen]
+    return Page({"headline": headline, "sentences": sentences, "rooms": len(rooms), "rung": data["rung"],
+                 "tested": data["unseen"]["tested"], "table": make_table(["learner", *data["kinds"]], rows),
+                 "unseen": make_table(["network", "efficiency", "runs from ... to", "runs"], others)},
+                {"offline": draw(data["kinds"], words, read, searcher)}, [headline, *sentences])
+
+
+def draw(kinds: Sequence[str], words: Mapping[str, str], read: Any, searcher: NDArray[np.float64]) -> Figure:
+    """Efficiency of each learner of each data set, rooms as dots, and the searcher as a line."""
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(7.6, 4.0), facecolor=palette.BACKGROUND, layout="constrained")
+        axes = figure.add_subplot()
+        places = np.arange(len(words))[::-1].astype(float)
+        spread = np.random.default_rng(0)
+        for number, kind in enumerate(kinds):
+            colour, shift = palette.LINES[number], 0.18 * (1 - 2 * number)
+            for place, agent in zip(places, words, strict=True):
+                values = read(agent, kind)
+                rows = place + shift + spread.uniform(-0.09, 0.09, len(values))
+                axes.scatter(values, rows, s=9, alpha=0.35, color=colour, linewidths=0)
+                axes.plot([np.mean(values)], [place + shift], "D", color=colour, markersize=6,
+                          label=kind if place == places[0] else None)
+        axes.axvline(float(np.mean(searcher)), color="#555555", linewidth=1, linestyle="--", label="searcher")
+        finish_axes(axes)
+        axes.set_yticks(places, list(words.values()))
+        axes.set(xlabel="efficiency (the planner: 1)", xlim=(-0.03, 1.05))
+        axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 1.12), ncols=3)
+    return figure

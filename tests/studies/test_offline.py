@@ -1,0 +1,91 @@
+"""The study of data sets: what it says follows from the numbers, whichever way they fall."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import trim_mean
+
+from studies.offline.analysis import (
+    BEHAVIOUR,
+    SEARCHER,
+    UNSEEN,
+    OfflineResult,
+    analyse,
+    run_once,
+    run_unseen,
+    tell_difference,
+)
+from studies.study import find_study
+
+
+def make_lines(efficiency, unseen=0.3):
+    """Lines of ten rooms and ten seeds from (agent, kind) -> mean efficiency, all differing by a little."""
+    study = find_study("offline")
+    spread = np.linspace(-0.02, 0.02, 10)
+    agents = [BEHAVIOUR, *study.data["learners"]]
+    lines = [OfflineResult(agent, kind, run, efficiency(agent, kind) + spread[(run * 3) % 10])
+             for agent in agents for kind in study.data["kinds"] for run in range(10)]
+    lines += [OfflineResult(SEARCHER, "", run, efficiency(SEARCHER, "")) for run in range(10)]
+    lines += [OfflineResult(agent, UNSEEN, run, unseen + spread[run])
+              for agent in study.data["unseen"]["learners"] for run in range(10)]
+    return study, [*lines, OfflineResult(SEARCHER, UNSEEN, 0, 0.6)]
+
+
+def test_the_sentence_follows_the_sign_of_the_differences_and_their_certainty():
+    rng = np.random.default_rng(0)
+    low, high = 0.4 + 0.05 * rng.random(10), 0.7 + 0.05 * rng.random(10)
+    assert tell_difference(high, low, "up", "down", "same").startswith("up (0.7")
+    assert tell_difference(low, high, "up", "down", "same").startswith("down (0.4")
+    assert tell_difference(low, low[::-1], "up", "down", "same").startswith("same")
+
+
+@pytest.mark.parametrize(("options", "primitives", "words"), [
+    (0.9, 0.2, "Q-iteration over options does better"), (0.2, 0.9, "Q-iteration over primitives does better"),
+    (0.5, 0.5, "cannot be told apart")])
+def test_the_horizon_is_told_by_what_was_measured(options, primitives, words):
+    page = analyse(*make_lines(lambda agent, kind: options if agent.startswith("smdp-") else primitives))
+    (sentence,) = [text for text in page.conclusions if "Horizon" in text and "Q-iteration" in text]
+    assert words in sentence
+
+
+@pytest.mark.parametrize(("cut", "words"), [(0.1, "cost"), (0.9, "help"), (0.5, "nothing that shows")])
+def test_stitching_is_told_by_what_was_measured(cut, words):
+    page = analyse(*make_lines(lambda agent, kind: cut if kind == "stitch" else 0.5))
+    told = [text for text in page.conclusions if "Stitching" in text]
+    assert len(told) == 5 and all(words in text for text in told)
+
+
+@pytest.mark.parametrize(("searcher", "words"), [(0.1, "than the best searcher finds out"),
+                                                 (0.99, "The best searcher that learns nothing does better"),
+                                                 (0.5, "cannot be told apart from the best searcher")])
+def test_the_headline_asks_whether_the_best_learner_beats_the_best_searcher(searcher, words):
+    page = analyse(*make_lines(lambda agent, kind: 0.5 if kind else searcher))
+    assert words in page.conclusions[0]
+
+
+@pytest.mark.parametrize(("unseen", "words"), [(0.3, "does worse than"), (0.9, "does better than"),
+                                               (0.6, "cannot be told apart from")])
+def test_unseen_rooms_are_told_by_the_interval_of_the_best_network(unseen, words):
+    assert words in analyse(*make_lines(lambda agent, kind: 0.5, unseen)).conclusions[-1]
+
+
+@pytest.mark.slow
+def test_tables_come_to_the_values_that_were_computed_elsewhere():
+    """Random play in ten rooms of `pair`, some fourteen episodes each.
+
+    After ten episodes an independent program gave interquartile means of 0.49 for the play itself, 0 for its clone,
+    0.69 for a clone of its best tenth (0.92 after a hundred) and 0.93 for Q-iteration over its options.
+    """
+    found = {agent: trim_mean([run_once(agent, "play", "pair", room, 2).efficiency for room in range(10)], 0.25)
+             for agent in (BEHAVIOUR, "smdp-behaviour-cloning", "smdp-behaviour-cloning best=0.1", "smdp-fitted-q")}
+    assert found[BEHAVIOUR] == pytest.approx(0.49, abs=0.08)
+    assert found["smdp-behaviour-cloning"] < 0.2
+    assert 0.69 < found["smdp-behaviour-cloning best=0.1"] < 0.92  # after ten, and after a hundred episodes
+    assert found["smdp-fitted-q"] == pytest.approx(0.93, abs=0.03)
+
+
+@pytest.mark.slow
+def test_a_network_learns_from_all_rooms_and_escapes_from_others():
+    untrained, trained = (run_unseen(f"smdp-iql passes={passes}", "pair", 0, 32) for passes in (1, 20))
+    assert trained.efficiency > untrained.efficiency + 0.1
