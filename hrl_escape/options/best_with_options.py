@@ -1,7 +1,9 @@
-"""Best return attainable with given options alone, without noise, slip and physics.
+"""Best return known with given options alone, without noise, slip and physics.
 
-A search over sequences of options, each run to its end by the room's kinematics. The difference
-from `hrl_escape.planning.best_known` is the option gap.
+A search over sequences of options, each run to its end by the room's kinematics. Of planned options only those are
+followed that change the puzzle. One that changes nothing may still be a better way to the next: in rooms of `pair` and
+`chain-3` it gains three primitives at most, in few of them. The difference from `hrl_escape.planning.best_known` is the
+option gap.
 """
 
 from __future__ import annotations
@@ -34,12 +36,12 @@ _ESCAPED = "escaped"
 
 
 def best_return_with_options(instance: RoomInstance, options: str | Sequence[Option]) -> float:
-    """Best undiscounted return with options alone, averaged over the instance's starts."""
+    """Best known undiscounted return with options alone, averaged over the instance's starts."""
     return float(np.mean([find_best_with_options(instance, s, options).value for s in list_start_states(instance)]))
 
 
 def find_best_with_options(instance: RoomInstance, state: RoomState, options: str | Sequence[Option]) -> BestKnown:
-    """Find the best return from one state with options alone; one above the best known return is recorded there.
+    """Find a best return from one state with options alone; one above the best known return is recorded there.
 
     Args:
         instance: the room.
