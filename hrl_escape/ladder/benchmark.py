@@ -10,8 +10,6 @@ from hrl_escape.ladder.certificate import certify_rung
 from hrl_escape.ladder.manifest import Manifest, list_manifests, load_manifest
 from hrl_escape.ladder.rung import Rung
 
-__all__ = ["Benchmark", "list_benchmarks", "load_benchmark"]
-
 
 class Benchmark:
     """Rungs by name: `bench["lattice"].train`.

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-__all__ = ["compute_canonical_form"]
-
 Form = tuple[tuple[int, ...], tuple[tuple[int, int], ...]]
 
 

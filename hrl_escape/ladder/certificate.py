@@ -21,9 +21,6 @@ from hrl_escape.ladder.merkle import compute_root
 from hrl_escape.ladder.rung import HELD_OUT, Rung, choose_seeds, is_held_out
 from hrl_escape.names import count_nouns
 
-__all__ = ["LEAST_TASKS", "RungCertificate", "certify_rung", "compute_task_overlap", "find_overlaps", "freeze_manifest"]
-
-
 LEAST_TASKS = 20
 """Different tasks without which a set of unseen tasks says little."""
 

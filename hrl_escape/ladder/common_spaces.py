@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from hrl_escape.errors import ActionError, UnsupportedError
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
-__all__ = ["CommonSpaces", "CommonSpacesEnv", "join_spaces"]
-
 _Slot = tuple["str | None", int]
 """An action: the object that it is about, and its number among the actions about that object."""
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError, UnsupportedError
 
-__all__ = ["GoalsEnv"]
-
 _TRIES = 100
 
 

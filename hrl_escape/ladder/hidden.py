@@ -19,8 +19,6 @@ from typing import NamedTuple
 
 from hrl_escape.errors import ConfigError
 
-__all__ = ["Beacon", "compute_commitment", "derive_hidden_seed", "derive_seed", "read_beacon"]
-
 _ROUND = re.compile(r"(?:drand\W+)?quicknet\W+(?:round\W+)?(\d+)\W+(?:randomness\W+)?(?:0x)?([0-9a-f]{64})", re.ASCII)
 
 

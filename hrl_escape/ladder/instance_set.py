@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from hrl_escape.env.vector_env import EscapeRoomVectorEnv
     from hrl_escape.options.batched.env import BatchedOptionsEnv
 
-__all__ = ["InstanceSet", "InstanceSetEnv", "LazySeeds", "derive_task"]
-
 LADDER_ID, LADDER_ENTRY = "hrl_escape/Ladder-v1", "hrl_escape.ladder.room_sets:make_ladder_env"
 CHOOSING_ROOMS = ("config", "instance", "instance_seed", "instances", "resample_instance")
 """Arguments of `EscapeRoomEnv` that a set gives itself."""

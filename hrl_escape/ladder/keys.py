@@ -17,8 +17,6 @@ from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.ladder.canonical import compute_canonical_form
 from hrl_escape.ladder.layouts import LayoutKey, list_points
 
-__all__ = ["RoomKeys", "compute_keys", "compute_layout_key", "compute_task_key"]
-
 GRAIN = 0.5
 """Places closer than about this, m, are alike."""
 TURN = math.radians(30)

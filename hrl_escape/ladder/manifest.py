@@ -17,8 +17,6 @@ from hrl_escape.files import parse_json, read_json, write_json
 from hrl_escape.ladder.layouts import LATEST_LAYOUTS
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["ROLES", "Manifest", "RungRecord", "SetRecord", "list_manifests", "load_manifest"]
-
 ROLES = ("train", "valid", "test", "test_task")
 """Sets of a rung: to learn on, to choose by, unseen layouts, and unseen layouts with unseen tasks."""
 

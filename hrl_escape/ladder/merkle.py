@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 
-__all__ = ["check_proof", "compute_root", "prove_leaf"]
-
 Proof = tuple[tuple[str, str], ...]
 """For each level from the leaf upwards: the side, `left` or `right`, of the other node, and its hash."""
 

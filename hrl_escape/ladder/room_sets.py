@@ -23,8 +23,6 @@ from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.names import parse_whole
 
-__all__ = ["make_ladder_env", "make_ladder_vec", "parse_room_set"]
-
 _FORM = re.compile(r"(?P<name>[^\[\]]+)(?:\[(?P<start>\d*)(?P<colon>:?)(?P<stop>\d*)\])?")
 
 

@@ -19,8 +19,6 @@ from hrl_escape.ladder.keys import RoomKeys, compute_keys
 from hrl_escape.ladder.layouts import LayoutKey, SeenLayouts
 from hrl_escape.ladder.manifest import ROLES, RungRecord
 
-__all__ = ["Rung", "choose_seeds", "is_held_out"]
-
 HELD_OUT = 10
 """One task in this many is kept for `test_task`."""
 

@@ -17,8 +17,6 @@ from gymnasium.utils import RecordConstructorArgs
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.errors import ConfigError, UnsupportedError
 
-__all__ = ["SequenceEnv", "compute_floor_seed"]
-
 
 def compute_floor_seed(seed: int, floor: int) -> int:
     """Seed of a floor, from 0, in the episode of a seed; the first floor has the episode's own."""

@@ -11,8 +11,6 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.room_sets import parse_room_set
 
-__all__ = ["TOWER_HORIZON", "RoomSets", "Tower", "join_floors", "list_sets", "load_rooms", "parse_rooms"]
-
 TOWER_HORIZON = 20_000
 """Primitives of an episode, on all floors together."""
 _ABOVE = " + "

@@ -9,8 +9,6 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-__all__ = ["CHECKPOINT", "find_trained_agent", "list_trained_agents"]
-
 CHECKPOINT = "checkpoint.npz"
 _FOLDER = Path(str(files("hrl_escape.ladder") / "data" / "agents"))
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.errors import UnsupportedSpaceError
 
-__all__ = ["MaskedObservation"]
-
 
 class MaskedObservation(gymnasium.Wrapper[dict[str, Any], int, Any, int], gymnasium.utils.RecordConstructorArgs):
     """Observations {`key`: what the environment shows, `action_mask`: int8 (n,), 1 where an action is legal}.

@@ -34,8 +34,6 @@ from hrl_escape.errors import PlanningFailed, UnsupportedError
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 
-__all__ = ["BayesSearcher", "measure_ways"]
-
 _NO_WAY = 1e4
 """Primitives of a way that the planner does not find."""
 

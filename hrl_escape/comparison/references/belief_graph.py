@@ -18,8 +18,6 @@ from hrl_escape.comparison.references.graph_family import GraphFamily, can_light
 from hrl_escape.env.puzzles.buttons import ViolationRule
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["BeliefGraph", "Ways", "make_belief_graph"]
-
 MOST_BELIEFS = 3_000_000
 """Largest belief graph, about 1 kB a belief."""
 

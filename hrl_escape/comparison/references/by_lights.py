@@ -22,8 +22,6 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.planning.goals import PressGoal
 
-__all__ = ["Retrace", "Searcher", "Untried", "UntriedNearest"]
-
 
 class Searcher(Reference):
     """Base: leaves when the exit is open, and otherwise asks the subclass for one of the options.

@@ -27,8 +27,6 @@ from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from hrl_escape.ranges import Between
 
-__all__ = ["GraphFamily", "can_light", "condition_on_marks", "find_schematic", "list_graphs", "make_family"]
-
 MOST_BUTTONS = 6
 """Buttons up to which every graph of a family is listed."""
 

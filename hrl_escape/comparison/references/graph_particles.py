@@ -19,8 +19,6 @@ from hrl_escape.env.puzzles.graphs import Edges, mask_parents, sample_relabelled
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.ranges import Between
 
-__all__ = ["GraphParticles"]
-
 PARTICLES, SHAKES = 2048, 40
 DOUBT = 4.0
 """Cost of a press that a graph does not explain, as a negative logarithm of its likelihood: finite, so that a sample

@@ -34,9 +34,6 @@ from hrl_escape.comparison.references.rules import (
 )
 from hrl_escape.ladder.sequence import SequenceEnv
 
-__all__ = ["BAYES", "BY_LIGHTS", "FLOORS", "INDEX_ORDER", "PLANNER", "REFERENCES", "RETRACE", "BY_NUMBER", "SEARCHERS",
-           "SHUFFLED_ROUND", "UNTRIED", "UNTRIED_NEAREST", "describe_rule", "make_reference"]
-
 INDEX_ORDER, SHUFFLED_ROUND = "smdp-index-order", "smdp-shuffled-round"
 UNTRIED, UNTRIED_NEAREST, RETRACE, BAYES = "smdp-untried", "smdp-untried-nearest", "smdp-retrace", "smdp-bayes"
 PLANNER = "planner"

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.comparison.episodes import StateRecorder
 
-__all__ = ["IndexOrder", "PlanFollower", "Reference", "ReferenceSettings", "ShuffledRound"]
-
 
 @dataclasses.dataclass(frozen=True)
 class ReferenceSettings:

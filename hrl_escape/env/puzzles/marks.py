@@ -22,8 +22,6 @@ from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["MARK_WORDS", "MOST_SYMBOLS", "Mark", "MarksConfig", "compute_depths", "make_mark_rows", "split_mark"]
-
 COLOURS = ("red", "blue", "green", "yellow", "purple", "cyan", "orange", "black")
 SHAPES = ("disc", "square", "triangle", "star")
 SIZES = ("small", "medium", "large")
