@@ -66,6 +66,9 @@ def make_notebook(script: Path) -> Any:
                            log=QUIET).execute(stderr=subprocess.DEVNULL)  # a kernel's chatter
         except CellExecutionError as error:
             raise ExtensionError(f"{script.name} failed:\n{error}") from error
+    for cell in notebook["cells"]:
+        if "outputs" in cell:  # without warnings, and kernels that are compiled the first time
+            cell["outputs"] = [output for output in cell["outputs"] if output.get("name") != "stderr"]
     return notebook
 
 
@@ -84,7 +87,7 @@ def show_picture(picture: str, *classes: str) -> nodes.Node:
 def show_output(output: Any) -> list[nodes.Node]:
     """What a cell left: its text, or the richest form of its last value."""
     if output["output_type"] == "stream":
-        return [show_text(output["text"])] if output["name"] == "stdout" else []
+        return [show_text(output["text"])]
     picture = get_picture(output)
     return [show_picture(picture) if picture else show_text(output["data"]["text/plain"])]
 

@@ -61,7 +61,7 @@ def test_every_public_name_is_in_the_reference(site: Path):
 
 def test_public_names_are_few_and_the_package_offers_only_them():
     names = list_public_names()
-    assert len(names) < 190
+    assert len(names) < 200
     assert set(hrl_escape.__all__) <= {name.rpartition(".")[2] for name in names}
 
 
@@ -166,5 +166,5 @@ def test_every_result_is_a_card_with_its_finding(site: Path):
     cards = index.split('class="finding-card')[1:]
     assert len(cards) == len(list((ROOT / "docs/results").glob("*.md"))) - 1
     reach = re.search(r"\*\*(.+?)\*\*", (ROOT / "docs/results/buttons.md").read_text(encoding="utf-8"))
-    assert reach and reach[1] in cards[1] and "buttons.svg" in cards[1] and 'href="buttons.html"' in cards[1]
+    assert reach and reach[1] in cards[0] and "buttons.svg" in cards[0] and 'href="buttons.html"' in cards[0]
     assert all(len(re.sub(r"<[^>]*>", "", card.partition("</div>")[0]).split()) > 10 for card in cards)
