@@ -61,6 +61,7 @@ OWN = frozenset({
     "hrl_escape.ladder.sequence:SequenceEnv",
     "hrl_escape.options.domain:OptionDomain",
     "hrl_escape.options.domain:RoomDomain",
+    "hrl_escape.options.masked_observation:MaskedObservation",
     "hrl_escape.options.memory:DecisionMemory",
     "hrl_escape.options.options_env:OptionsEnv",
     "hrl_escape.synthesis.hierarchy_env:HierarchyEnv",
