@@ -38,7 +38,7 @@ class GatedCell(nn.Module):
         own = observation[:, : self._rows * self._words].unflatten(1, (self._rows, self._words))
         context = observation[:, None, self._rows * self._words :].expand(-1, self._rows, -1)
         inputs = torch.cat([own, context], dim=2).flatten(0, 1)
-        return self.cell(inputs, state.reshape(-1, self._units)).view(len(given), -1)
+        return self.cell(inputs, state.reshape(-1, self._units)).view(len(given), self._rows * self._units)
 
 
 class Memory:

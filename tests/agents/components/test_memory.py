@@ -1,5 +1,7 @@
 """Recurrent memory: what is lived through again is what was lived, episodes begin empty, and a T-maze is solved."""
 
+import dataclasses
+
 import gymnasium
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from hrl_escape.agents.streams import gather_decisions
 from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.checks.agent import check_agent
 from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.presets.catalogue import get_preset
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.options.options_env import OptionsEnv
 from tests.agents.training.test_resuming import flatten
@@ -191,3 +194,10 @@ def test_what_is_remembered_is_part_of_a_checkpoint():
     restored.load_state_dict(agent.state_dict())
     assert flatten(restored.state_dict()) == flatten(agent.state_dict())
     assert agent._recollection.any() and (restored._recollection == agent._recollection).all()
+
+
+def test_streams_that_all_end_at_once_choose_nothing_for_a_step():
+    room = dataclasses.replace(get_preset("paper-two-button"), horizon=20)
+    rooms = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=4, config=room, output="torch")
+    result = train("ppo", rooms, primitives=200, eval_episodes=0, progress=False, settings=SMALL)
+    assert result.primitives == 200
