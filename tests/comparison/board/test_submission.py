@@ -184,10 +184,11 @@ def craft_submission(parts: dict[str, bytes], packed: bytes, run: Path, chance: 
     elif kind == 3:
         entry, odd = json.loads(parts["submission.json"]), chance.choice([
             "planted_payload:Payload", "../outside", "", None, 7, ["a"], {}, "smdp-tools", "planner", "x" * 300])
-        where = chance.choice([entry, entry["card"], entry["card"]["view"]])
+        card = entry["card"]
+        where = chance.choice([entry, card, card["view"]])
         where[chance.choice(list(where))] = odd
         if chance.random() < 0.5:
-            entry["agent"], entry["card"]["command"], entry["card"]["files"] = "", ["touch", "../outside"], ["run.zip"]
+            entry["agent"], card["command"], card["files"] = "", ["touch", "../outside"], ["run.zip"]
         parts["submission.json"] = json.dumps(entry).encode()
     else:
         lines = parts["cells.csv"].decode().split("\n")
