@@ -6,9 +6,9 @@ import dataclasses
 import multiprocessing
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import lru_cache
 from typing import NamedTuple
 
+import gymnasium
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,23 +16,21 @@ from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
 from hrl_escape.agents.training.train import train
+from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.ladder_score import compute_learned_share
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.errors import ComparisonError
 from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.planning.best_known import find_best_known
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
 from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Page, Study
+from studies.unseen import get_unseen, play_unseen
 
 __all__ = ["LINES", "Args", "Cells", "MarksRun", "analyse", "gather", "measure", "run_once", "tell", "tell_all"]
 
@@ -90,37 +88,24 @@ LINES = (MarksRun,)
 # --- runs ------------------------------------------------------------------------------------
 
 
-@lru_cache(maxsize=8)
-def _get_sets(rung: str, tested: int) -> tuple[InstanceSet, InstanceSet, tuple[float, ...]]:
-    """Rooms to learn in, rooms to be tested in, and the fewest known primitives of each of these."""
-    benchmark, name = rung.split("/")
-    found = load_benchmark(benchmark)[name]
-    test = found.test[:tested]
-    known = [find_best_known(room, Kinematics(room).make_state(room.starts[0])).primitives for room in test]
-    return found.train, test, tuple(float(fewest or 0) for fewest in known)
-
-
 def run_once(agent: str, rung: str, rooms: int, seed: int, primitives: int, tested: int) -> MarksRun:
     """Train an agent in the first rooms of a rung, and test it in others; who does not learn is only tested."""
-    spec = AgentSpec.parse(agent)
-    train_set, test_set, fewest = _get_sets(rung, tested)
-    order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(tested)}
-    test_env, recorder = make_env(spec, test_set, "objects", order)
-    player: Agent | None
-    if spec.is_reference:
-        player = make_reference(spec.name, test_env, recorder)
-    else:
-        env, _ = make_env(spec, train_set[:rooms], "objects")
-        player = train(spec.name, env, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
+    spec, (benchmark, name) = AgentSpec.parse(agent), rung.split("/")
+
+    def make_player(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
+        if spec.is_reference:
+            return make_reference(spec.name, env, recorder)
+        own, _ = make_env(spec, load_benchmark(benchmark)[name].train[:rooms], "objects")
+        player = train(spec.name, own, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
                        progress=False).agent
-        env.close()
-    assert player is not None  # a run without a folder gives its agent back
-    found = evaluate(player, test_env, tested)
-    test_env.close()
-    scores = [success * min(1.0, best / length)
-              for success, best, length in zip(found.successes, fewest, found.lengths, strict=True)]
-    return MarksRun(agent, rung, 0 if spec.is_reference else rooms, seed, 0 if spec.is_reference else primitives,
-                    tested, round(float(np.mean(scores)), 4), round(float(np.mean(found.successes)), 4))
+        own.close()
+        assert player is not None  # a run without a folder gives its agent back
+        return player
+
+    efficiency, escapes = play_unseen(spec, get_unseen(benchmark, name, tested), make_player)
+    if spec.is_reference:
+        rooms = primitives = 0
+    return MarksRun(agent, rung, rooms, seed, primitives, tested, efficiency, escapes)
 
 
 def measure(study: Study, args: Args, store: Store) -> None:

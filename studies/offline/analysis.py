@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
+import gymnasium
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,36 +14,37 @@ from numpy.typing import NDArray
 from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.training.evaluation import Evaluation, evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.references.registry import REFERENCES, make_reference
+from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.materialise import load_data
-from hrl_escape.data.tape import Tape, load_tape
+from hrl_escape.data.tape import load_tape
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.best_known import find_best_known, list_start_states
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
 from studies.running import StudyArgs
 from studies.statistics import compute_sign_flip_p
 from studies.store import Store
 from studies.study import Page, Study
+from studies.unseen import count_fewest, get_unseen, play_unseen
 
-__all__ = ["LINES", "Args", "OfflineResult", "analyse", "measure", "run_once", "tell_difference"]
+__all__ = ["LINES", "Args", "OfflineResult", "analyse", "measure", "run_once", "run_unseen", "tell_difference"]
 
 SURE = 0.025
 """Two-sided level of a question, 5 % in all, for each side."""
 BEHAVIOUR, UNSEEN = "behaviour", "unseen"
-SEARCHER = "smdp-untried-nearest"
-"""The best searcher that learns nothing; it and the learners play with options alone."""
+WHOLE = "play"
+"""Kind whose trajectories begin where episodes do, so that they have an efficiency of their own."""
+OPTIONS_ALONE = AgentSpec.parse("smdp-random+no-primitives")
+"""Says what all choose among."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,19 +83,9 @@ LINES = (OfflineResult,)
 # --- runs ------------------------------------------------------------------------------------
 
 
-def count_fewest(tape: Tape, room: int) -> float:
-    """Primitives of the best known escape, from the first start."""
-    instance = tape.rooms[room]
-    found = find_best_known(instance, list_start_states(instance)[0]).primitives
-    if found is None:
-        raise ComparisonError(f"room {room} of {tape.about['rooms']} has no known escape")
-    return float(found)
-
-
 def score(evaluation: Evaluation, fewest: float) -> float:
     """Mean efficiency of some episodes."""
-    return float(np.mean([fewest / length if success else 0.0
-                          for success, length in zip(evaluation.successes, evaluation.lengths, strict=True)]))
+    return compute_mean_efficiency(evaluation.successes, evaluation.lengths, fewest, is_expected=False)
 
 
 def read_learner(text: str) -> tuple[str, dict[str, Any]]:
@@ -103,44 +94,30 @@ def read_learner(text: str) -> tuple[str, dict[str, Any]]:
     return name, dict(split_assignment(each, "learner", "best=0.1") for each in settings)
 
 
-@lru_cache(maxsize=1)
-def get_unseen(rung: str, tested: int) -> tuple[InstanceSet, tuple[float, ...]]:
-    """Rooms of the rung's test set, and the fewest known primitives of each."""
-    rooms = load_benchmark("ladder-1")[rung].test[:tested]
-    known = (find_best_known(room, list_start_states(room)[0]).primitives for room in rooms)
-    return rooms, tuple(float(fewest or 0) for fewest in known)
-
-
 def run_unseen(agent: str, rung: str, seed: int, tested: int) -> OfflineResult:
     """Train on the `play` of all rooms that a data set holds, or play a searcher; an episode in each of other rooms."""
-    rooms, fewest = get_unseen(rung, tested)
-    order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(tested)}
-    env, recorder = make_env(AgentSpec.parse(f"{SEARCHER}+no-primitives"), rooms, "objects", order)
-    try:
-        if agent == SEARCHER:
-            player = make_reference(agent, env, recorder)
-        else:
-            name, settings = read_learner(agent)
-            player = train(name, env, data=load_data(f"{rung}-play-v1", observation="objects"), seed=seed,
-                           settings={"network": "objects"} | settings, eval_episodes=0, progress=False).agent
+    def make_player(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
+        if agent in REFERENCES:
+            return make_reference(agent, env, recorder)
+        name, settings = read_learner(agent)
+        player = train(name, env, data=load_data(f"{rung}-play-v1", observation="objects"), seed=seed,
+                       settings={"network": "objects"} | settings, eval_episodes=0, progress=False).agent
         assert player is not None  # a run without a folder gives its agent back
-        found = evaluate(player, env, tested)
-    finally:
-        env.close()
-    scores = [success * min(1.0, best / length)
-              for success, best, length in zip(found.successes, fewest, found.lengths, strict=True)]
-    return OfflineResult(agent, UNSEEN, seed, round(float(np.mean(scores)), 4))
+        return player
+
+    efficiency, _ = play_unseen(OPTIONS_ALONE, get_unseen("ladder-1", rung, tested), make_player)
+    return OfflineResult(agent, UNSEEN, seed, efficiency)
 
 
 def run_once(agent: str, kind: str, rung: str, run: int, episodes: int) -> OfflineResult:
-    """Train one learner on what a data set holds of one room, and test it there."""
+    """Train one learner on what a data set holds of one room, and test it there; for `BEHAVIOUR` rate the data."""
     whole = load_tape(find_tape(f"{rung}-{kind}-v1"))
-    tape, fewest = whole.select(run), count_fewest(whole, run)
+    tape, fewest = whole.select(run), count_fewest(whole.rooms[run])
     if agent == BEHAVIOUR:
         data = load_data(tape, observation="features").read_decisions(1.0)
         ended = np.bincount(data.trajectory, data.terminated) > 0
         lengths = np.bincount(data.trajectory, data.duration)
-        return OfflineResult(agent, kind, run, float(np.mean(np.where(ended, fewest / lengths, 0.0))))
+        return OfflineResult(agent, kind, run, compute_mean_efficiency(ended, lengths, fewest, is_expected=False))
     name, given = read_learner(agent)
     options = name.startswith("smdp-")
     env = whole.rooms[run : run + 1].make_env({"include_primitives": False} if options else False,
@@ -154,16 +131,16 @@ def run_once(agent: str, kind: str, rung: str, run: int, episodes: int) -> Offli
     return OfflineResult(agent, kind, run, score(result.evaluations[-1], fewest))
 
 
-def run_searcher(rung: str, run: int, episodes: int) -> OfflineResult:
-    """Play the searcher in the room of a run."""
+def run_searcher(searcher: str, rung: str, run: int, episodes: int) -> OfflineResult:
+    """Play a searcher in the room of a run."""
     tape = load_tape(find_tape(f"{rung}-play-v1"))
     recorder = StateRecorder(tape.rooms[run : run + 1].make_env(observation="features"))
     env = OptionsEnv(recorder, include_primitives=False)
     try:
-        found = evaluate(make_reference(SEARCHER, env, recorder), env, episodes)
+        found = evaluate(make_reference(searcher, env, recorder), env, episodes)
     finally:
         env.close()
-    return OfflineResult(SEARCHER, "", run, score(found, count_fewest(tape, run)))
+    return OfflineResult(searcher, "", run, score(found, count_fewest(tape.rooms[run])))
 
 
 def measure(study: Study, args: Args, store: Store) -> None:
@@ -171,16 +148,16 @@ def measure(study: Study, args: Args, store: Store) -> None:
     data, console = study.data, Console(stderr=True, highlight=False)
     known = {line.place for line in store.load()}
     for run in range(args.runs or data["runs"]):
-        missing = [(agent, kind) for kind in data["kinds"] for agent in (BEHAVIOUR, *data["learners"])
-                   if (agent, kind, run) not in known]
+        cells = [(BEHAVIOUR, WHOLE), *((agent, kind) for kind in data["kinds"] for agent in data["learners"])]
+        missing = [(agent, kind) for agent, kind in cells if (agent, kind, run) not in known]
         store.add([run_once(agent, kind, data["rung"], run, data["episodes"]) for agent, kind in missing])
-        if (SEARCHER, "", run) not in known:
-            store.add([run_searcher(data["rung"], run, data["episodes"])])
+        store.add([run_searcher(searcher, data["rung"], run, data["episodes"]) for searcher in data["searchers"]
+                   if (searcher, "", run) not in known])
         if missing:
             console.print(f"room {run}: {len(missing)} runs", markup=False)
     unseen = data["unseen"]
-    for agent, seed in [(SEARCHER, 0)] + [(agent, seed) for seed in range(args.runs or unseen["runs"])
-                                          for agent in unseen["learners"]]:
+    for agent, seed in [(searcher, 0) for searcher in data["searchers"]] + [
+            (agent, seed) for seed in range(args.runs or unseen["runs"]) for agent in unseen["learners"]]:
         if (agent, UNSEEN, seed) not in known:
             line = run_unseen(agent, data["rung"], seed, unseen["tested"])
             store.add([line])
@@ -190,8 +167,8 @@ def measure(study: Study, args: Args, store: Store) -> None:
 # --- words -----------------------------------------------------------------------------------
 
 
-def tell_difference(first: NDArray[np.float64], second: NDArray[np.float64], better: str, worse: str, alike: str
-                    ) -> str:
+def tell_difference(first: NDArray[np.float64], second: NDArray[np.float64], better: str, worse: str, alike: str,
+                    choices: int = 1) -> str:
     """One of three sentences on paired efficiencies: the first are higher, the second are, or neither is shown.
 
     Args:
@@ -200,11 +177,12 @@ def tell_difference(first: NDArray[np.float64], second: NDArray[np.float64], bet
         better: sentence where the first are higher.
         worse: sentence where the second are.
         alike: sentence where the signs could be chance.
+        choices: number of candidates that the first was the best of, which the level is divided by.
     """
     differences = np.subtract(first, second)
-    if compute_sign_flip_p(differences, "above") <= SURE:
+    if compute_sign_flip_p(differences, "above") <= SURE / choices:
         chosen = better
-    elif compute_sign_flip_p(differences, "below") <= SURE:
+    elif compute_sign_flip_p(differences, "below") <= SURE / choices:
         chosen = worse
     else:
         chosen = alike
@@ -261,8 +239,10 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
                  for agent in data["learners"] if agent.startswith("smdp-")]
     scores = {agent: np.array([line.efficiency for line in lines if line.kind == UNSEEN and line.agent == agent])
               for agent in data["unseen"]["learners"]}
-    unseen = tell_unseen(scores, data["unseen"]["learners"], by[SEARCHER, UNSEEN, 0])
-    searcher = read(SEARCHER, "")
+    searchers = {name: read(name, "") for name in data["searchers"]}
+    elsewhere = {name: by[name, UNSEEN, 0] for name in data["searchers"]}
+    searcher = searchers[max(searchers, key=lambda name: np.mean(searchers[name]))]
+    unseen = tell_unseen(scores, data["unseen"]["learners"], max(elsewhere.values()))
     best = max(data["learners"], key=lambda agent: np.mean(read(agent, "play")))
     headline = tell_difference(
         read(best, "play"), searcher,
@@ -271,14 +251,15 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
         f"The best searcher that learns nothing does better than {words[best]} with a thousand primitives of random "
         "play",
         f"{words[best].capitalize()} with a thousand primitives of random play cannot be told apart from the best "
-        "searcher that learns nothing")
-    rows = [[f"{word} (`{agent}`)", *(f"{np.mean(read(agent, kind)):.2f}" for kind in data["kinds"])]
-            for agent, word in words.items()]
-    reference = f"searcher that learns nothing (`{SEARCHER}`)"
-    rows.append([reference, *[f"{np.mean(searcher):.2f}"] * len(data["kinds"])])
+        "searcher that learns nothing", choices=len(data["learners"]))
+    rows = [[f"{word} (`{agent}`)", *(f"{np.mean(read(agent, kind)):.2f}" if is_rated(agent, kind) else ""
+                                      for kind in data["kinds"])] for agent, word in words.items()]
+    rows += [[f"searcher that learns nothing (`{name}`)", *[f"{np.mean(found):.2f}"] * len(data["kinds"])]
+             for name, found in searchers.items()]
     others = [[f"{data['unseen']['learners'][agent]} (`{agent}`)", f"{found.mean():.2f}",
                f"{found.min():.2f} to {found.max():.2f}", len(found)] for agent, found in scores.items()]
-    others.append([reference, f"{by[SEARCHER, UNSEEN, 0]:.2f}", "", ""])
+    others += [[f"searcher that learns nothing (`{name}`)", f"{value:.2f}", "", ""]
+               for name, value in elsewhere.items()]
     sentences = [*horizon, *stitching, unseen]
     return Page({"headline": headline, "sentences": sentences, "rooms": len(rooms), "rung": data["rung"],
                  "tested": data["unseen"]["tested"], "table": make_table(["learner", *data["kinds"]], rows),
@@ -286,8 +267,13 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
                 {"offline": draw(data["kinds"], words, read, searcher)}, [headline, *sentences])
 
 
+def is_rated(agent: str, kind: str) -> bool:
+    """True where efficiency is that of whole episodes; pieces of `stitch` begin anywhere."""
+    return agent != BEHAVIOUR or kind == WHOLE
+
+
 def draw(kinds: Sequence[str], words: Mapping[str, str], read: Any, searcher: NDArray[np.float64]) -> Figure:
-    """Efficiency of each learner of each data set, rooms as dots, and the searcher as a line."""
+    """Efficiency of each learner of each data set, rooms as dots, and the best searcher as a line."""
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(7.6, 4.0), facecolor=palette.BACKGROUND, layout="constrained")
         axes = figure.add_subplot()
@@ -296,12 +282,14 @@ def draw(kinds: Sequence[str], words: Mapping[str, str], read: Any, searcher: ND
         for number, kind in enumerate(kinds):
             colour, shift = palette.LINES[number], 0.18 * (1 - 2 * number)
             for place, agent in zip(places, words, strict=True):
+                if not is_rated(agent, kind):
+                    continue
                 values = read(agent, kind)
                 rows = place + shift + spread.uniform(-0.09, 0.09, len(values))
                 axes.scatter(values, rows, s=9, alpha=0.35, color=colour, linewidths=0)
                 axes.plot([np.mean(values)], [place + shift], "D", color=colour, markersize=6,
-                          label=kind if place == places[0] else None)
-        axes.axvline(float(np.mean(searcher)), color="#555555", linewidth=1, linestyle="--", label="searcher")
+                          label=kind if place == places[-1] else None)
+        axes.axvline(float(np.mean(searcher)), color="#555555", linewidth=1, linestyle="--", label="best searcher")
         finish_axes(axes)
         axes.set_yticks(places, list(words.values()))
         axes.set(xlabel="efficiency (the planner: 1)", xlim=(-0.03, 1.05))

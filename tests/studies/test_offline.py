@@ -8,7 +8,6 @@ from scipy.stats import trim_mean
 
 from studies.offline.analysis import (
     BEHAVIOUR,
-    SEARCHER,
     UNSEEN,
     OfflineResult,
     analyse,
@@ -26,10 +25,11 @@ def make_lines(efficiency, unseen=0.3):
     agents = [BEHAVIOUR, *study.data["learners"]]
     lines = [OfflineResult(agent, kind, run, efficiency(agent, kind) + spread[(run * 3) % 10])
              for agent in agents for kind in study.data["kinds"] for run in range(10)]
-    lines += [OfflineResult(SEARCHER, "", run, efficiency(SEARCHER, "")) for run in range(10)]
+    lines += [OfflineResult(name, "", run, efficiency(name, "")) for name in study.data["searchers"]
+              for run in range(10)]
     lines += [OfflineResult(agent, UNSEEN, run, unseen + spread[run])
               for agent in study.data["unseen"]["learners"] for run in range(10)]
-    return study, [*lines, OfflineResult(SEARCHER, UNSEEN, 0, 0.6)]
+    return study, lines + [OfflineResult(name, UNSEEN, 0, 0.6) for name in study.data["searchers"]]
 
 
 def test_the_sentence_follows_the_sign_of_the_differences_and_their_certainty():
@@ -62,6 +62,23 @@ def test_stitching_is_told_by_what_was_measured(cut, words):
 def test_the_headline_asks_whether_the_best_learner_beats_the_best_searcher(searcher, words):
     page = analyse(*make_lines(lambda agent, kind: 0.5 if kind else searcher))
     assert words in page.conclusions[0]
+
+
+def test_the_best_of_several_learners_is_held_against_the_best_of_several_searchers():
+    def efficiency(agent, kind):
+        return {"smdp-retrace": 0.9, "smdp-fitted-q": 0.7}.get(agent, 0.5)
+
+    page = analyse(*make_lines(efficiency))
+    assert page.conclusions[0].startswith("The best searcher that learns nothing does better than Q-iteration over op")
+    lucky = 0.5 + 0.1 * np.array([-1] + [1] * 9)  # by chance in 11 of 1,024 signs
+    once, of_seven = (tell_difference(lucky, np.full(10, 0.5), "up", "down", "same", choices) for choices in (1, 7))
+    assert once.startswith("up") and of_seven.startswith("same")
+
+
+def test_pieces_that_begin_anywhere_are_given_no_efficiency():
+    page = analyse(*make_lines(lambda agent, kind: 1.5 if (agent, kind) == (BEHAVIOUR, "stitch") else 0.5))
+    (row,) = [line for line in page.values["table"].splitlines() if "(`behaviour`)" in line]
+    assert row.split("|")[2:4] == [" 0.50 ", "  "]
 
 
 @pytest.mark.parametrize(("unseen", "words"), [(0.3, "does worse than"), (0.9, "does better than"),

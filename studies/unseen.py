@@ -1,0 +1,70 @@
+"""Tests in rooms that no training saw: an episode in each of the first test rooms of a rung."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import gymnasium
+import numpy as np
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
+from hrl_escape.comparison.episodes import StateRecorder
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.statistics import compute_mean_efficiency
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.errors import ComparisonError
+from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.planning.best_known import find_best_known, list_start_states
+
+__all__ = ["UnseenRooms", "count_fewest", "get_unseen", "play_unseen"]
+
+
+class UnseenRooms(NamedTuple):
+    """Test rooms, and the fewest known primitives out of each."""
+
+    rooms: InstanceSet
+    fewest: tuple[float, ...]
+
+
+def count_fewest(room: RoomInstance) -> float:
+    """Primitives of the best known escape, from the first start.
+
+    Raises:
+        ComparisonError: none is known.
+    """
+    found = find_best_known(room, list_start_states(room)[0]).primitives
+    if found is None:
+        raise ComparisonError(f"room {room.id} has no known escape")
+    return float(found)
+
+
+@lru_cache(maxsize=8)
+def get_unseen(benchmark: str, rung: str, tested: int) -> UnseenRooms:
+    """The first test rooms of a rung."""
+    rooms = load_benchmark(benchmark)[rung].test[:tested]
+    return UnseenRooms(rooms, tuple(map(count_fewest, rooms)))
+
+
+def play_unseen(view: AgentSpec, unseen: UnseenRooms, make_player: Callable[[gymnasium.Env, StateRecorder], Agent]
+                ) -> tuple[float, float]:
+    """Play an episode in each room; returns the mean efficiency and the share of escapes, to four digits.
+
+    Args:
+        view: says what is chosen among; objects are observed.
+        unseen: the rooms.
+        make_player: makes who plays, given the environment over these rooms and its recorder.
+    """
+    tested = len(unseen.fewest)
+    order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(tested)}
+    env, recorder = make_env(view, unseen.rooms, "objects", order)
+    try:
+        found = evaluate(make_player(env, recorder), env, tested)
+    finally:
+        env.close()
+    efficiency = compute_mean_efficiency(found.successes, found.lengths, unseen.fewest, is_expected=False)
+    return round(efficiency, 4), round(float(np.mean(found.successes)), 4)
