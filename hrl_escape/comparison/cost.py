@@ -27,7 +27,7 @@ Rates = Mapping[str, Mapping[int, float]]
 
 @cache
 def load_rates() -> Rates:
-    """Published rates."""
+    """Read the rates in `costs.json`."""
     text = (files("hrl_escape.comparison") / "costs.json").read_text(encoding="utf-8")
     return {agent: {int(buttons): rate for buttons, rate in known.items()} for agent, known in json.loads(text).items()}
 

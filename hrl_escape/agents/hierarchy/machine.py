@@ -42,7 +42,7 @@ class _Look(NamedTuple):
 
 
 class MachineCall(NamedTuple):
-    """A running machine."""
+    """One call on the stack of running machines."""
 
     name: str  # of the machine
     line: int  # where it waits, counted from its own first

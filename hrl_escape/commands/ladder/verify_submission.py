@@ -31,7 +31,7 @@ class VerifySubmissionArgs:
     """Options of `hrl-escape ladder verify-submission`."""
 
     file: Annotated[Path, tyro.conf.Positional]
-    """The submission."""
+    """Archive that `hrl-escape ladder submit` wrote."""
     cells: int = 5
     """Rooms to play again."""
     seed: int | None = None

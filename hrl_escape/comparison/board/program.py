@@ -79,9 +79,9 @@ class ProgramAgent(FixedPolicy):
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
+        for pipe in filter(None, (self._process.stdin, self._process.stdout)):
             with suppress(OSError):
-                pipe.close()  # type: ignore[union-attr]  # both are pipes
+                pipe.close()
 
     def act(self, observation: NDArray[np.floating], action_mask: NDArray[np.bool_]) -> int:
         """Ask the program.

@@ -192,7 +192,8 @@ def describe_package() -> dict[str, Any]:
 def _hash_package() -> str:
     root, whole = Path(str(hrl_escape.__file__)).parent, hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
-        whole.update(f"{path.relative_to(root).as_posix()}\0{len(path.read_bytes())}\0".encode() + path.read_bytes())
+        content = path.read_bytes()
+        whole.update(f"{path.relative_to(root).as_posix()}\0{len(content)}\0".encode() + content)
     return whole.hexdigest()
 
 

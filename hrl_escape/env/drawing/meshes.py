@@ -36,7 +36,7 @@ _LONGEST_SHADOW = 1.3
 
 
 class Mesh(NamedTuple):
-    """Triangles."""
+    """Triangles that share vertices, each vertex with its normal, in metres."""
 
     vertices: NDArray[np.float64]  # (n, 3), float64, m
     normals: NDArray[np.float64]  # (n, 3), float64, unit
