@@ -181,7 +181,7 @@ def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console, is_alone:
             monitor.keep(run, result)
     if len(unfinished) < len(plan.runs):
         console.print(f"{len(plan.runs) - len(unfinished)} of {len(plan.runs)} runs were finished before and are kept")
-    elif any(agent.learns for agent in plan.grid.agents):
+    else:
         console.print(describe_cost(plan.grid, plan.places))
     with monitor.watch():
         launcher.run(unfinished, out, monitor)

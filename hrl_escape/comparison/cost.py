@@ -68,6 +68,8 @@ def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterab
 
 def describe_cost(grid: Grid, places: Iterable[RunPlace]) -> str:
     """Words, for a console, on the core hours that training in all places of a grid takes."""
+    if not any(agent.learns for agent in grid.agents):
+        return "nothing learns, so nothing is trained"
     hours, unknown = estimate_hours(grid.agents, grid.primitives, map(_count_at, places), grid.runs, load_rates())
     names = ", ".join(map(make_console_text, unknown))
     return (f"about {hours:.2g} core hours of training by published rates"
