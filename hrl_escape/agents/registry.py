@@ -49,7 +49,8 @@ def list_stream_agents() -> list[str]:
     """Names of the shipped agents that learn from many environments at once, in alphabetical order."""
     from hrl_escape.agents.streams import StreamAgent
 
-    return [name for name in sorted(_find_made()) if issubclass(get_agent_class(name), StreamAgent)]
+    return [name for name in sorted([*_find_made(), *list_given_agents()])
+            if issubclass(get_agent_class(name), StreamAgent)]
 
 
 def list_all_agents() -> list[str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import gymnasium
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition
 from hrl_escape.agents.settings import LearningSettings
-from hrl_escape.agents.state import Kept, Stateful, StateTree
+from hrl_escape.agents.state import Kept, Stateful, StateTree, list_kept
 from hrl_escape.errors import DiscountMismatchError
 
 if TYPE_CHECKING:
@@ -180,28 +180,46 @@ class StreamAgent(Agent):
 
 
 class RowStreamAgent(StreamAgent):
-    """An agent that remembers nothing between decisions: it chooses and learns for one stream after another.
+    """An agent that chooses and learns for one stream after another.
 
-    What is learned in one room counts in all, so many rooms share a table. Choices and updates are those of `act` and
-    `observe`, which get arrays on the CPU.
+    What is learned in one room counts in all, so many rooms share tables, models and replay. Choices and updates are
+    those of `act` and `observe`, which get arrays on the CPU. What an agent remembers of a running episode stands in
+    attributes that `EPISODE` names: every stream has its own, put in their place while the agent serves it.
     """
 
-    STATE = (Kept("_open_masks", is_left_out=True),)
+    EPISODE: ClassVar[tuple[str, ...]] = ()
+    """Attributes of a running episode."""
+    EPISODE_STATE: ClassVar[tuple[str, ...]] = ()
+    """Keys that hold them in a state."""
+    STATE = (Kept("_open_masks", is_left_out=True), Kept("_kept_episodes", "episodes", is_left_out=True))
     _open_masks: NDArray[np.bool_] | None = None  # legal at each stream's present decision, (streams, actions)
+    _episodes: list[tuple[Any, ...]] | None = None  # of each stream, and last that of a single environment
+    _stream: int | None = None  # that is served now
+
+    def begin_episode(self) -> None:  # noqa: B027
+        """Forget the running episode."""
 
     def begin_streams(self, count: int, device: torch.device) -> None:
         """Forget all decisions in progress."""
         del device
-        self._open_masks = np.zeros((count, 0), np.bool_)
+        self._open_masks, self._episodes = np.zeros((count, 0), np.bool_), [()] * (count + 1)
+        for place in range(count + 1):
+            self.begin_episode()
+            self._leave(place)
 
     def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
         """Choose for each row."""
         assert self._open_masks is not None, "begin_streams comes first"
-        masks = mask.cpu().numpy()
+        masks, rows = mask.cpu().numpy(), stream.tolist()
         if self._open_masks.shape[1] != masks.shape[1]:
             self._open_masks = np.ones((len(self._open_masks), masks.shape[1]), np.bool_)
-        self._open_masks[stream.cpu().numpy()] = masks
-        return stream.new_tensor([self.act(*row) for row in zip(observation.cpu().numpy(), masks, strict=True)])
+        self._open_masks[rows] = masks
+        chosen = []
+        for row, seen, legal in zip(rows, observation.cpu().numpy(), masks, strict=True):
+            self._enter(row)
+            chosen.append(self.act(seen, legal))
+            self._leave(row)
+        return stream.new_tensor(chosen)
 
     def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
         """Learn from each row; returns the means of what is logged."""
@@ -209,11 +227,56 @@ class RowStreamAgent(StreamAgent):
         sums: dict[str, float] = {}
         for stream, seen, action, reward, summed, k, reached, mask, terminated, truncated in zip(
                 *(field.cpu().numpy() for field in decisions), strict=True):
+            self._enter(stream)
             metrics = self.observe(SMDPTransition(
                 seen, int(action), self._open_masks[stream].copy(), float(reward), float(summed), int(k),
-                self.gamma ** int(k), reached, mask, bool(terminated), bool(truncated)))
+                self.gamma ** int(k), reached, mask, bool(terminated), bool(truncated),
+                cut=bool(truncated and not terminated and k > 1)))
+            self._leave(stream)
             sums = {name: sums.get(name, 0.0) + value for name, value in metrics.items()}
         return {name: total / len(decisions.stream) for name, total in sums.items()}
+
+    def _enter(self, stream: int) -> None:
+        """Put a stream's episode in its place."""
+        self._stream = stream
+        self._place(stream)
+
+    def _leave(self, stream: int) -> None:
+        """Put a stream's episode away, and that of a single environment in its place."""
+        assert self._episodes is not None, "begin_streams comes first"
+        self._episodes[stream] = tuple(getattr(self, name) for name in self.EPISODE)
+        self._stream = None
+        self._place(-1)
+
+    def _place(self, index: int) -> None:
+        assert self._episodes is not None, "begin_streams comes first"
+        for name, value in zip(self.EPISODE, self._episodes[index], strict=False):
+            setattr(self, name, value)
+
+    @property
+    def _kept_episodes(self) -> list[StateTree] | None:
+        """Running episodes of all streams; None without any."""
+        if not self.EPISODE or not self._episodes:
+            return None
+        trees: list[StateTree] = [{} for _ in self._episodes[1:]]
+        for stream, tree in enumerate(trees):
+            self._enter(stream)
+            for kept in self._list_episode():
+                kept.write(self, tree)
+            self._leave(stream)
+        return trees
+
+    @_kept_episodes.setter
+    def _kept_episodes(self, saved: list[StateTree] | None) -> None:
+        """Streams go on if there are as many."""
+        for stream, tree in enumerate(saved if saved and len(saved) + 1 == len(self._episodes or ()) else ()):
+            self._enter(stream)
+            for kept in self._list_episode():
+                kept.read(self, tree)
+            self._leave(stream)
+
+    def _list_episode(self) -> list[Kept]:
+        return [kept for kept in list_kept(type(self)) if isinstance(kept, Kept) and kept.key in self.EPISODE_STATE]
 
 
 class OpenChoices(Stateful):

@@ -44,11 +44,13 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text, make_file_name
 from hrl_escape.planning.best_known import best_known_return, find_best_known
 from hrl_escape.settings import read_field_documents
+from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.text.settings import TOOLS, ToolsSettings
 
 if TYPE_CHECKING:
-    from hrl_escape.env.vector_env import EscapeRoomVectorEnv
-    from hrl_escape.options.batched.env import BatchedOptionsEnv
+    from gymnasium.vector import VectorEnv
+
+    from hrl_escape.agents.streams import Streams
 
 SHOWN_EVALUATIONS, PRIMITIVES = 12, 20_000
 
@@ -75,6 +77,8 @@ class TrainArgs(RoomChoice):
     """Let an smdp- agent choose among options only."""
     flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
     """Meta-actions: press one button, or press first those that must be on before it."""
+    memory: bool = False
+    """Show an smdp- agent what it has tried in this episode, beside each object: with --observation objects."""
     leaves: Literal["planned", "learned"] | None = None
     """Run a hierarchy synthesised from the room, for agents such as maxq-q or hamq: the planner walks to each target,
     or walking is learned over primitives."""
@@ -86,7 +90,7 @@ class TrainArgs(RoomChoice):
     """Episodes in an evaluation."""
     batch: int | None = None
     """Train in this many copies of the room at once, on the batched engine; for a2oc, dac, ddpg, diayn, dqn, ppo,
-    ppoc, q-learning, r-max and sarsa."""
+    ppoc, q-learning, r-max and sarsa, and with --leaves."""
     device: str = "cpu"
     """Device of the copies, the networks and everything between them, such as cuda; with --batch."""
     out: Path | None = None
@@ -100,30 +104,31 @@ class TrainArgs(RoomChoice):
 
     def make_spec(self) -> AgentSpec:
         """The agent that is asked for."""
-        options = OptionsView(include_primitives=not self.options_only, flavour=self.flavour)
+        options = OptionsView(include_primitives=not self.options_only, flavour=self.flavour, memory=self.memory)
         settings = dict(split_assignment(text, "--settings", "gamma=0.95") for text in self.settings)
         return AgentSpec(name=self.agent, recipe=self.recipe, settings=settings, options=options,
                          leaves=self.leaves)
 
-    def make_batch(self, spec: AgentSpec, instance: RoomInstance) -> EscapeRoomVectorEnv | BatchedOptionsEnv:
-        """Copies of the room that train together.
-
-        Raises:
-            UnsupportedError: the agent needs something that copies do not have.
-        """
+    def make_batch(self, spec: AgentSpec, instance: RoomInstance) -> VectorEnv | Streams:
+        """Copies of the room that train together."""
         assert self.batch is not None
-        if self.leaves is not None:
-            raise UnsupportedError("--batch has no --leaves: leave one of them out")
-        if not spec.chooses_options:
+        if self.leaves is not None or not spec.chooses_options:
             from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 
-            return EscapeRoomVectorEnv(self.batch, instance=instance, observation=self.observation, output="torch",
-                                       device=self.device)
+            rooms = EscapeRoomVectorEnv(self.batch, instance=instance, observation=self.observation, output="torch",
+                                        device=self.device)
+            if self.leaves is None:
+                return rooms
+            from hrl_escape.synthesis import HierarchyVectorEnv
+
+            return HierarchyVectorEnv(rooms, find_kind(spec.name), self.leaves)
         from hrl_escape.options.batched.env import BatchedOptionsEnv
+        from hrl_escape.options.memory import MemoryStreams
 
         gamma = spec.resolve_settings()["gamma"]
-        return BatchedOptionsEnv(self.batch, instance=instance, observation=self.observation, discount=gamma,
-                                 include_primitives=not self.options_only, flavour=self.flavour, device=self.device)
+        options = BatchedOptionsEnv(self.batch, instance=instance, observation=self.observation, discount=gamma,
+                                    include_primitives=not self.options_only, flavour=self.flavour, device=self.device)
+        return MemoryStreams(options) if self.memory else options
 
 
 def run(args: TrainArgs) -> None:

@@ -1,12 +1,13 @@
 """Memory of an episode's decisions, as further numbers in the rows of the observation `objects`.
 
-The dependencies between buttons are hidden, so an agent that sees only the present cannot know what it has tried. This
-wrapper adds to each object's row a summary of all decisions so far, which is enough for puzzles without chance.
+The dependencies between buttons are hidden, so an agent that sees only the present cannot know what it has tried. A
+summary of all decisions so far, beside each object's row, is enough for puzzles without chance. `DecisionMemory` adds
+it in one environment, `MemoryStreams` in many.
 """
 
 from __future__ import annotations
 
-from typing import Any, SupportsFloat
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium
 import numpy as np
@@ -16,8 +17,101 @@ from numpy.typing import NDArray
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from hrl_escape.options.batched.env import BatchedOptionsEnv, Transitions
+
 MEMORY_WORDS = ("failed", "recent", "rank")
-"""Numbers that `DecisionMemory` appends to a row."""
+"""Numbers that a memory appends to a row."""
+
+
+class _Memories:
+    """What several episodes have met, and the rule by which it is noted.
+
+    Args:
+        space: of observations without memory.
+        actions: what they are about.
+        count: number of episodes side by side.
+
+    Attributes:
+        space: of observations with memory.
+
+    Raises:
+        UnsupportedError: observations or actions of another kind.
+    """
+
+    def __init__(self, space: gymnasium.Space, actions: gymnasium.Space, count: int) -> None:
+        if not isinstance(space, ObjectsBox) or not isinstance(actions, PointingDiscrete):
+            raise UnsupportedError("a memory of decisions needs rows of objects and actions about them: give it an "
+                                   "OptionsEnv over observation='objects'")
+        self._shape = len(space.rows), len(space.words)
+        self._lit, self._present = space.words.index("lit"), space.words.index("present")
+        self._subjects = np.array([space.rows.index(name) if name in space.rows else -1 for name in actions.about])
+        more = (1, len(space.rows), len(MEMORY_WORDS))
+        low, high = (self._join(bound[None], np.full(more, value))[0]
+                     for bound, value in ((space.low, 0), (space.high, 1)))
+        self.space = ObjectsBox(low, high, space.rows, (*space.words, *MEMORY_WORDS))
+        rows = count, len(space.rows)
+        self._failures: list[dict[bytes, NDArray[np.bool_]]] = [{} for _ in range(count)]  # by the set of lit objects
+        self._failed, self._lit_now = np.zeros(rows, np.bool_), np.zeros(rows, np.bool_)
+        self._since, self._ranks = np.full(rows, np.inf), np.zeros(rows)
+
+    def begin(self, which: NDArray[np.int64], observation: NDArray[Any]) -> None:
+        """Empty the memory of some episodes, which begin with these observations, (n, numbers)."""
+        for episode in which:
+            self._failures[episode] = {}
+        self._failed[which], self._ranks[which], self._since[which] = False, 0.0, np.inf
+        self._lit_now[which] = self._read_lit(observation)
+
+    def note(self, which: NDArray[np.int64], action: NDArray[np.int64], reached: NDArray[Any], can_fail: bool = True
+             ) -> None:
+        """Note decisions of some episodes, (n,), and what they reached, (n, numbers)."""
+        before, after, subject = self._lit_now[which], self._read_lit(reached), self._subjects[action]
+        self._since[which] += 1
+        about = (subject >= 0).nonzero()[0]
+        self._since[which[about], subject[about]] = 0
+        for row in about[~after[about, subject[about]]] if can_fail else ():
+            failures = self._failures[which[row]].setdefault(before[row].tobytes(), np.zeros_like(before[row]))
+            failures[subject[row]] = True
+        ranks = 1.0 / (1 + before.sum(axis=1, keepdims=True))
+        self._ranks[which] = np.where(after & ~before, ranks, self._ranks[which])
+        self._lit_now[which] = after
+        for row, episode in enumerate(which):
+            self._failed[episode] = self._failures[episode].get(after[row].tobytes(), False)
+
+    def remember(self, which: NDArray[np.int64] | slice, observation: NDArray[Any]) -> NDArray[Any]:
+        """Observations of some episodes, (n, numbers), with their memory."""
+        return self._join(observation, np.stack([self._failed[which], 1.0 / (1 + self._since[which]),
+                                                 self._ranks[which]], axis=2))
+
+    def _read_lit(self, observation: NDArray[Any]) -> NDArray[np.bool_]:
+        """Read from observations which objects are lit, bool (n, rows)."""
+        rows, words = self._shape
+        return observation[:, : rows * words].reshape(-1, rows, words)[:, :, self._lit] > 0.5
+
+    def _join(self, observation: NDArray[Any], memory: NDArray[Any]) -> NDArray[Any]:
+        """Observations with the memory (n, rows, words) at the ends of their rows."""
+        rows, words = self._shape
+        seen = observation[:, : rows * words].reshape(-1, rows, words)
+        joined = np.concatenate([seen, memory.astype(seen.dtype) * (seen[:, :, self._present, None] > 0)], axis=2)
+        return np.concatenate([joined.reshape(len(seen), -1), observation[:, rows * words :]], axis=1)
+
+    def state_dict(self) -> dict[str, Any]:
+        """All memories, as arrays."""
+        failures = [[[np.frombuffer(lit, np.bool_), failed] for lit, failed in each.items()] for each in self._failures]
+        return {"failures": failures, "failed": self._failed, "lit_now": self._lit_now, "since": self._since,
+                "ranks": self._ranks}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on where `state_dict` was taken."""
+        self._failures = [{np.asarray(lit, np.bool_).tobytes(): np.array(failed, np.bool_) for lit, failed in each}
+                          for each in state["failures"]]
+        self._failed, self._lit_now = (np.array(state[name], np.bool_) for name in ("failed", "lit_now"))
+        self._since, self._ranks = (np.array(state[name], np.float64) for name in ("since", "ranks"))
+
+
+_ONE = np.zeros(1, np.int64)
 
 
 class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
@@ -43,57 +137,92 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
     def __init__(self, env: gymnasium.Env) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        space, actions = env.observation_space, env.action_space
-        if not isinstance(space, ObjectsBox) or not isinstance(actions, PointingDiscrete):
-            raise UnsupportedError("a memory of decisions needs rows of objects and actions about them: give it an "
-                                   "OptionsEnv over observation='objects'")
-        self._shape = len(space.rows), len(space.words)
-        self._lit, self._present = space.words.index("lit"), space.words.index("present")
-        self._subjects = [space.rows.index(name) if name in space.rows else -1 for name in actions.about]
-        more = (len(space.rows), len(MEMORY_WORDS))
-        low, high = (self._join(bound, np.full(more, value)) for bound, value in ((space.low, 0), (space.high, 1)))
-        self.observation_space = ObjectsBox(low, high, space.rows, (*space.words, *MEMORY_WORDS))
-        self._forget()
-
-    def _forget(self) -> None:
-        rows = self._shape[0]
-        self._failures: dict[bytes, NDArray[np.bool_]] = {}  # failures by the set of lit objects
-        self._since, self._ranks = np.full(rows, np.inf), np.zeros(rows)
-        self._shown = np.zeros(rows, dtype=np.bool_)
+        self._memory = _Memories(env.observation_space, env.action_space, 1)
+        self.observation_space = self._memory.space
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, with an empty memory."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._forget()
-        self._shown = self._read_lit(observation)
-        return self._remember(observation), info
+        self._memory.begin(_ONE, observation[None])
+        return self._memory.remember(_ONE, observation[None])[0], info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Run a decision, and remember its outcome."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        before, after = self._shown, self._read_lit(observation)
-        self._since += 1
-        subject = self._subjects[int(action)]
-        if subject >= 0:
-            self._since[subject] = 0
-            if not after[subject] and not info.get("trial_ended", False):
-                self._failures.setdefault(before.tobytes(), np.zeros_like(before))[subject] = True
-        self._ranks[after & ~before] = 1.0 / (1 + before.sum())
-        self._shown = after
-        return self._remember(observation), reward, terminated, truncated, info
+        self._memory.note(_ONE, np.array([int(action)]), observation[None], not info.get("trial_ended", False))
+        return self._memory.remember(_ONE, observation[None])[0], reward, terminated, truncated, info
 
-    def _read_lit(self, observation: NDArray[Any]) -> NDArray[np.bool_]:
-        """Read from an observation which objects are lit, bool (rows,)."""
-        rows, words = self._shape
-        return observation[: rows * words].reshape(rows, words)[:, self._lit] > 0.5
 
-    def _remember(self, observation: NDArray[Any]) -> NDArray[Any]:
-        failures = self._failures.get(self._shown.tobytes(), np.zeros_like(self._shown))
-        return self._join(observation, np.stack([failures, 1.0 / (1 + self._since), self._ranks], axis=1))
+class MemoryStreams:
+    """The same in many rooms at once, each at its own pace.
 
-    def _join(self, observation: NDArray[Any], memory: NDArray[Any]) -> NDArray[Any]:
-        """Observation with the memory (rows, words) at the ends of its rows."""
-        rows, words = self._shape
-        seen = observation[: rows * words].reshape(rows, words)
-        joined = np.concatenate([seen, memory.astype(seen.dtype) * (seen[:, self._present, None] > 0)], axis=1)
-        return np.concatenate([joined.ravel(), observation[rows * words :]])
+    Args:
+        streams: a `BatchedOptionsEnv` over `observation="objects"`.
+
+    Attributes:
+        observation_space: of one room, with memory.
+        observation: of all rooms, (rooms, numbers); to be read where `is_waiting`.
+
+    Raises:
+        UnsupportedError: another environment.
+    """
+
+    def __init__(self, streams: BatchedOptionsEnv) -> None:
+        self._streams = streams
+        self.count, self.device, self.gamma = streams.count, streams.device, streams.gamma
+        self.action_space = streams.action_space
+        self._memory = _Memories(streams.observation_space, streams.action_space, self.count)
+        self.observation_space = self._memory.space
+        self.observation: Tensor
+
+    @property
+    def action_mask(self) -> Tensor:
+        """Actions legal now, bool (rooms, actions)."""
+        return self._streams.action_mask
+
+    @property
+    def is_waiting(self) -> Tensor:
+        """Rooms that take an action at the next step, bool (rooms,)."""
+        return self._streams.is_waiting
+
+    def reset(self, seeds: int) -> None:
+        """Begin all episodes anew, with empty memories; room i draws from seed + i."""
+        seen = self._streams.reset(seeds)
+        self._memory.begin(np.arange(self.count), seen.cpu().numpy())
+        self.observation = self._remember(slice(None), seen)
+
+    def step(self, action: Tensor) -> Transitions:
+        """Give waiting rooms their actions, int64 (rooms,), and remember the decisions that ended."""
+        ended = self._streams.step(action)
+        where = ended.where.nonzero().squeeze(1)
+        which = where.cpu().numpy()
+        before = self._remember(slice(None), ended.observation)
+        self._memory.note(which, ended.action[where].cpu().numpy(), ended.next_observation[where].cpu().numpy())
+        after = self._remember(slice(None), ended.next_observation)
+        over = (ended.where & (ended.terminated | ended.truncated)).nonzero().squeeze(1)
+        self._memory.begin(over.cpu().numpy(), self._streams.observation[over].cpu().numpy())
+        self.observation = self._remember(slice(None), self._streams.observation)
+        return ended._replace(observation=before, next_observation=after)
+
+    def _remember(self, which: NDArray[np.int64] | slice, seen: Tensor) -> Tensor:
+        import torch  # which `DecisionMemory` does without
+
+        return torch.from_numpy(self._memory.remember(which, seen.cpu().numpy())).to(self.device)
+
+    def make_single_env(self) -> gymnasium.Env:
+        """Make an ordinary environment of the same rooms and options, with a memory."""
+        return DecisionMemory(self._streams.make_single_env())
+
+    def describe(self) -> dict[str, Any]:
+        """Return the arguments that decide the numbers, as JSON values."""
+        return self._streams.describe()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return rooms, decisions in progress and memories, as arrays."""
+        return {"streams": self._streams.state_dict(), "memory": self._memory.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on where `state_dict` was taken, in as many of the same rooms."""
+        self._streams.load_state_dict(state["streams"])
+        self._memory.load_state_dict(state["memory"])
+        self.observation = self._remember(slice(None), self._streams.observation)

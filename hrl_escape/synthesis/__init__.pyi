@@ -1,4 +1,4 @@
-from .hierarchy_env import HierarchyEnv
+from .hierarchy_env import HierarchyEnv, HierarchyVectorEnv
 from .synthesise import synthesise
 
-__all__ = ["HierarchyEnv", "synthesise"]
+__all__ = ["HierarchyEnv", "HierarchyVectorEnv", "synthesise"]

@@ -6,18 +6,23 @@ situation that tasks read, which is the privilege of such an agent; `structure` 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import AutoresetMode, VectorWrapper
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.errors import UnsupportedError
+from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.synthesis.situation import Situations
 from hrl_escape.synthesis.synthesise import make_structure
+
+if TYPE_CHECKING:
+    from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 
 
 class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
@@ -70,3 +75,50 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
         """Run one primitive; the observation is the situation of the state reached."""
         _, reward, terminated, truncated, info = self.env.step(action)
         return self._situations.pack(self._room.get_state()), reward, terminated, truncated, info
+
+
+class HierarchyVectorEnv(VectorWrapper):
+    """The same for many copies of a room that step together.
+
+    Args:
+        env: copies of one instance, of which none begins an episode in the step in which the last one ends.
+        kind: kind of hierarchy that the agent takes, as in `synthesise`.
+        leaves: `planned` or `learned`.
+
+    Raises:
+        UnknownNameError: no such kind or leaves.
+        UnsupportedError: the puzzle needs more than presses, or there are several instances.
+        ConfigError: another kind of automatic reset.
+    """
+
+    def __init__(self, env: EscapeRoomVectorEnv, kind: str = "maxq", leaves: str = "planned") -> None:
+        super().__init__(env)
+        instance, *others = env.instances
+        if others:
+            raise UnsupportedError(f"a hierarchy is synthesised for one room, and these are {len(env.instances)}")
+        if env.autoreset_mode == AutoresetMode.SAME_STEP:
+            raise ConfigError("autoreset_mode", env.autoreset_mode.value, "'NextStep' or 'Disabled'")
+        self._rooms, self._single = env, (kind, leaves)
+        self._situations = Situations(instance)
+        make_structure(self._situations, kind, leaves)  # which refuses what cannot be
+        self.single_observation_space = self._situations.space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def make_single_env(self) -> HierarchyEnv:
+        """Make an ordinary environment of the same room and hierarchy."""
+        return HierarchyEnv(self._rooms.make_single_env(), *self._single)
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin new episodes; see `EscapeRoomVectorEnv.reset`."""
+        _, infos = super().reset(seed=seed, options=options)
+        return self._pack(), infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Run one primitive in every room; observations are the situations of the states reached."""
+        _, reward, terminated, truncated, infos = super().step(actions)
+        return self._pack(), reward, terminated, truncated, infos
+
+    def _pack(self) -> NDArray[np.float64]:
+        """Situations of all rooms, (rooms, numbers)."""
+        states = map(self._rooms.room.get_room_state, range(self.num_envs))
+        return np.stack([self._situations.pack(state) for state in states])

@@ -123,4 +123,13 @@ def test_a_batch_trains_in_many_rooms_at_once(capsys, tmp_path, agent):
 def test_what_a_batch_cannot_do_is_refused(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert_refused(capsys, ["train", "intra-option-q", "--batch", "4"], "many environments at once")
-    assert_refused(capsys, ["train", "maxq-q", "--batch", "4", "--leaves", "planned"], "--leaves")
+    assert_refused(capsys, ["train", "smdp-ppo", "--batch", "4", "--memory"], "observation='objects'")
+
+
+def test_a_batch_trains_given_hierarchies_and_agents_with_a_memory(capsys, tmp_path):
+    for number, arguments in enumerate((["maxq-q", "--leaves", "learned"],
+                                        ["smdp-dqn", "--memory", "--observation", "objects"])):
+        code, out, _ = call(capsys, "train", *arguments, "--batch", "4", "--preset", "paper-one-button",
+                            "--primitives", "60", "--eval-episodes", "1", "--out", tmp_path / str(number), "--json")
+        report = json.loads(out)
+        assert code == 0 and report["primitives"] >= 60 and len(report["evaluations"]) >= 2

@@ -244,6 +244,28 @@ MUTATIONS = [
         "::test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once",
     ),
     Mutation(
+        "streams share the running calls of a hierarchy",
+        "agents/streams.py",
+        "        self._place(stream)\n",
+        "",
+        "agents/algorithms/given/test_many_rooms.py::test_tasks_are_worth_what_they_earn_in_streams_that_each_have_their_"
+        "own_calls",
+    ),
+    Mutation(
+        "tasks that share a learner share its streams",
+        "agents/hierarchy/runner.py",
+        "len(tasks) + tasks.index(task)",
+        "len(tasks)",
+        "agents/algorithms/given/test_many_rooms.py::test_tasks_that_share_a_learner_keep_their_open_decisions_apart",
+    ),
+    Mutation(
+        "an option that a stream was cut in leads where it was cut",
+        "agents/streams.py",
+        "cut=bool(truncated and not terminated and k > 1)",
+        "cut=False",
+        "agents/algorithms/given/test_many_rooms.py::test_values_of_choices_are_exact",
+    ),
+    Mutation(
         "sarsa in many environments values the best action",
         "agents/algorithms/sarsa.py",
         "(weights * self.values.target(batch.next_observation)).sum(dim=1)",

@@ -7,6 +7,13 @@ TESTS = "options/test_options_env.py"
 
 MUTATIONS = [
     Mutation(
+        "a room's memory outlives its episode in a batch",
+        "options/memory.py",
+        "            self._failures[episode] = {}\n",
+        "            pass\n",
+        "options/test_memory_streams.py::test_every_room_remembers_its_own_decisions",
+    ),
+    Mutation(
         "a batch follows a plan on after a slip",
         "options/batched/env.py",
         "kept = 1 if self._room.layout.is_random else PLAN_LENGTH",

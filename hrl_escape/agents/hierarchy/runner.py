@@ -14,7 +14,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -26,8 +26,12 @@ from hrl_escape.agents.hierarchy.call_stack import Return, arrive, descend, load
 from hrl_escape.agents.hierarchy.task import BaseTask, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.agents.state import Kept, StateTree
-from hrl_escape.errors import DiscountMismatchError, StepContractError
+from hrl_escape.agents.streams import RowStreamAgent, StreamAgent, StreamTransitions
+from hrl_escape.errors import AgentSettingsError, DiscountMismatchError, StepContractError, UnsupportedError
 from hrl_escape.settings import Range
+
+if TYPE_CHECKING:
+    import torch
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,7 @@ class StackSettings(AgentSettings):
     only (hierarchical greedy execution), or always."""
 
 
-class CallRunner(Agent):
+class CallRunner(RowStreamAgent):
     """Runs the calls of a hierarchy on a flat environment.
 
     Args:
@@ -55,20 +59,27 @@ class CallRunner(Agent):
         stack: the running calls, the root first; what `watch` shows.
     """
 
-    STATE = (Kept("_rng", "calls_rng"), Kept("_running", "stack"))
+    EPISODE = ("_stack", "_chosen")
+    EPISODE_STATE = ("stack", "choice")
+    STATE = (Kept("_rng", "calls_rng"), Kept("_running", "stack"), Kept("_kept_choice", "choice", is_left_out=True))
+    _stack: Stack
+    """Calls that run at the next choice; the last of them is to choose."""
+    _chosen: tuple[Stack, Seen, int] | None
+    """After `act`: the stack down to the primitive, and the moment. Asking again chooses anew."""
 
     def __init__(self, hierarchy: Hierarchy, seed: int, settings: StackSettings) -> None:
         self.hierarchy = hierarchy
         self.settings: Any = settings
         self._rng = make_rng(seed, "calls")
-        self._stack: Stack = ()
-        """Calls that run at the next choice; the last of them is to choose."""
-        self._chosen: tuple[Stack, Seen, int] | None = None
-        """After `act`: the stack down to the primitive, and the moment. Asking again chooses anew."""
+        self.begin_episode()
         self._evaluation: tuple[np.random.Generator, Stack, Step] | None = None
         """Generator, running calls, and what the latest decision is held to have done before it is noted."""
         self._latest: tuple[Stack, Seen] | None = None
         """Of the latest choice, in learning or evaluation."""
+
+    def begin_episode(self) -> None:
+        """No call runs."""
+        self._stack, self._chosen = (), None
 
     @property
     def stack(self) -> Stack:
@@ -194,6 +205,20 @@ class CallRunner(Agent):
         self._stack = load_stack(saved, self.hierarchy)
         self._chosen = self._evaluation = None
 
+    @property
+    def _kept_choice(self) -> list[Any] | None:
+        """In streams, the choice that has not come to its end yet; a single environment is left between decisions."""
+        if self._chosen is None or self._stream is None:
+            return None
+        stack, seen, action = self._chosen
+        return [save_stack(stack), seen.observation, seen.mask, action]
+
+    @_kept_choice.setter
+    def _kept_choice(self, saved: list[Any]) -> None:
+        stack, observation, mask, action = saved
+        self._chosen = (load_stack(stack, self.hierarchy),
+                        self.hierarchy.see(observation, np.asarray(mask, np.bool_)), int(action))
+
 
 class TabularRunner(CallRunner):
     """Base of runners whose calls choose by tables of values, and explore as `TabularSettings` say.
@@ -303,6 +328,7 @@ class StackAgent(CallRunner):
         settings: StackSettings | None = None,
     ) -> None:
         super().__init__(hierarchy, seed, settings or StackSettings())
+        self.made_for = None  # the second argument is no action space
         tasks = hierarchy.tasks
         self._owned: dict[str, Agent] = {}
         for name, make in hierarchy.learners.items():
@@ -316,11 +342,46 @@ class StackAgent(CallRunner):
         learner = self.learners.get(task.name)
         return self.gamma if learner is None else learner.gamma
 
+    def begin_streams(self, count: int, device: torch.device) -> None:
+        """Every learner has as many streams for each of its tasks.
+
+        Raises:
+            AgentSettingsError: a task's learner cannot learn from many environments at once.
+        """
+        super().begin_streams(count, device)
+        for name, learner in self._owned.items():
+            if not isinstance(learner, StreamAgent):
+                raise AgentSettingsError(f"learner of task {name}", type(learner).__name__,
+                                         "one that learns from many environments at once")
+            learner.begin_streams(count * len(self._list_tasks(learner)), device)
+
+    def _list_tasks(self, learner: Agent) -> list[str]:
+        return [name for name, each in self.learners.items() if each is learner]
+
+    def _find_stream(self, stack: Stack, learner: Agent) -> torch.Tensor:
+        """Stream of a running call's learner, int64 (1,).
+
+        Raises:
+            UnsupportedError: two calls of one task run at once.
+        """
+        import torch
+
+        tasks, task = self._list_tasks(learner), stack[-1].task.name
+        if sum(frame.task.name == task for frame in stack) > 1:
+            raise UnsupportedError(f"task {task!r} calls itself: give train an ordinary environment, not many at once")
+        assert self._stream is not None
+        return torch.tensor([self._stream * len(tasks) + tasks.index(task)])
+
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
         """The learner's exploring choice, or the task's own."""
         task, context = stack[-1].task, stack[-1].context
         learner = self.learners.get(task.name)
-        return task.decide(seen, context, self._rng) if learner is None else learner.act(view, legal)
+        if learner is None:
+            return task.decide(seen, context, self._rng)
+        if self._stream is None:
+            return learner.act(view, legal)
+        assert isinstance(learner, StreamAgent)
+        return int(learner.act_streams(_make_row(view), _make_row(legal), self._find_stream(stack, learner)))
 
     def choose_greedy(
         self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
@@ -344,15 +405,33 @@ class StackAgent(CallRunner):
                 continue
             if step.duration > 1 and learner.gamma != self.gamma:
                 raise DiscountMismatchError(learner.gamma, self.gamma**step.duration, step.duration)
-            told = learner.observe(make_task_transition(returned))
+            told = self._teach(learner, returned)
             metrics |= {f"{task.name}/{name}": value for name, value in told.items()}
         return metrics
+
+    def _teach(self, learner: Agent, returned: Return) -> Mapping[str, float]:
+        one = make_task_transition(returned)
+        if self._stream is None:
+            return learner.observe(one)
+        assert isinstance(learner, StreamAgent)
+        reward, summed = np.float32(one.reward), np.float32(one.summed_reward)
+        rows = (one.observation, one.action, reward, summed, one.duration, one.next_observation, one.next_action_mask,
+                one.terminated, one.truncated)
+        return learner.observe_streams(StreamTransitions(self._find_stream(returned.stack, learner),
+                                                         *map(_make_row, rows)))
 
     def note_returns(self, returns: list[Return], rng: np.random.Generator) -> None:
         """Learners hear of the decisions that they made."""
         for returned in returns:
             if (learner := self.learners.get(returned.frame.task.name)) is not None:
                 learner.note_outcome(make_task_transition(returned), rng)
+
+
+def _make_row(value: Any) -> torch.Tensor:
+    """A value as the only row of a tensor."""
+    import torch
+
+    return torch.from_numpy(np.asarray(value)[None].copy())
 
 
 def make_task_transition(returned: Return) -> SMDPTransition:

@@ -206,8 +206,9 @@ def make_single_env(env: VectorEnv | Streams) -> gymnasium.Env:
         AgentSettingsError: it cannot be made; give one.
     """
     inner: Any = env.unwrapped if isinstance(env, VectorEnv) else env
-    if isinstance(inner, SingleEnvSource):
-        return inner.make_single_env()
+    for source in (env, inner):
+        if isinstance(source, SingleEnvSource):
+            return source.make_single_env()
     spec = getattr(inner, "spec", None)
     if spec is None:
         raise AgentSettingsError("eval_env", None, "an ordinary environment of the same task: this vector environment "

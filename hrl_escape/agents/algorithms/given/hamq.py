@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ast
 import functools
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -17,7 +17,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, OptionPolicy, RunningCall, SMDPTransition, count_actions
+from hrl_escape.agents.agent import OptionPolicy, RunningCall, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import (
     choose_best,
     compute_epsilon,
@@ -28,6 +28,7 @@ from hrl_escape.agents.components.tables import TabularSettings, ValueTable, mak
 from hrl_escape.agents.hierarchy.machine import (
     Choose,
     Do,
+    Input,
     Machine,
     MachineRun,
     Program,
@@ -39,6 +40,7 @@ from hrl_escape.agents.hierarchy.machine import (
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.agents.state import Kept
+from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
 
@@ -72,7 +74,7 @@ class _Point(NamedTuple):
     chosen: int
 
 
-class Hamq(Agent):
+class Hamq(RowStreamAgent):
     """Values of the choices that a program leaves open.
 
     At a choice point (s, m), where c was chosen, R was earned in k primitives, and (s', m') is the next one:
@@ -98,8 +100,10 @@ class Hamq(Agent):
         "_steps", "_rng", Kept("_told_inputs", "inputs"),
         Kept("_open", pack=lambda point: repr(tuple(point)),
              unpack=lambda saved: None if (point := ast.literal_eval(saved)) is None else _Point(*point)),
-        Kept("_since", "since"),
+        Kept("_since", "since"), Kept("_kept_choice", "choice", is_left_out=True),
     )
+    EPISODE = ("_run", "_told", "_passed", "_open", "_reward", "_discount", "_duration")
+    EPISODE_STATE = ("inputs", "open", "since", "choice")
 
     def __init__(
         self,
@@ -124,9 +128,10 @@ class Hamq(Agent):
         self._steps = 0
         self._latest: MachineRun | None = None
         """Run that made the latest choice, in learning or evaluation."""
-        self._begin()
+        self._evaluation: tuple[np.random.Generator, MachineRun] | None = None
+        self.begin_episode()
 
-    def _begin(self) -> None:
+    def begin_episode(self) -> None:
         """Nothing runs: a new episode."""
         self._run = MachineRun(self._program)
         self._told = 0
@@ -135,7 +140,6 @@ class Hamq(Agent):
         """Choice points since then."""
         self._open: _Point | None = None
         self._reward, self._discount, self._duration = 0.0, 1.0, 0
-        self._evaluation: tuple[np.random.Generator, MachineRun] | None = None
 
     @property
     def privileges(self) -> tuple[str, ...]:
@@ -253,7 +257,7 @@ class Hamq(Agent):
         self._duration += transition.duration
         if transition.terminated or transition.truncated:
             error = max(error, self._finish(transition))
-            self._begin()
+            self.begin_episode()
         self._steps += transition.duration
         return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps), "values": len(self.table)}
 
@@ -282,15 +286,32 @@ class Hamq(Agent):
     @property
     def _told_inputs(self) -> list[Any]:
         """Everything that the running program was told up to the last primitive."""
-        return [each if isinstance(each, int) else [each.observation, each.mask]
-                for each in self._run.inputs[: self._told]]
+        return self._list_inputs(self._run.inputs[: self._told])
 
     @_told_inputs.setter
     def _told_inputs(self, saved: list[Any]) -> None:
-        self._begin()
-        inputs = [each if isinstance(each, int) else self._look(each[0], np.asarray(each[1], np.bool_))
-                  for each in saved]
+        self.begin_episode()
+        self._evaluation = None
+        inputs = self._read_inputs(saved)
         self._run, self._told = MachineRun(self._program, inputs), len(inputs)
+
+    @property
+    def _kept_choice(self) -> list[Any] | None:
+        """In streams, inputs and choice points of a primitive that has not come to its end yet."""
+        if self._stream is None or len(self._run.inputs) == self._told:
+            return None
+        return [self._list_inputs(self._run.inputs[self._told :]), repr([tuple(point) for point in self._passed])]
+
+    @_kept_choice.setter
+    def _kept_choice(self, saved: list[Any]) -> None:
+        self._run = MachineRun(self._program, [*self._run.inputs, *self._read_inputs(saved[0])])
+        self._passed = [_Point(*point) for point in ast.literal_eval(saved[1])]
+
+    def _list_inputs(self, inputs: Sequence[Input]) -> list[Any]:
+        return [each if isinstance(each, int) else [each.observation, each.mask] for each in inputs]
+
+    def _read_inputs(self, saved: list[Any]) -> list[Input]:
+        return [each if isinstance(each, int) else self._look(each[0], np.asarray(each[1], np.bool_)) for each in saved]
 
     @property
     def _since(self) -> list[Any]:

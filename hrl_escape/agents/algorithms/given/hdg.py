@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, MarkovRun, OptionPolicy, SMDPTransition, count_actions
+from hrl_escape.agents.agent import MarkovRun, OptionPolicy, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import (
     EpsilonSettings,
     choose_best,
@@ -27,6 +27,7 @@ from hrl_escape.agents.components.tables import ResolutionSettings, make_discret
 from hrl_escape.agents.hierarchy.regions import Landmarks
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Range
 
@@ -51,7 +52,7 @@ class HdgSettings(ResolutionSettings, EpsilonSettings):
     """Bound on states met; memory grows with its square."""
 
 
-class Hdg(Agent):
+class Hdg(RowStreamAgent):
     """Distances D from each state, by action, to the goals kept there: near ones and all landmarks.
 
     After a from s to s' in k primitives, for every goal g that s keeps, those in its region and in neighbouring ones:
@@ -258,6 +259,7 @@ class Hdg(Agent):
             "terminal": self._terminal,
             "steps": self._steps,
             "rng": self._rng.bit_generator.state,
+            **super().state_dict(),
         }
 
     def load_state_dict(self, state: StateTree) -> None:
@@ -271,3 +273,4 @@ class Hdg(Agent):
         self._terminal = [int(each) for each in state["terminal"]]
         self._steps = int(state["steps"])
         self._rng.bit_generator.state = state["rng"]
+        super().load_state_dict(state)

@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.agent import SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_index
 from hrl_escape.agents.components.tables import (
     QTable,
@@ -25,6 +25,7 @@ from hrl_escape.agents.components.tables import (
     make_discretiser,
 )
 from hrl_escape.agents.state import Kept
+from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range
 
 
@@ -70,7 +71,7 @@ class _Turn(NamedTuple):
     subgoal: bytes | None
 
 
-class HqLearning(Agent):
+class HqLearning(RowStreamAgent):
     """Values of primitives by agent and observation, and of subgoals by agent.
 
     Agent i acts until it observes its subgoal g_i after at least one primitive; then i + 1 takes over, and the last one
@@ -99,6 +100,8 @@ class HqLearning(Agent):
         Kept("_turns", pack=lambda turns: repr([(tuple(turn), begun) for turn, begun in turns]),
              unpack=lambda saved: [(_Turn(*turn), begun) for turn, begun in ast.literal_eval(saved)]),
     )
+    EPISODE = ("_trial", "_turns")
+    EPISODE_STATE = ("trial", "turns")
 
     def __init__(
         self,
@@ -117,15 +120,19 @@ class HqLearning(Agent):
         self._met: list[bytes] = []
         self._rng = make_rng(seed, "actions")
         self._steps = 0
-        self._begin()
+        self._evaluation: tuple[np.random.Generator, _Turn] | None = None
+        self.begin_episode()
 
-    def _begin(self) -> None:
+    def begin_episode(self) -> None:
         """Nothing runs: a new trial."""
-        self._turn: _Turn | None = None
         self._trial: list[_Acted] = []
         self._turns: list[tuple[_Turn, int]] = []
         """Turns of this trial, each with the number of decisions before it."""
-        self._evaluation: tuple[np.random.Generator, _Turn] | None = None
+
+    @property
+    def _turn(self) -> _Turn | None:
+        """Turn that runs."""
+        return self._turns[-1][0] if self._turns else None
 
     @property
     def last(self) -> int:
@@ -152,9 +159,8 @@ class HqLearning(Agent):
         key = self._discretise(observation)
         if self._turn is None:
             self._meet(key)
-            self._turn = self._take_over(0, self._rng)
-            self._turns = [(self._turn, 0)]
-        values = self.tables[self._turn.agent].get_values(key)
+            self._turns = [(self._take_over(0, self._rng), 0)]
+        values = self.tables[self._turns[-1][0].agent].get_values(key)
         if self._rng.random() >= compute_epsilon(self.settings, self._steps):
             return choose_best(values, action_mask, self._rng)
         scaled = np.where(action_mask, values, -np.inf) / self.settings.temperature
@@ -174,21 +180,19 @@ class HqLearning(Agent):
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Note a decision, hand over at the subgoal, and learn at the end of the trial."""
-        assert self._turn is not None
+        turn = self._turn
+        assert turn is not None
         key, after = self._discretise(transition.observation), self._discretise(transition.next_observation)
-        value = float(self.tables[self._turn.agent].get_values(key)[transition.action_mask].max())
-        self._trial.append(
-            _Acted(self._turn.agent, key, transition.action, transition.reward, transition.discount, value)
-        )
+        value = float(self.tables[turn.agent].get_values(key)[transition.action_mask].max())
+        self._trial.append(_Acted(turn.agent, key, transition.action, transition.reward, transition.discount, value))
         self._steps += transition.duration
         self._meet(after)
         if transition.terminated or transition.truncated:
             error = self._learn(after, transition)
-            self._begin()
+            self.begin_episode()
             return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps)}
-        if after == self._turn.subgoal:
-            self._turn = self._take_over(self._turn.agent + 1, self._rng)
-            self._turns.append((self._turn, len(self._trial)))
+        if after == turn.subgoal:
+            self._turns.append((self._take_over(turn.agent + 1, self._rng), len(self._trial)))
         return {}
 
     def _meet(self, key: bytes) -> None:
@@ -232,6 +236,5 @@ class HqLearning(Agent):
                 self.subgoals.update((turn.agent, turn.subgoal), target)
 
     def after_load(self) -> None:
-        """Go on with the turn that ran; evaluations begin anew."""
-        self._turn = self._turns[-1][0] if self._turns else None
+        """Evaluations begin anew."""
         self._evaluation = None

@@ -66,7 +66,11 @@ class MaxqQ(TabularRunner):
 
     Settings: ClassVar[type] = MaxqQSettings
     settings: MaxqQSettings
+    EPISODE = (*TabularRunner.EPISODE, "_way")
+    EPISODE_STATE = (*TabularRunner.EPISODE_STATE, "way")
     STATE = ("tables", Kept("_told_way", "way"))
+    _way: list[tuple[Seen, int, float]]
+    """Moments of the running root call; how long each one's primitive took, and what it earned."""
 
     def __init__(
         self,
@@ -82,8 +86,11 @@ class MaxqQ(TabularRunner):
         self.tables = {name: ValueTable(settings.learning_rate, settings.learning_rate_power, settings.initial_value)
                        for name in ("completion", "own_completion", "primitive", "walk")}
         self._discretise = _make_discretiser(observation_space, settings, self.hierarchy)
-        self._way: list[tuple[Seen, int, float]] = []
-        """Moments of the running root call; how long each one's primitive took, and what it earned."""
+
+    def begin_episode(self) -> None:
+        """No call runs."""
+        super().begin_episode()
+        self._way = []
 
     # --- values -----------------------------------------------------------------------
 
