@@ -24,6 +24,7 @@ LESSONS = [
     ("stable_baselines.py", ["--steps", "256"],
      [r"DQN on primitives", r"MaskablePPO on options: 256 steps, then return",
       r"PPO as the option balance: \d+ primitives, reward \d+, ended by (reached|episode-over)"]),
+    ("cleanrl_ppo.py", ["--primitives", "24576"], [r"24,576 primitives: return (8[5-9]|9\d), 100% of \d+ episodes escape"]),
     ("torchrl_macros.py", [],
      [r"transform: 8 rewards, sum -17\.122;", r"'brake': 0", r"macro: 8 primitives, reached, sum -17\.122,.*\^k 0\.430",
       r"brake: \d+ primitives, reached", r"brake: cannot start here"]),

@@ -91,7 +91,7 @@ MUTATIONS = [
           "float(frame.primitives > 0 and self._until(seen))", "float(self._until(seen))",
           "test_macro_q.py::test_random_walks_last_as_long_as_the_paper_s_room_makes_them"),
     _trap("a subgoal seen at the start of a turn hands over", "hq_learning",
-          "if after == self._turn.subgoal:", "if self._turn.subgoal in (after, key):",
+          "if after == turn.subgoal:", "if self._turn.subgoal in (after, key):",
           "test_hq_learning.py::test_a_subgoal_counts_after_a_primitive_only"),
     # truncation in nested calls
     _trap("a caller learns from a call that was cut", "maxq_q",
@@ -123,7 +123,7 @@ MUTATIONS = [
           "if inside and settings.patience:", "if False:",
           "test_h_uct.py::test_a_task_that_never_ends_leaves_budget_for_its_caller"),
     _trap("an agent's return is mixed with its own value after it handed over", "hq_learning",
-          "value = float(self.tables[self._turn.agent].get_values(key)",
+          "value = float(self.tables[turn.agent].get_values(key)",
           "value = float(self.tables[0].get_values(key)",
           "test_hq_learning.py::test_a_trial_teaches_values_of_primitives_and_of_the_subgoal_by_hand"),
     _trap("the last agent's best subgoal stands for what it earned", "hq_learning",
