@@ -2,7 +2,7 @@
 
 `{room}` takes the arguments of `hrl-escape room` (or, with `:solve:`, of `hrl-escape solve`) and
 shows the map that the command draws, or with `:camera: chase` what a camera sees. `{curve}` draws
-what `python docs/make_curves.py` has kept.
+what `python docs/make_curves.py` has kept, `{data-card}` the picture of a data set.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from hrl_escape.commands.room_choice import RoomChoice
+from hrl_escape.data.card import save_card
+from hrl_escape.data.catalogue import find_tape
+from hrl_escape.data.tape import load_tape
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import Trajectory, save_map
 from hrl_escape.env.drawing.video import save_picture
@@ -117,8 +120,20 @@ class Curve(Picture):
         return self.show(path, words, stored["command"])
 
 
+class DataCard(Picture):
+    """`{data-card} lattice-play-v1`: the picture on the card of a data set that comes with the package."""
+
+    def run(self) -> list[nodes.Node]:
+        """Replay the first episodes, draw."""
+        name = self.arguments[0]
+        path = self.choose_path(f"data {name}")
+        save_card(path, load_tape(find_tape(name)))
+        return self.show(path, " ".join(self.content), f"hrl-escape data show {name} --draw card.svg")
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
+    app.add_directive("data-card", DataCard)
     app.add_directive("room", Room)
     app.add_directive("curve", Curve)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

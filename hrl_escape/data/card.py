@@ -63,7 +63,7 @@ def draw_card(tape: Tape) -> Figure:
         figure.suptitle(f"{tape.about['name']}: {len(paths)} episodes in the first room; all decisions", fontsize=10)
         edges = np.arange(0.5, float(np.quantile(tape.duration, 0.99)) + 1.5)
         bars.hist(np.minimum(tape.duration, edges[-1] - 0.5), bins=edges, color=palette.LINES[0])  # type: ignore[arg-type]
-        bars.set(xlabel="primitives a decision (the longest 1 % at the right)", ylabel="decisions")
+        bars.set(xlabel="primitives a decision (longest 1 % last)", ylabel="decisions")
         for side in ("top", "right"):
             bars.spines[side].set_visible(False)
     return figure
