@@ -262,12 +262,12 @@ def _measure_query(query: Query, contender: str) -> QueryResult:
     goal = describe_goal(query.goal, instance)
     if isinstance(result, PathResult):
         lines = np.hypot(*np.diff(result.path, axis=0).T).tolist()
-        seconds = sum(compute_rest_to_rest(line, LIMITS.speed, LIMITS.acceleration) for line in lines)
+        seconds = sum(compute_rest_to_rest(line, LIMITS.speed, LIMITS.acceleration, LIMITS.jerk) for line in lines)
         return QueryResult(contender, query.floor, instance.id, goal, result.status == "exact", 0, 0, cold, new, again,
                            sum(lines), seconds)
     is_own = contender == AUTO or result.method == contender
     places = np.array([(state.x, state.y) for state in result.states])
-    seconds = compute_duration(result.states, LIMITS, query.search.kinematics.turn_step, 0.0)
+    seconds = compute_duration(result.states, LIMITS, query.search.kinematics.robot, query.search.kinematics.turn_step)
     return QueryResult(contender, query.floor, instance.id, goal, result.is_reached and is_own, len(result.primitives),
                        0, cold, new, again, float(np.hypot(*np.diff(places, axis=0).T).sum()), seconds)
 

@@ -1,8 +1,8 @@
 """Pictures drawn while the site is built: rooms by the real generator, learning curves from stored runs.
 
-`{room}` takes the arguments of `hrl-escape room` (or, with `:solve:`, of `hrl-escape solve`) and
-shows the map that the command draws, or with `:camera: chase` what a camera sees. `{curve}` draws
-what `python docs/make_curves.py` has kept, `{data-card}` the picture of a data set.
+`{room}` takes the arguments of `hrl-escape room` (or, with `:solve:`, of `hrl-escape solve`, with `:moving:`
+as a trajectory) and shows the map that the command draws, or with `:camera: chase` what a camera sees. `{curve}`
+draws what `python docs/make_curves.py` has kept, `{data-card}` the picture of a data set.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from hrl_escape.env.engine import film
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.figures import save_figure
+from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.planner import get_planner
 
 CURVES = Path(__file__).parents[1] / "curves"
@@ -67,7 +68,7 @@ class Picture(SphinxDirective):
 class Room(Picture):
     """`{room} --preset clutter --seed 3`."""
 
-    option_spec = {"solve": directives.flag, "camera": directives.unchanged}
+    option_spec = {"solve": directives.flag, "moving": directives.flag, "camera": directives.unchanged}
 
     def run(self) -> list[nodes.Node]:
         """Generate, plan if asked, draw."""
@@ -79,6 +80,10 @@ class Room(Picture):
             plan = get_planner(instance).solve(state)
             paths = [Trajectory(plan.path[part.start : part.stop + 1], part.name) for part in plan.parts]
             state = plan.states[-1]
+            if "moving" in self.options:
+                path = self.choose_path(f"moving {self.arguments[0]}")
+                make_trajectory(plan).draw(instance, path)
+                return self.show(path, " ".join(self.content), f"hrl-escape solve {self.arguments[0]} --draw way.html")
         path = self.choose_path(f"{verb} {self.arguments[0]} {sorted(self.options)}")
         if camera := self.options.get("camera"):
             path = path.with_suffix(".png")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance, Start
-from hrl_escape.env.kinematics import RoomState, Rules, Transition
+from hrl_escape.env.kinematics import Glide, RoomState, Rules, Transition
 from hrl_escape.errors import ConfigError, UnknownNameError
 
 CAMERAS: dict[str, str] = {
@@ -57,6 +57,10 @@ class Engine(Protocol):
 
     def step(self, action: int) -> Transition:
         """Apply one primitive, a number of `rules.actions` that is not checked here."""
+        ...
+
+    def glide(self, motion: Glide) -> Transition:
+        """Apply a short motion in continuous coordinates in place of a primitive."""
         ...
 
     def show(self, rate: float) -> None:

@@ -21,9 +21,11 @@ from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH, Contacts
 from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
 
-__all__ = ["Kinematics", "RoomState", "Rules", "Transition"]
+__all__ = ["Glide", "Kinematics", "RoomState", "Rules", "Transition"]
 
 _AHEAD = (1.0, 0.0)
+_ROUNDING = 1e-12
+"""Angle from a whole step that sums of small motions may leave by rounding, rad."""
 
 
 class Transition(NamedTuple):
@@ -34,6 +36,24 @@ class Transition(NamedTuple):
     terminated: bool
     truncated: bool
     pressed: tuple[int, ...]
+
+
+class Glide(NamedTuple):
+    """A short motion of base and arm in continuous coordinates.
+
+    Attributes:
+        dx: displacement of the base's axis in the room frame, m.
+        dy: likewise.
+        turn: of the base, rad.
+        joints: change of each joint's angle, rad.
+        seconds: time that it takes (physics).
+    """
+
+    dx: float
+    dy: float
+    turn: float
+    joints: tuple[float, ...]
+    seconds: float
 
 
 class Rules(RobotPoses):
@@ -194,6 +214,38 @@ class Kinematics(Rules):
         else:
             moved = self._translate(state, action, scale)
         return self.judge(state, moved, grip=primitive.grip)
+
+    def glide(self, state: RoomState, motion: Glide) -> Transition:
+        """Apply a short motion in place of a primitive; pure, too.
+
+        The base goes straight until its first contact, then turns on the spot if nothing is in the way; joints stop at
+        their limits. Noise and slip are those of a primitive; one that slips stays.
+        """
+        scale = 1.0
+        if self._noise or self._slip:
+            normal, uniform = compute_noise(state.noise_key, state.primitives)
+            scale = 0.0 if uniform < self._slip else 1.0 + self._noise * normal
+        x, y, steps, offset = state.x, state.y, state.heading_steps, state.heading_offset
+        dx, dy, turn = scale * motion.dx, scale * motion.dy, scale * motion.turn
+        rotation = self.get_rotation(steps, offset)
+        if dx or dy:
+            fraction = self.compute_free_fraction(x, y, dx, dy, state.puzzle, rotation)
+            if fraction >= 1.0 or not self._stays:
+                x, y = x + fraction * dx, y + fraction * dy
+        if turn:
+            to = self.split_heading(steps * self.turn_step + offset + turn)
+            to = to if abs(to[1]) > _ROUNDING else (to[0], 0.0)
+            if self.can_turn(state._replace(x=x, y=y), self.get_rotation(*to), turn):
+                steps, offset = to
+        joint_steps, joint_offsets = state.joint_steps, state.joint_offsets
+        if any(motion.joints):
+            pairs = zip(self.get_angles(state), motion.joints, self.robot.limits, strict=True)
+            joint_steps, joint_offsets = self.split_angles(
+                min(max(angle + scale * change, low), high) for angle, change, (low, high) in pairs)
+            joint_offsets = joint_offsets if max(map(abs, joint_offsets)) > _ROUNDING else ()
+        touching = self.compute_touching(x, y, steps, offset, joint_steps, joint_offsets)
+        return self.judge(state, state._replace(x=x, y=y, heading_steps=steps, heading_offset=offset, touching=touching,
+                                                joint_steps=joint_steps, joint_offsets=joint_offsets))
 
     def _slide(self, state: RoomState, action: int, scale: float, share: float) -> int:
         """Translation that a slipping one becomes, chosen by a uniform number; other primitives do not slip."""

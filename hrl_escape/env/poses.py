@@ -7,7 +7,7 @@ same steps give the same floats, whatever led to them. Metres, radians.
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 from hrl_escape.env.config import RobotConfig
@@ -96,6 +96,20 @@ class RobotPoses:
     def compute_heading(steps: int, offset: float, turn_step: float) -> float:
         """Heading in [-pi, pi), rad: the same steps give the same float, whatever led to them."""
         return (steps * turn_step + offset + math.pi) % math.tau - math.pi
+
+    def split_heading(self, heading: float) -> tuple[int, float]:
+        """Whole turn steps of a heading in rad, and the rest of it, rad."""
+        turns = round(heading / self.turn_step)
+        return turns % self.headings, heading - turns * self.turn_step
+
+    def split_angles(self, angles: Iterable[float]) -> tuple[tuple[int, ...], tuple[float, ...]]:
+        """Whole joint steps from home of joint angles in rad, and the rest of each, rad."""
+        robot, steps, offsets = self.robot, [], []
+        for angle, home, low, high in zip(angles, robot.home, robot.step_low, robot.step_high, strict=True):
+            step = min(max(round((angle - home) / robot.step), low), high)
+            steps.append(step)
+            offsets.append(angle - (home + step * robot.step))
+        return tuple(steps), tuple(offsets)
 
     def list_rotations(self) -> tuple[tuple[float, float], ...]:
         """Cosine and sine of each heading of whole turn steps."""

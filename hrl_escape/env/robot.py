@@ -46,6 +46,8 @@ class _Joint:
     axis: NDArray[np.float64]  # (3,) unit
     low: float
     high: float
+    speed: float
+    effort: float
 
     @cached_property
     def rows(self) -> tuple[tuple[float, ...], ...]:
@@ -81,6 +83,8 @@ class Robot:
         step_low: fewest joint steps from home that stay within the limits (<= 0).
         step_high: most joint steps from home that stay within the limits (>= 0).
         limits: (low, high) of each joint, rad.
+        speeds: largest speed of each joint, rad/s; infinite where the URDF states none.
+        efforts: largest torque of each joint, N m; infinite where the URDF states none.
         chain: joints from the base to the hand, moving or not.
         rest: angles of the moving joints that no primitive moves, by name, rad (or m).
     """
@@ -93,6 +97,8 @@ class Robot:
     step_low: tuple[int, ...]
     step_high: tuple[int, ...]
     limits: tuple[tuple[float, float], ...]
+    speeds: tuple[float, ...]
+    efforts: tuple[float, ...]
     chain: tuple[_Joint, ...]
     rest: dict[str, float]
 
@@ -317,9 +323,13 @@ def _read_joint(element: ElementTree.Element) -> tuple[str, _Joint]:
         low, high = (_read_numbers(name, limit.get(side, "0"), 1)[0] for side in ("lower", "upper"))
         if not low <= high:
             raise RobotError(f"joint {name!r} of the URDF: lower limit {low:g} is above upper {high:g}")
+    speed, effort = (math.inf if limit is None else _read_numbers(name, limit.get(what, "0"), 1)[0] or math.inf
+                     for what in ("velocity", "effort"))
+    if min(speed, effort) < 0.0:
+        raise RobotError(f"joint {name!r} of the URDF: limits of velocity and effort are numbers from 0 (none) up")
     parent = element.find("parent")
     above = parent.get("link", "") if parent is not None else ""
-    return above, _Joint(name, kind, placement, axis, low, high)
+    return above, _Joint(name, kind, placement, axis, low, high, speed, effort)
 
 
 def _read_vector(joint: ElementTree.Element, tag: str, key: str, default: str) -> NDArray[np.float64]:
@@ -376,6 +386,8 @@ def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Rob
         step_low=tuple(math.ceil((j.low - at - slack) / step) for j, at in zip(used, home, strict=True)),
         step_high=tuple(math.floor((j.high - at + slack) / step) for j, at in zip(used, home, strict=True)),
         limits=tuple((j.low, j.high) for j in used),
+        speeds=tuple(j.speed for j in used),
+        efforts=tuple(j.effort for j in used),
         chain=tuple(chain),
         rest=rest,
     )

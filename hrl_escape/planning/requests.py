@@ -21,6 +21,7 @@ from hrl_escape.clock import Clock
 from hrl_escape.env.geometry import compute_distance, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.robot import make_robot
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason
 from hrl_escape.planning.areas import grow_solids
 from hrl_escape.planning.goals import Goal
@@ -48,7 +49,7 @@ class PlanningRequest:
         time_limit: limit of the call, s; None for none. With one, the result may depend on the machine.
         objective: cost to keep low. `primitives`: their number. `length`: metres that the base travels. `clearance`:
             these metres, each weighted by how much of one metre of clearance it lacks. `time`: seconds under `limits`.
-        limits: speeds and accelerations, for the objective `time`.
+        limits: speeds, accelerations and jerks, for the objective `time`.
         improve: go on after the first plan until the budget is spent or the lower bound is met. Objectives other than
             `primitives` always compare several plans.
         seed: of randomised path planners.
@@ -142,9 +143,8 @@ def compute_plan_cost(plan: Plan, request: PlanningRequest) -> float:
         return float(np.hypot(*np.diff(plan.path, axis=0).T).sum())
     if request.objective == "clearance":
         return compute_lacking_clearance(plan)
-    robot = plan.instance.robot
-    return compute_duration(plan.states, request.limits, math.radians(robot.turn_step_deg),
-                            math.radians(robot.joint_step_deg))
+    config = plan.instance.robot
+    return compute_duration(plan.states, request.limits, make_robot(config), math.radians(config.turn_step_deg))
 
 
 def compute_lacking_clearance(plan: Plan) -> float:
@@ -185,7 +185,7 @@ def bound_cost(instance: RoomInstance, state: RoomState, goals: tuple[Goal, ...]
         metres = max(metres, compute_distance(state.x, state.y, shape) - reach)
     if request.objective == "length" or metres == 0.0:
         return metres
-    return compute_rest_to_rest(metres, request.limits.speed, request.limits.acceleration)
+    return compute_rest_to_rest(metres, request.limits.speed, request.limits.acceleration, request.limits.jerk)
 
 
 WAY_MARGINS = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)

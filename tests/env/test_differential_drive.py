@@ -147,11 +147,10 @@ def test_escapes_come_true_and_take_longer_than_with_a_base_that_strafes():
     assert costs["differential"] > costs["strafing"]
 
 
-@pytest.mark.parametrize("method", ["trapezoid", "toppra"])
-def test_trajectories_turn_on_the_spot_and_drive_straight(method):
+def test_trajectories_turn_on_the_spot_and_drive_straight():
     planner = RoomPlanner(generate(SMALL, 2))
     plan = planner.solve(planner.rules.make_state(planner.instance.starts[0]))
-    trajectory = make_trajectory(plan, MotionLimits(speed=1.0, acceleration=0.5), method=method)
+    trajectory = make_trajectory(plan, MotionLimits(speed=1.0, acceleration=0.5))
     times = np.linspace(0.0, trajectory.duration, 3_000)
     (x, y, heading), (vx, vy, turning) = trajectory.evaluate(times)[:, :3].T, trajectory.evaluate(times, 1)[:, :3].T
     assert np.abs(vy * np.cos(heading) - vx * np.sin(heading)).max() < 1e-6

@@ -102,13 +102,16 @@ def test_lacking_clearance_is_the_integral_of_what_a_metre_lacks():
     assert compute_lacking_clearance(plan) == pytest.approx(lacks * (plan.path[-1, 0] - plan.path[0, 0]))
 
 
-def test_times_are_those_of_trapezoids_and_triangles():
-    assert compute_rest_to_rest(4.0, 1.0, 1.0) == 5.0  # 1 s up, 3 s at 1 m/s, 1 s down
-    assert compute_rest_to_rest(0.25, 1.0, 1.0) == 1.0  # half a second up, half a second down
+def test_times_are_those_of_trapezoids_and_triangles_with_rounded_corners():
+    assert compute_rest_to_rest(4.0, 1.0, 1.0, 1e12) == pytest.approx(5.0)  # 1 s up, 3 s at 1 m/s, 1 s down
+    assert compute_rest_to_rest(0.25, 1.0, 1.0, 1e12) == pytest.approx(1.0)  # half a second up, half a second down
+    assert compute_rest_to_rest(4.0, 1.0, 1.0, 1.0) == pytest.approx(6.0)  # 2 s up and 2 s down, 1 m each
+    assert compute_rest_to_rest(2.0, 1.0, 9.0, 1.0) == pytest.approx(4.0)  # 1 s of each jerk: 1/6, 5/6, 5/6, 1/6 m
     planner = RoomPlanner(generate(get_preset("paper-two-button"), 0))
     start = planner.rules.make_state(planner.instance.starts[0])
     result = planner.answer(PlanningRequest(start, "3,0", objective="time"))
-    assert result.plan is not None and result.cost == pytest.approx(compute_rest_to_rest(result.plan.cost, 1.0, 1.0))
+    assert result.plan is not None
+    assert result.cost == pytest.approx(compute_rest_to_rest(result.plan.cost, 1.0, 1.0, 10.0))
 
 
 def test_improvement_is_monotone_reported_and_reaches_the_reference():

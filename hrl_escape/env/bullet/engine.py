@@ -12,14 +12,15 @@ import os
 import sys
 import time
 import weakref
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import pybullet
 
 from hrl_escape.env.bullet.physics import PhysicsDynamics
 from hrl_escape.env.bullet.scene import SceneBodies, build_scene, show_door, show_exit, show_inner_door, show_lit
 from hrl_escape.env.instance import RoomInstance, Start
-from hrl_escape.env.kinematics import Kinematics, RoomState, Rules, Transition
+from hrl_escape.env.kinematics import Glide, Kinematics, RoomState, Rules, Transition
 from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.state_checks import check_state
 from hrl_escape.errors import ClosedError, UnsupportedError
@@ -108,10 +109,17 @@ class BulletRoom:
         Raises:
             ClosedError: the room was closed, or its window.
         """
+        return self._move(self._mover.step, action)
+
+    def glide(self, motion: Glide) -> Transition:
+        """Apply a short motion in continuous coordinates. Raises `ClosedError` as `step` does."""
+        return self._move(self._mover.glide, motion)
+
+    def _move(self, mover: Callable[[RoomState, Any], Transition], motion: Any) -> Transition:
         if self._is_closed:
             self._require_open()
         try:
-            transition = self._mover.step(self.state, action)
+            transition = mover(self.state, motion)
         except pybullet.error:
             self._require_open()
             raise

@@ -18,7 +18,7 @@ room of the same instance, in any process.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ import pybullet
 
 from hrl_escape.env.bullet.scene import SceneBodies
 from hrl_escape.env.instance import Start
-from hrl_escape.env.kinematics import RoomState, Rules, Transition
+from hrl_escape.env.kinematics import Glide, RoomState, Rules, Transition
 from hrl_escape.env.noise import compute_noise
 from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.primitives import Primitive
@@ -187,10 +187,9 @@ class PhysicsDynamics:
         x, y, heading = (drive[0] for drive in drives)
         reach_x, reach_y = self._reach  # against the alcove's far wall a contact gives way a millimetre beyond the exit
         x, y = min(max(x, -reach_x), reach_x), min(max(y, -reach_y), reach_y)
-        turns = round(heading / rules.turn_step)
-        steps, offset = turns % rules.headings, heading - turns * rules.turn_step
+        steps, offset = rules.split_heading(heading)
         joints = pybullet.getJointStates(scene.robot, scene.joints, client) if scene.joints else ()
-        joint_steps, joint_offsets = self._split_angles(joint[0] for joint in joints)
+        joint_steps, joint_offsets = rules.split_angles(joint[0] for joint in joints)
         door = ()
         if scene.door is not None:
             door = pybullet.getJointState(scene.door, 0, client)[:2]
@@ -210,14 +209,6 @@ class PhysicsDynamics:
         return before._replace(x=x, y=y, heading_steps=steps, heading_offset=offset, joint_steps=joint_steps,
                                joint_offsets=joint_offsets, touching=pressed | before.touching & near, physics=physics)
 
-    def _split_angles(self, angles: Iterable[float]) -> tuple[tuple[int, ...], tuple[float, ...]]:
-        robot, steps, offsets = self._rules.robot, [], []
-        for angle, home, low, high in zip(angles, robot.home, robot.step_low, robot.step_high, strict=True):
-            step = min(max(round((angle - home) / robot.step), low), high)
-            steps.append(step)
-            offsets.append(angle - (home + step * robot.step))
-        return tuple(steps), tuple(offsets)
-
     # --- motion ----------------------------------------------------------------------------
 
     def step(self, state: RoomState, action: int) -> Transition:
@@ -233,6 +224,21 @@ class PhysicsDynamics:
             pressed = self._move_joint(state, primitive, scale)
         else:
             pressed = self._drive(state, primitive, scale)
+        return self._judge(state, pressed)
+
+    def glide(self, state: RoomState, motion: Glide) -> Transition:
+        """Run a short motion at an even rate in place of a primitive; as pure as `step`, noise and slip left out."""
+        self._write(state)
+        self._hold(state)
+        count = max(1, round(motion.seconds * RATE))
+        pairs = zip(self._rules.get_angles(state), motion.joints, self._rules.robot.limits, strict=True)
+        joints = [(joint, angle, min(max(angle + change, low), high) - angle)
+                  for joint, (angle, change, (low, high)) in enumerate(pairs)]
+        pressed = self._run([RATE / count] * count, (motion.dx, motion.dy, motion.turn), joints)
+        return self._judge(state, pressed)
+
+    def _judge(self, state: RoomState, pressed: int) -> Transition:
+        """Transition to where Bullet's world is after the motion."""
         moved = self._read(state, pressed)
         poses = tuple(get_planar_pose(numbers) for numbers in moved.physics.props)
         transition = self._rules.judge(state, moved, poses)
@@ -271,18 +277,16 @@ class PhysicsDynamics:
             change = 0.0
         change = min(max(angle + change, low), high) - angle
         profile = _make_profile(abs(change) / _TURN_SPEED)
-        return self._run(profile, (0.0, 0.0, 0.0), joint, angle, change)
+        return self._run(profile, (0.0, 0.0, 0.0), ((joint, angle, change),))
 
-    def _run(self, profile: tuple[float, ...], way: tuple[float, float, float], joint: int = -1, angle: float = 0.0,
-             change: float = 0.0) -> int:
+    def _run(self, profile: Sequence[float], way: tuple[float, float, float],
+             joints: Sequence[tuple[int, float, float]] = ()) -> int:
         """Simulate one sub-step for each rate of a profile.
 
         Args:
-            profile: rates in 1/s by which `way` and `change` are covered.
+            profile: rates in 1/s by which `way` and the joints' displacements are covered.
             way: displacement of the base along x and y, m, and about z, rad.
-            joint: a joint that moves, or -1.
-            angle: that joint's angle, rad.
-            change: its displacement, rad.
+            joints: index of each joint that moves, its angle and its displacement, rad.
 
         Returns:
             Bits of the targets that were pressed.
@@ -293,11 +297,11 @@ class PhysicsDynamics:
             pybullet.setJointMotorControlArray(scene.robot, scene.drives, pybullet.VELOCITY_CONTROL,
                                                targetVelocities=[rate * part for part in way],
                                                forces=self._drive_forces, physicsClientId=client)
-            if joint >= 0:
+            for joint, angle, change in joints:
                 pybullet.setJointMotorControl2(scene.robot, scene.joints[joint], pybullet.POSITION_CONTROL,
                                                angle + done * change, rate * change, self._efforts[joint],
                                                _POSITION_GAIN, 1.0, physicsClientId=client)
-                done += rate / RATE
+            done += rate / RATE
             pybullet.stepSimulation(client)
             if self._targets:
                 pressed |= self._find_pressed()

@@ -321,7 +321,8 @@ class ArmPlanner:
             except OutOfTime:
                 raise fail(clock.reason) from None
             if path is not None:
-                return MotionPath(names, path / scale, scale, margin / 4.0, planner, spent.calls, read_clock() - began)
+                return MotionPath(names, path / scale, scale, margin / 4.0, planner, spent.calls, read_clock() - began,
+                                  self.rules.robot)
             if spent.calls >= budget:
                 raise fail(PlanningReason.BUDGET_EXHAUSTED)
         raise fail(PlanningReason.UNREACHABLE_AT_RESOLUTION)

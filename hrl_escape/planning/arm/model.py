@@ -104,6 +104,19 @@ class ArmKinematics:
                                                   pinocchio.LOCAL_WORLD_ALIGNED)
         return jacobian.reshape(6, self.model.nv)[:, columns]  # of one joint it comes as a vector
 
+    def compute_efforts(self, angles: ArrayLike, speeds: ArrayLike, accelerations: ArrayLike) -> NDArray[np.float64]:
+        """Torque that each joint needs for a motion, by the recursive Newton-Euler algorithm, (joints,), N m.
+
+        Args:
+            angles: (joints,), rad.
+            speeds: (joints,), rad/s.
+            accelerations: (joints,), rad/s^2.
+        """
+        columns = [self.model.joints[joint].idx_v for joint in self._used]
+        rates = np.zeros((2, self.model.nv))
+        rates[0, columns], rates[1, columns] = speeds, accelerations
+        return pinocchio.rnea(self.model, self._data, self._make_q(np.asarray(angles).tolist()), *rates)[columns]
+
     def _make_q(self, angles: Sequence[float]) -> NDArray[np.float64]:
         q = self._rest.copy()
         for joint, angle in zip(self._used, angles, strict=True):

@@ -1,8 +1,4 @@
-"""Limits of speed and acceleration, and the shortest time in which a plan's motions keep them.
-
-A motion from rest to rest over a distance d takes d / v + v / a, or 2 sqrt(d / a) if the top speed v is
-not reached: a trapezoid or a triangle of speed over time.
-"""
+"""Limits of speed, acceleration and jerk, and the shortest time in which a plan's motions keep them."""
 
 from __future__ import annotations
 
@@ -10,73 +6,117 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.robot import Robot
 from hrl_escape.errors import ConfigError
 
 
 @dataclasses.dataclass(frozen=True)
 class MotionLimits:
-    """Limits of the base and of every joint.
+    """Limits of the base, in every direction of the plane, and of the joints: one number for all, or one for each.
 
     Attributes:
         speed: of the base's axis, m/s.
         acceleration: of the base's axis, m/s^2.
+        jerk: of the base's axis, m/s^3.
         turn_speed: of the base, rad/s.
         turn_acceleration: of the base, rad/s^2.
-        joint_speed: of each joint, rad/s.
-        joint_acceleration: of each joint, rad/s^2.
+        turn_jerk: of the base, rad/s^3.
+        joint_speed: of joints, rad/s; a joint never moves faster than its URDF allows.
+        joint_acceleration: of joints, rad/s^2.
+        joint_jerk: of joints, rad/s^3.
     """
 
     speed: float = 1.0
     acceleration: float = 1.0
+    jerk: float = 10.0
     turn_speed: float = 1.5
     turn_acceleration: float = 3.0
-    joint_speed: float = 1.0
-    joint_acceleration: float = 2.0
+    turn_jerk: float = 30.0
+    joint_speed: float | tuple[float, ...] = 1.0
+    joint_acceleration: float | tuple[float, ...] = 2.0
+    joint_jerk: float | tuple[float, ...] = 20.0
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < math.inf:
-                raise ConfigError(f"limits.{field.name}", value, "a finite number above 0")
+            numbers = value if isinstance(value, tuple) and field.name.startswith("joint") else (value,)
+            for number in numbers:
+                if isinstance(number, bool) or not isinstance(number, (int, float)) or not 0.0 < number < math.inf:
+                    raise ConfigError(f"limits.{field.name}", value, "a finite number above 0")
+
+    def stack(self, names: Sequence[str], robot: Robot | None = None) -> NDArray[np.float64]:
+        """Largest speed, acceleration and jerk of each coordinate, shape (coordinates, 3).
+
+        Args:
+            names: `x`, `y`, `heading`, and joints.
+            robot: names the joints, and caps their speeds by its URDF; None for joints in the order of `names`.
+
+        Raises:
+            ConfigError: limits for another number of joints.
+        """
+        joints = robot.joint_names if robot else tuple(name for name in names if name not in ("x", "y", "heading"))
+        own: dict[str, list[float]] = {name: [] for name in joints}
+        for kind in ("joint_speed", "joint_acceleration", "joint_jerk"):
+            value = getattr(self, kind)
+            values = value if isinstance(value, tuple) else (value,) * len(joints)
+            if len(values) != len(joints):
+                raise ConfigError(f"limits.{kind}", value, f"one number, or one for each of {len(joints)} joints")
+            for number, name in enumerate(joints):
+                top = robot.speeds[number] if robot and kind == "joint_speed" else math.inf
+                own[name].append(min(values[number], top))
+        base = [self.speed, self.acceleration, self.jerk]
+        every = {"x": base, "y": base, "heading": [self.turn_speed, self.turn_acceleration, self.turn_jerk], **own}
+        return np.array([every[name] for name in names]).reshape(-1, 3)
 
 
-def compute_rest_to_rest(distance: float, speed: float, acceleration: float) -> float:
+def compute_ramp(acceleration: float, jerk: float) -> float:
+    """Shortest time of a change of speed by one, begun and ended without acceleration."""
+    return 1.0 / acceleration + acceleration / jerk if acceleration**2 <= jerk else 2.0 / math.sqrt(jerk)
+
+
+def compute_rest_to_rest(distance: float, speed: float, acceleration: float, jerk: float) -> float:
     """Shortest time from rest to rest over a distance, s."""
-    if distance * acceleration >= speed**2:
-        return distance / speed + speed / acceleration
-    return 2.0 * math.sqrt(distance / acceleration)
+    ramp = compute_ramp(acceleration / speed, jerk / speed)
+    if distance >= speed * ramp:
+        return distance / speed + ramp
+    if distance <= 2.0 * acceleration**3 / jerk**2:  # the limit of acceleration is not reached
+        return 4.0 * (distance / (2.0 * jerk)) ** (1 / 3)
+    lost = acceleration / jerk
+    return lost + math.sqrt(lost**2 + 4.0 * distance / acceleration)
 
 
-def compute_duration(states: Sequence[RoomState], limits: MotionLimits, turn_step: float, joint_step: float) -> float:
+def compute_duration(states: Sequence[RoomState], limits: MotionLimits, robot: Robot, turn_step: float) -> float:
     """Shortest time to go through states one after another, s; the base rests wherever its direction changes.
 
     Args:
         states: states of a plan, each one primitive after the one before.
-        limits: of speed and acceleration.
+        limits: of speed, acceleration and jerk.
+        robot: the robot.
         turn_step: angle of a turn, rad.
-        joint_step: angle of a joint step, rad.
     """
-    pairs = {"move": (limits.speed, limits.acceleration), "turn": (limits.turn_speed, limits.turn_acceleration),
-             "joint": (limits.joint_speed, limits.joint_acceleration)}
-    total, now, length = 0.0, ("", 0, 0.0, 0.0), 0.0
+    rates = limits.stack(("x", "heading", *robot.joint_names), robot).tolist()
+    total, now, length = 0.0, (0, 0.0, 0.0), 0.0
     for before, after in zip(states, states[1:], strict=False):
         dx, dy = after.x - before.x, after.y - before.y
         away = math.hypot(dx, dy)
         joints = [i for i, (a, b) in enumerate(zip(before.joint_steps, after.joint_steps, strict=True)) if a != b]
         if away > 0.0:
-            motion, amount = ("move", 0, round(dx / away, 9), round(dy / away, 9)), away
+            motion, amount = (0, round(dx / away, 9), round(dy / away, 9)), away
         elif joints:
             change = after.joint_steps[joints[0]] - before.joint_steps[joints[0]]
-            motion, amount = ("joint", joints[0], float(change), 0.0), joint_step
+            motion, amount = (2 + joints[0], float(change), 0.0), robot.step
         elif after.heading_steps != before.heading_steps:
             turned = (after.heading_steps - before.heading_steps) * turn_step
             turned = math.remainder(turned, math.tau)
-            motion, amount = ("turn", 0, math.copysign(1.0, turned), 0.0), abs(turned)
+            motion, amount = (1, math.copysign(1.0, turned), 0.0), abs(turned)
         else:
             continue  # a blocked primitive, without any motion
         if motion != now and length:
-            total += compute_rest_to_rest(length, *pairs[now[0]])
+            total += compute_rest_to_rest(length, *rates[now[0]])
             length = 0.0
         now, length = motion, length + amount
-    return total + (compute_rest_to_rest(length, *pairs[now[0]]) if length else 0.0)
+    return total + (compute_rest_to_rest(length, *rates[now[0]]) if length else 0.0)

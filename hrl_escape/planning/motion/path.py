@@ -1,4 +1,4 @@
-"""`MotionPath`: a path through coordinates of a robot, and its corners rounded within the clearance that it has."""
+"""`MotionPath`: a path through coordinates of a robot, in straight lines."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PPoly
+
+from hrl_escape.env.robot import Robot
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,6 +23,7 @@ class MotionPath:
         planner: planner that found it.
         checks: places that were tested.
         seconds: wall time.
+        robot: the robot, whose joints' limits of speed and effort then hold.
     """
 
     names: tuple[str, ...]
@@ -31,6 +33,7 @@ class MotionPath:
     planner: str
     checks: int = 0
     seconds: float = 0.0
+    robot: Robot | None = None
 
     def interpolate(self, step: float) -> NDArray[np.float64]:
         """Points along the path at most `step` apart in every coordinate, corners included; shape (m, coordinates)."""
@@ -39,40 +42,3 @@ class MotionPath:
             count = max(1, math.ceil(float(np.abs(b - a).max()) / step))
             points.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
         return np.concatenate(points)
-
-
-def round_corners(path: MotionPath) -> PPoly:
-    """Path with its corners replaced by parabolas that stay within the margin; twice differentiable in pieces.
-
-    At a corner P with the unit directions u before and v after it, the parabola from P - l u by P to P + l v comes
-    nearest to P in its middle, l (v - u) / 4 away.
-
-    Returns:
-        Polynomials of degree 2 over metres of motion, from 0 on.
-    """
-    points = path.points * path.scale
-    keep = np.concatenate([[True], np.abs(np.diff(points, axis=0)).sum(axis=1) > 1e-9])
-    points = points[keep]
-    lengths = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
-    if not len(lengths):
-        return PPoly(np.stack([np.zeros((1, points.shape[1])), points[:1] / path.scale]), [0.0, 1e-9])
-    ways = np.diff(points, axis=0) / lengths[:, None]
-    pieces: list[tuple[float, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]] = []
-    at, done = points[0], 0.0
-    for k, way in enumerate(ways):
-        cut = 0.0
-        if k + 1 < len(ways):
-            bend = ways[k + 1] - way
-            turn = float(np.abs(bend).sum())
-            cut = min(4.0 * path.margin / turn if turn > 1e-12 else 0.0, lengths[k] / 2, lengths[k + 1] / 2)
-        straight = lengths[k] - done - cut
-        if straight > 1e-12:
-            pieces.append((straight, at, way, np.zeros_like(way)))
-        at, done = points[k + 1] - cut * way, cut
-        if cut > 0.0:
-            pieces.append((2.0 * cut, at, way, (ways[k + 1] - way) / (4.0 * cut)))
-            at = points[k + 1] + cut * ways[k + 1]
-    breaks = np.concatenate([[0.0], np.cumsum([length for length, *_ in pieces])])
-    coefficients = np.array([[bend / path.scale, way / path.scale, begin / path.scale]
-                             for _, begin, way, bend in pieces])
-    return PPoly(coefficients.transpose(1, 0, 2), breaks)

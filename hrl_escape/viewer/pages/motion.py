@@ -72,7 +72,7 @@ def make_motion(trajectory: TimedTrajectory, instance: RoomInstance, state: Room
         page = serializer.as_html()
     finally:
         server.stop()
-    title = f"{instance.name}: {trajectory.duration:.1f} s, {trajectory.method}"
+    title = f"{instance.name}: {trajectory.duration:.1f} s"
     return add_policy(page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1))
 
 

@@ -1,156 +1,201 @@
-"""Trajectories keep their limits and the room's solids, end where plans end, and take the times of the closed form."""
+"""Trajectories press what plans press, keep their limits and the room's solids, and take the times of closed forms."""
 
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import math
-import sys
 
 import numpy as np
 import pytest
 
+from benchmarks.trajectories import check, list_faults, list_schematics, measure_peaks, solve
+from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
-from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError, MissingExtraError, UnsupportedError
+from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.planning.arm.arm_planner import ArmPlanner
+from hrl_escape.planning.motion.legs import PRESS_SECONDS
 from hrl_escape.planning.motion.limits import MotionLimits, compute_duration, compute_rest_to_rest
-from hrl_escape.planning.motion.path import MotionPath, round_corners
+from hrl_escape.planning.motion.path import MotionPath
 from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.planner import RoomPlanner
 
-METHODS = ("trapezoid", "toppra")
+LIMITS = MotionLimits()
 
 
 def make_plan(preset: str, seed: int):
-    planner = RoomPlanner(generate(get_preset(preset), seed))
-    return planner.solve(planner.rules.make_state(planner.instance.starts[0]))
+    return solve(generate(get_preset(preset), seed))
 
 
-def make_path(points, names=("x", "y", "heading"), margin=0.05) -> MotionPath:
+def make_path(points, names=("x", "y", "heading"), margin=0.05, **more) -> MotionPath:
     points = np.array(points, dtype=float)
-    return MotionPath(names, points, np.ones(points.shape[1]), margin, "test")
+    return MotionPath(names, points, np.ones(points.shape[1]), margin, "test", **more)
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(("preset", "seed"), [("clutter", 3), ("arm-two-button", 0)])
-def test_trajectories_of_plans_keep_limits_and_solids_and_meet_the_ends_of_all_legs(preset, seed, method):
-    plan, limits = make_plan(preset, seed), MotionLimits(speed=1.2, acceleration=0.7)
-    trajectory = make_trajectory(plan, limits, method=method)
-    times = np.linspace(0.0, trajectory.duration, 20_000)
-    speeds, accelerations = trajectory.evaluate(times, 1), trajectory.evaluate(times, 2)
-    slack = 1.01
-    assert np.hypot(*speeds[:, :2].T).max() <= slack * limits.speed
-    assert np.hypot(*accelerations[:, :2].T).max() <= slack * limits.acceleration
-    assert np.abs(speeds[:, 2]).max() <= slack * limits.turn_speed
-    assert np.abs(accelerations[:, 2]).max() <= slack * limits.turn_acceleration
-    assert np.abs(speeds[:, 3:]).max(initial=0) <= slack * limits.joint_speed
-    assert np.abs(accelerations[:, 3:]).max(initial=0) <= slack * limits.joint_acceleration
-    shapes = stack_footprints([solid.footprint for solid in plan.instance.solids])
-    assert compute_distance_many(trajectory.evaluate(times)[:, :2], shapes).min() > plan.instance.robot.body_radius
-    places = trajectory.evaluate(times)[:, :2]
-    for part in plan.parts:
-        assert np.hypot(*(places - plan.path[part.stop]).T).min() < 0.005
-    assert np.allclose(trajectory.positions[-1, :2], plan.path[-1]) and not trajectory.velocities[[0, -1]].any()
+def make_boom(effort: float, mass: float = 2.0) -> RobotConfig:
+    """A bar of 1 m, of a given mass in its middle, that one joint lifts."""
+    urdf = f"""<robot name="boom"><link name="foot"/>
+    <link name="bar"><inertial><origin xyz="0.5 0 0"/><mass value="{mass}"/>
+    <inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial></link><link name="tip"/>
+    <joint name="lift" type="revolute"><parent link="foot"/><child link="bar"/><axis xyz="0 -1 0"/>
+    <limit lower="-1" upper="1" effort="{effort}" velocity="0.4"/></joint>
+    <joint name="end" type="fixed"><parent link="bar"/><child link="tip"/><origin xyz="1 0 0"/></joint></robot>"""
+    return RobotConfig(kind="urdf", urdf=urdf, joints=1, hand_link="tip", body_radius=0.4, body_height=0.8)
+
+
+# --- presses ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "seed"), [("potions", 0), ("pin-pad", 0), ("deep-sea", 0), ("arm-two-button", 0),
+                                            ("lights-out, differential", 0)])
+def test_trajectories_press_what_their_plans_press_and_keep_every_limit(name, seed):
+    plan = solve(generate(list_schematics()[name], seed))
+    assert list_faults(plan, make_trajectory(plan), LIMITS) == []
+
+
+@pytest.mark.slow
+def test_trajectories_of_every_puzzle_body_and_hand_are_right():
+    found = list(check(100))
+    assert [row for row in found if row[2] and not row[2][0].startswith(("refused", "no plan"))] == []
+    assert sum(not faults for _, _, faults in found) >= 97
+
+
+def test_faults_are_found():
+    """The check is no formality: the way to one target only, and limits halved."""
+    plan = make_plan("paper-two-button", 0)
+    trajectory = make_trajectory(plan)
+    leg = RoomPlanner(plan.instance).plan(plan.states[0], "button-1")
+    assert any("presses" in fault for fault in list_faults(plan, make_trajectory(leg), LIMITS))
+    assert any("of a limit" in fault for fault in list_faults(plan, trajectory, MotionLimits(acceleration=0.5)))
+    assert any("of a limit" in fault for fault in list_faults(plan, trajectory, MotionLimits(jerk=5.0)))
+
+
+def test_a_way_goes_round_targets_that_its_plan_does_not_press():
+    """The plan's own moves cross the corner of a pad between the ends of two primitives."""
+    plan = make_plan("pin-pad", 0)
+    pressed = [contact.target for contact in make_trajectory(plan).contacts]
+    states = itertools.pairwise(plan.states)
+    assert pressed == [k for a, b in states for k in range(8) if (b.touching & ~a.touching) >> k & 1]
+
+
+def test_the_base_rests_after_each_press():
+    trajectory = make_trajectory(make_plan("paper-two-button", 0))
+    for contact in trajectory.contacts:
+        slow = trajectory.times[1:][np.isclose(np.diff(trajectory.times), PRESS_SECONDS)]
+        assert any(0.0 <= time - contact.time < 1.0 for time in slow)
+
+
+def test_plans_that_grip_are_refused():
+    with pytest.raises(UnsupportedError, match="grips"):
+        make_trajectory(make_plan("taxi", 0))
+
+
+# --- limits ----------------------------------------------------------------------------------
 
 
 def test_a_straight_line_takes_the_time_of_the_closed_form():
-    for length in (0.2, 5.0):
-        path, limits = make_path([(0, 0, 0), (0.6 * length, 0.8 * length, 0)]), MotionLimits()
-        expected = compute_rest_to_rest(length, 1.0, 1.0)
-        assert make_trajectory(path, limits).duration == pytest.approx(expected, rel=1e-12)
-        assert make_trajectory(path, limits, method="toppra").duration == pytest.approx(expected, rel=0.02)
+    for length, (speed, acceleration, jerk) in itertools.product(
+            (1e-4, 0.01, 0.2, 5.0), [(1.0, 1.0, 10.0), (0.3, 2.0, 4.0), (2.0, 0.5, 0.5)]):
+        path = make_path([(0, 0, 0), (0.6 * length, 0.8 * length, 0)])
+        expected = compute_rest_to_rest(length, speed, acceleration, jerk)
+        limits = MotionLimits(speed=speed, acceleration=acceleration, jerk=jerk)
+        assert make_trajectory(path, limits).duration == pytest.approx(expected, rel=1e-9)
 
 
 def test_coordinates_wait_for_the_slowest():
     path = make_path([(0, 0, 0), (1, 0, 3)])
-    trajectory = make_trajectory(path, MotionLimits(turn_speed=0.5, turn_acceleration=0.5))
-    assert trajectory.duration == pytest.approx(3 / 0.5 + 0.5 / 0.5)
-    middle = trajectory.evaluate(trajectory.duration / 2)
-    assert middle == pytest.approx([0.5, 0.0, 1.5])
+    trajectory = make_trajectory(path, MotionLimits(turn_speed=0.5, turn_acceleration=0.5, turn_jerk=1.0))
+    assert trajectory.duration == pytest.approx(3 / 0.5 + 0.5 / 0.5 + 0.5 / 1.0)
+    assert trajectory.evaluate(trajectory.duration / 2) == pytest.approx([1 / 2, 0.0, 1.5])
 
 
 def test_primitives_one_by_one_take_as_long_as_the_formula_says():
     planner = RoomPlanner(generate(get_preset("paper-two-button"), 0))
     plan = planner.plan(planner.rules.make_state(planner.instance.starts[0]), "3,0")
-    robot, limits = plan.instance.robot, MotionLimits()
-    seconds = compute_duration(plan.states, limits, math.radians(robot.turn_step_deg), math.radians(10))
-    assert seconds == pytest.approx(make_trajectory(plan, limits).duration), "one straight line"
-
-
-def test_rounded_corners_stay_within_the_margin_and_are_smooth():
-    path = make_path([(0, 0, 0), (2, 0, 0), (2, 2, 0.5), (0, 2, 0.5)], margin=0.1)
-    curve = round_corners(path)
-    at = np.linspace(0, curve.x[-1], 4000)
-    places = curve(at)
-    lines = np.concatenate([np.linspace(a, b, 4000) for a, b in zip(path.points, path.points[1:], strict=False)])
-    away = [np.abs(lines - place).sum(axis=1).min() for place in places[::20]]
-    assert 0.04 < max(away) <= 0.1 + 1e-3
-    assert np.abs(np.diff(curve(at, 1), axis=0)).max() < 0.02, "its direction never jumps"
-    assert np.allclose(places[[0, -1]], path.points[[0, -1]])
+    seconds = compute_duration(plan.states, LIMITS, planner.rules.robot, planner.rules.turn_step)
+    assert seconds == pytest.approx(make_trajectory(plan, LIMITS).duration), "one straight line"
 
 
 @pytest.mark.parametrize("names", [("x", "y", "heading"), ("joint-1", "joint-2", "joint-3")])
-def test_time_optimal_motion_keeps_every_limit_at_every_moment(names):
-    rng, limits = np.random.default_rng(0), MotionLimits()
-    speed, acceleration = np.array([(1.0, 1.0), (1.5, 3.0)] if "x" in names else [(1.0, 2.0)] * 3).T
-    for _ in range(40):
-        points = rng.uniform(-1, 1, size=(rng.integers(3, 7), 3))
-        trajectory = make_trajectory(make_path(points, names, rng.choice([0.005, 0.02, 0.1])), limits, method="toppra")
-        edges = np.concatenate([trajectory.times[1:] - 1e-9, trajectory.times[:-1] + 1e-9])
-        times = np.concatenate([np.linspace(0, trajectory.duration, 5_000), edges])
-        for order, largest in ((1, speed), (2, acceleration)):
-            rates = trajectory.evaluate(times, order)
-            sizes = np.column_stack([np.hypot(*rates[:, :2].T), np.abs(rates[:, 2])]) if "x" in names else np.abs(rates)
-            assert (sizes.max(axis=0) <= largest * (1 + 1e-5)).all()
+def test_motion_keeps_every_limit_at_every_moment_and_its_path(names):
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        points = rng.uniform(-1, 1, size=(rng.integers(3, 7), 3)) * rng.choice([1.0, 0.1, 0.01])
+        margin = float(rng.choice([0.0, 0.005, 0.02, 0.1]))
+        trajectory = make_trajectory(make_path(points, names, margin))
+        assert max(measure_peaks(trajectory, LIMITS).values()) <= 1.0 + 1e-6
+        lines = np.concatenate([np.linspace(a, b, 400) for a, b in itertools.pairwise(points)])
+        places = trajectory.evaluate(np.linspace(0, trajectory.duration, 60))
+        spacing = np.abs(np.diff(points, axis=0)).sum(axis=1).max() / 400
+        assert max(np.abs(lines - place).sum(axis=1).min() for place in places) <= margin + spacing
+        assert np.allclose(trajectory.positions[[0, -1]], points[[0, -1]]) and not trajectory.velocities[[0, -1]].any()
 
 
-def test_time_optimal_motion_is_nearly_as_fast_as_its_limits_allow():
-    """On the way round corners some limit is met almost always, so that no motion could be much faster."""
-    rng, limits, met = np.random.default_rng(1), np.array([1.0, 2.0]), []
-    for _ in range(10):
-        path = make_path(rng.uniform(-1, 1, size=(5, 3)), ("joint-1", "joint-2", "joint-3"), 0.02)
-        trajectory = make_trajectory(path, method="toppra")
-        times = np.linspace(0, trajectory.duration, 5_000)
-        rates = [np.abs(trajectory.evaluate(times, order)).max(axis=1) for order in (1, 2)]
-        met.append((np.array(rates).T / limits).max(axis=1) > 0.98)
-    assert np.mean(met) > 0.9
+def test_rounded_corners_are_faster_and_some_limit_is_met():
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        points = np.cumsum(rng.uniform(0, 1, size=(5, 3)), axis=0)
+        slow, fast = (make_trajectory(make_path(points, ("a", "b", "c"), margin)) for margin in (0.0, 0.05))
+        assert fast.duration < slow.duration
+        assert 0.99 < max(measure_peaks(fast, LIMITS).values())
 
 
-@pytest.mark.parametrize("preset", ["deep-sea", "recipes", "factored"])
-def test_a_trajectory_that_would_lose_presses_of_its_plan_is_refused(preset):
-    """The plan leaves a target and touches it again; the straight way in between stays on it."""
-    plan = make_plan(preset, 0)
-    with pytest.raises(UnsupportedError, match="would press .* where the plan presses"):
-        make_trajectory(plan)
+def test_clearance_is_kept_where_there_is_a_way_with_it():
+    plan = make_plan("clutter", 0)
+    shapes = stack_footprints([solid.footprint for solid in plan.instance.solids])
+    near = []
+    for clearance in (0.0, 0.3):
+        places = make_trajectory(plan, clearance=clearance).sample(50)[1][:, :2]
+        gaps = compute_distance_many(places, shapes) - plan.instance.robot.body_radius
+        ends = np.min([np.hypot(*(places - plan.path[k]).T) for k in (0, *(part.stop for part in plan.parts))], axis=0)
+        near.append(gaps[ends > 1.2].min())
+    assert near[1] >= 0.29 > near[0]
 
 
-def test_a_trajectory_may_press_what_is_lit_already():
-    plan = make_plan("ten-button", 0)
-    trajectory = make_trajectory(plan)
-    puzzle, rules, touched = plan.instance.puzzle, Kinematics(plan.instance), plan.states[0].touching
-    state, number = plan.states[0].puzzle, 0
-    for x, y, heading in trajectory.evaluate(np.linspace(0, trajectory.duration, 40_000)).tolist():
-        touching = rules.compute_touching(x, y, 0, heading, (), ())
-        if begun := touching & ~touched:
-            number += 1
-            state = puzzle.update(state, Contacts(tuple(i for i in range(10) if begun >> i & 1)))
-        touched = touching
-    assert number >= 5 and state == plan.states[-1].puzzle
+def test_each_joint_has_limits_of_its_own():
+    path = make_path([(0, 0), (1, 1)], ("a", "b"))
+    one = make_trajectory(path, MotionLimits(joint_speed=(1.0, 0.2)))
+    assert one.duration == pytest.approx(compute_rest_to_rest(1.0, 0.2, 2.0, 20.0))
+    with pytest.raises(ConfigError, match="one for each of 2 joints"):
+        make_trajectory(path, MotionLimits(joint_speed=(1.0, 0.2, 0.3)))
 
 
-def test_time_optimal_motion_is_faster_and_arms_can_have_it():
-    planner = ArmPlanner(generate(get_preset("arm-two-button"), 0))
+def test_the_urdf_limits_speed_effort_and_position():
+    robot = make_robot(make_boom(effort=20.0))
+    path = make_path([(0.0,), (0.8,)], robot.joint_names, robot=robot)
+    limits = MotionLimits(joint_acceleration=8.0, joint_jerk=1000.0)
+    assert make_trajectory(path, limits).duration == pytest.approx(compute_rest_to_rest(0.8, 0.4, 8.0, 1000.0))
+    strong, weak, weaker = (make_robot(make_boom(effort)) for effort in (1e3, 12.0, 9.0))
+    free = make_trajectory(make_path([(0.0,), (0.8,)], strong.joint_names, robot=strong), limits)
+    slow = make_trajectory(make_path([(0.0,), (0.8,)], weak.joint_names, robot=weak), limits)
+    times = np.linspace(0, slow.duration, 5000)
+    angles, accelerations = slow.evaluate(times)[:, 0], slow.evaluate(times, 2)[:, 0]
+    torques = 2.0 * 0.5 * 9.81 * np.cos(angles) + 2.0 * 0.25 * accelerations  # m g r cos + m r^2
+    assert slow.duration > free.duration and 11.5 < torques.max() <= 12.0 * 1.01
+    with pytest.raises(ConfigError, match="postures that 9 N m hold"):
+        make_trajectory(make_path([(0.0,), (0.8,)], weaker.joint_names, robot=weaker))
+    with pytest.raises(ConfigError, match="angles from -1 to 1 rad"):
+        make_trajectory(make_path([(0.0,), (1.2,)], robot.joint_names, robot=robot))
+
+
+def test_arms_have_the_limits_of_their_own_urdf():
+    config = RoomConfig(room=ShapeConfig(width=8, depth=8), dynamics=DynamicsConfig(press_with="hand"),
+                        robot=RobotConfig(kind="franka-panda", joints=7, body_radius=0.4, body_height=0.5))
+    planner = ArmPlanner(generate(config, 0))
+    home = np.array(planner.rules.robot.home)
+    assert planner.rules.robot.speeds == (2.175,) * 4 + (2.61,) * 3
     state = planner.rules.make_state(planner.instance.starts[0])
-    path = planner.plan(state, (0.9, 0.5, -0.8))
-    bent = MotionPath(path.names, np.array([[0, 0, 0], [0.5, 0.6, 0.0], [0.9, 0.5, -0.8]]), path.scale, 0.1, "")
-    slow, fast = (make_trajectory(bent, method=method) for method in METHODS)
-    assert fast.duration < slow.duration and fast.names == planner.rules.robot.joint_names
-    speeds = fast.evaluate(np.linspace(0, fast.duration, 5000), 1)
-    assert 0.95 < np.abs(speeds).max() <= 1.01, "a limit is met somewhere"
+    trajectory = make_trajectory(planner.plan(state, home + np.array([0.5, -0.4, 0.3, -0.5, 0.2, 0.3, 0.4])),
+                                 MotionLimits(joint_speed=9.0, joint_acceleration=60.0, joint_jerk=6000.0))
+    speeds = np.abs(trajectory.sample(1000)[2]).max(axis=0)
+    assert (speeds <= np.array(planner.rules.robot.speeds) * (1 + 1e-6)).all()
+
+
+# --- files -----------------------------------------------------------------------------------
 
 
 def test_sampling_and_files_hold_the_same_motion(tmp_path):
@@ -163,7 +208,9 @@ def test_sampling_and_files_hold_the_same_motion(tmp_path):
     rows = list(csv.DictReader((tmp_path / "way.csv").open()))
     assert [float(row["x"]) for row in rows] == positions[:, 0].tolist()
     trajectory.save(tmp_path / "way.json")
-    assert json.loads((tmp_path / "way.json").read_text())["positions"] == trajectory.positions.tolist()
+    saved = json.loads((tmp_path / "way.json").read_text())
+    assert saved["positions"] == trajectory.positions.tolist()
+    assert [contact["target"] for contact in saved["contacts"]] == [c.target for c in trajectory.contacts]
     message = trajectory.to_ros(20)
     assert message["joint_names"] == ["x", "y", "heading"] and len(message["points"]) == len(times)
     last = message["points"][-1]["time_from_start"]
@@ -171,13 +218,10 @@ def test_sampling_and_files_hold_the_same_motion(tmp_path):
     trajectory.draw(plan.instance, tmp_path / "way.png")
 
 
-def test_wrong_arguments_and_a_missing_library_are_named(monkeypatch, tmp_path):
+def test_wrong_arguments_are_named(tmp_path):
     path = make_path([(0, 0, 0), (1, 0, 0)])
-    for call in (lambda: make_trajectory(path, method="ruckig"), lambda: make_trajectory(path).sample(0),
-                 lambda: make_trajectory(path).save(tmp_path / "way.bag"),
-                 lambda: make_trajectory(make_path([(0, 0, 0)]))):
+    for call in (lambda: make_trajectory(path).sample(0), lambda: make_trajectory(path).save(tmp_path / "way.bag"),
+                 lambda: make_trajectory(make_path([(0, 0, 0)])), lambda: MotionLimits(joint_jerk=(1.0, math.inf)),
+                 lambda: MotionLimits(speed=(1.0, 1.0))):  # type: ignore[arg-type]
         with pytest.raises(ConfigError):
             call()
-    monkeypatch.setitem(sys.modules, "toppra", None)
-    with pytest.raises(MissingExtraError, match="toppra"):
-        make_trajectory(path, method="toppra")

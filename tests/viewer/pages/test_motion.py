@@ -12,6 +12,7 @@ from hrl_escape.cli import main
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError
+from hrl_escape.planning.motion.legs import PRESS_SECONDS
 from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.viewer.pages.motion import make_motion
@@ -36,7 +37,7 @@ def test_a_page_moves_base_and_hand_along_the_trajectory_in_its_time():
     times = np.array([seconds for seconds, _ in moves[-50:]])
     places = trajectory.evaluate(times)[:, :2]
     np.testing.assert_allclose(np.array([place[:2] for _, place in moves[-50:]]), places, atol=1e-3)
-    assert times[-1] == pytest.approx(trajectory.duration, abs=1e-3)
+    assert times[-1] == pytest.approx(trajectory.duration - PRESS_SECONDS, abs=1e-3), "it rests after the press"
     hand = read_line(content, buffers, "hand-path")[-1, 1]
     np.testing.assert_allclose(hand, planner.rules.get_hand(plan.states[-1]), atol=1e-3)
     assert math.hypot(*(read_line(content, buffers, "path")[-1, 1, :2] - places[-1])) < 1e-3

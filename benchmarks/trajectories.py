@@ -1,0 +1,169 @@
+"""Trajectories of escapes over puzzles, bodies and hands: what each presses, and whether it keeps every limit.
+
+Run: `python -m benchmarks.trajectories --count 1000`; exits with 1 if a trajectory that was made is wrong. Each is
+checked by what made no part of it: rising edges of touch at 1 kHz against the plan's, limits at 1 kHz and by the
+polynomials between knots, gaps of the base to all solids. A plan for which none was found is counted by its message.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.config import RobotConfig, RoomConfig
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import EscapeError, UnsupportedError
+from hrl_escape.planning.motion.limits import MotionLimits
+from hrl_escape.planning.motion.trajectory import TimedTrajectory, make_trajectory
+from hrl_escape.planning.plan import Plan
+from hrl_escape.planning.planner import RoomPlanner
+
+PRESETS = ("paper-two-button", "paper-random", "clutter", "ten-button", "twenty-button", "inner-doors", "bit-flip",
+           "lights-out", "hanoi", "code-lock", "light-box", "factored", "potions", "recipes", "deep-sea", "four-rooms",
+           "puddle-world", "key-chest", "pin-pad", "arm-two-button")
+SLACK = 1e-6
+"""Share by which rounding may exceed a limit."""
+
+
+def list_schematics() -> dict[str, RoomConfig]:
+    """Schematics by name: the presets that neither grip nor push, and further bodies and hands."""
+    found = {name: get_preset(name) for name in PRESETS}
+    found["arm-four-joints"] = change_robot(found["arm-two-button"], joints=4)
+    for name in ("clutter", "lights-out", "potions"):
+        found[f"{name}, differential"] = change_robot(found[name], drive="differential")
+    found["clutter, rectangle"] = change_robot(found["clutter"], footprint="rectangle", body_length=1.0, body_width=0.6)
+    return found
+
+
+def change_robot(config: RoomConfig, **changes: object) -> RoomConfig:
+    """A schematic with other settings of its robot."""
+    robot: RobotConfig = dataclasses.replace(config.robot, **changes)  # type: ignore[arg-type]
+    return dataclasses.replace(config, robot=robot)
+
+
+def solve(instance: RoomInstance) -> Plan:
+    """The escape of a room."""
+    planner = RoomPlanner(instance)
+    return planner.solve(planner.rules.make_state(instance.starts[0]))
+
+
+def list_faults(plan: Plan, trajectory: TimedTrajectory, limits: MotionLimits) -> list[str]:
+    """Find what is wrong with a trajectory of a plan."""
+    faults, rules = [], Kinematics(plan.instance)
+    times, places, _ = trajectory.sample(1000.0)
+    wanted, found = list_presses(plan), list_touches(rules, plan, places)
+    ends = list(itertools.accumulate((len(group) for group in wanted), initial=0))
+    if len(found) != ends[-1] or any(set(found[a:b]) != set(group)
+                                     for a, b, group in zip(ends, ends[1:], wanted, strict=False)):
+        faults.append(f"presses {found} for {wanted}")
+    if [contact.target for contact in trajectory.contacts] != found:
+        faults.append(f"states contacts {trajectory.contacts} for {found}")
+    if (peak := max(measure_peaks(trajectory, limits).values())) > 1.0 + SLACK:
+        faults.append(f"reaches {peak:.4f} of a limit")
+    base = plan.instance.robot.base
+    shapes = rules.footprints
+    for x, y, heading in places[::20, :3].tolist():
+        if base.measure_gap(x, y, (math.cos(heading), math.sin(heading)), shapes) <= 0.0:
+            faults.append(f"meets a solid at ({x:.3f}, {y:.3f})")
+            break
+    away = np.hypot(*(places[-1, :2] - plan.path[-1]))
+    if away > 1e-9:
+        faults.append(f"ends {away:.2g} m from the plan's end")
+    return faults
+
+
+def list_presses(plan: Plan) -> list[tuple[int, ...]]:
+    """Targets whose touch begins, primitive by primitive."""
+    begun = (b.touching & ~a.touching for a, b in itertools.pairwise(plan.states))
+    return [tuple(k for k in range(bits.bit_length()) if bits >> k & 1) for bits in begun if bits]
+
+
+def list_touches(rules: Kinematics, plan: Plan, places: NDArray[np.float64]) -> list[int]:
+    """Targets whose touch begins along places (n, coordinates), in order."""
+    found, before, home = [], plan.states[0].touching, np.array(rules.robot.home)
+    still = (0,) * len(home)
+    for x, y, heading, *angles in places.tolist():
+        now = rules.compute_touching(x, y, 0, heading, still, tuple((np.array(angles) - home).tolist()))
+        found += [k for k in range(now.bit_length()) if (now & ~before) >> k & 1]
+        before = now
+    return found
+
+
+def measure_peaks(trajectory: TimedTrajectory, limits: MotionLimits) -> dict[str, float]:
+    """Largest share of its limit that any coordinate's speed, acceleration and jerk reaches, the base's in the plane.
+
+    Speeds and accelerations are sampled at 1 kHz, and computed from the polynomials between knots: jerk is constant
+    there, acceleration greatest at an end, and speed where its derivative is 0 or at an end.
+    """
+    rates = limits.stack(trajectory.names)
+    times = trajectory.sample(1000.0)[0]
+    spans = np.diff(trajectory.times)
+    starts = trajectory.times[:-1]
+    cubic, square, linear = trajectory._spline.c[:3]  # (intervals, coordinates) each
+    with np.errstate(divide="ignore", invalid="ignore"):
+        plane = -((square * linear)[:, :2].sum(axis=1)) / np.maximum(2.0 * (square**2)[:, :2].sum(axis=1), 1e-300)
+        tops = np.column_stack([-square / (3.0 * cubic), plane])
+    tops = np.clip(np.nan_to_num(tops), 0.0, spans[:, None])
+    moments = np.concatenate([times, *(starts + top for top in tops.T), starts + spans])
+    long = spans > 1e-5  # a phase so short has no third derivative in floating point
+    found = {"speed": trajectory.evaluate(moments, 1), "acceleration": trajectory.evaluate(moments, 2),
+             "jerk": 6.0 * cubic[long]}
+    is_base = trajectory.names[:2] == ("x", "y")
+    peaks = {}
+    for column, (kind, values) in enumerate(found.items()):
+        sizes = np.abs(values)
+        if is_base:
+            sizes[:, :2] = np.hypot(values[:, 0], values[:, 1])[:, None]
+        peaks[kind] = float((sizes / rates[:, column]).max(initial=0.0))
+    return peaks
+
+
+def check(count: int, first: int = 0) -> Iterator[tuple[str, int, list[str]]]:
+    """Check one trajectory after another: name of the schematic, seed, and faults (refusals begin with `refused`)."""
+    schematics, limits = list_schematics(), MotionLimits()
+    for number in range(first, first + count):
+        name, seed = list(schematics)[number % len(schematics)], number // len(schematics)
+        try:
+            plan = solve(generate(schematics[name], seed))
+        except EscapeError as error:
+            yield name, seed, [f"no plan: {type(error).__name__}"]
+            continue
+        try:
+            yield name, seed, list_faults(plan, make_trajectory(plan, limits), limits)
+        except UnsupportedError as error:
+            yield name, seed, [f"refused: {error}"]
+
+
+def main() -> None:
+    """Count faults by schematic."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0, help="number of the first, to go on where a run ended")
+    chosen = parser.parse_args()
+    made, refused, unplanned, wrong = Counter[str](), Counter[str](), Counter[str](), 0
+    for name, seed, faults in check(chosen.count, chosen.first):
+        first = faults[0] if faults else ""
+        group = refused if first.startswith("refused") else unplanned if first.startswith("no plan") else made
+        group[name] += 1
+        if faults:
+            print(f"{name} {seed}: {'; '.join(faults)}", flush=True)
+        wrong += bool(faults) and group is made
+    for name in list_schematics():
+        print(f"{name:28s} {made[name]:4d} made {refused[name]:4d} refused {unplanned[name]:4d} without a plan")
+    print(f"{made.total()} made, {wrong} of them wrong, {refused.total()} refused, {unplanned.total()} without a plan")
+    sys.exit(wrong > 0)
+
+
+if __name__ == "__main__":
+    main()
