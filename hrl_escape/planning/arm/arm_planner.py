@@ -27,7 +27,7 @@ from hrl_escape.figures import make_svg, save_figure
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
-from hrl_escape.planning.motion.path import MotionPath
+from hrl_escape.planning.motion_path import MotionPath
 from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
 from hrl_escape.planning.paths.problem import CheckerBudget
 

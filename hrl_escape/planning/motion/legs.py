@@ -25,8 +25,8 @@ from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.planning.motion.limits import MotionLimits
-from hrl_escape.planning.motion.path import MotionPath
 from hrl_escape.planning.motion.timing import TimedPath, time_path
+from hrl_escape.planning.motion_path import MotionPath
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, CheckerBudget, step_aside
 from hrl_escape.planning.plan import Plan
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.errors import ConfigError
 from hrl_escape.planning.motion.limits import compute_ramp
-from hrl_escape.planning.motion.path import MotionPath
+from hrl_escape.planning.motion_path import MotionPath
 
 HALVINGS = 40
 """Halvings by which the speed at a corner is found."""
