@@ -165,12 +165,10 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
             arguments: all other arguments of `EscapeRoomEnv`, such as `observation="features"`.
 
         Raises:
-            UnknownNameError: `EscapeRoomEnv` takes no such argument; those of `OptionsEnv` belong into `options`.
+            UnknownNameError: `EscapeRoomEnv` or `OptionsEnv` takes no such argument; those of the latter belong into
+                `options`.
         """
-        known = [name for name in signature(EscapeRoomEnv).parameters if name not in CHOOSING_ROOMS]
-        for name in arguments:
-            if name not in known:
-                raise UnknownNameError("argument of EscapeRoomEnv (OptionsEnv's go into options={...})", name, known)
+        _check_names("EscapeRoomEnv (OptionsEnv's go into options={...})", arguments, EscapeRoomEnv, CHOOSING_ROOMS)
         env = InstanceSetEnv(self, **arguments)
         if self.place is not None:
             env.spec = EnvSpec(LADDER_ID, entry_point=LADDER_ENTRY, kwargs={**self.place, **arguments})
@@ -178,7 +176,9 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
             return env
         from hrl_escape.options.options_env import OptionsEnv
 
-        return OptionsEnv(env, **(options if isinstance(options, Mapping) else {}))
+        table = options if isinstance(options, Mapping) else {}
+        _check_names("OptionsEnv", table, OptionsEnv, ("env",))
+        return OptionsEnv(env, **table)
 
     def make_vec(self, num_envs: int, options: bool | Mapping[str, Any] = False, **arguments: Any
                  ) -> EscapeRoomVectorEnv | BatchedOptionsEnv:
@@ -227,6 +227,13 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
             return cls.from_description(content)
         except (KeyError, TypeError, ValueError) as error:
             raise FileReadError(f"{path}: this is no set of rooms ({describe_damage(error)})") from error
+
+
+def _check_names(words: str, given: Iterable[str], maker: Callable[..., Any], left_out: tuple[str, ...]) -> None:
+    known = [name for name in signature(maker).parameters if name not in left_out]
+    for name in given:
+        if name not in known:
+            raise UnknownNameError(f"argument of {words}", name, known)
 
 
 class InstanceSetEnv(EscapeRoomEnv):

@@ -75,6 +75,8 @@ def test_an_argument_that_belongs_to_the_options_is_refused_in_words(rooms):
         rooms.make_env(options=True, include_primitives=False)
     with pytest.raises(UnknownNameError, match="did you mean 'observation'"):
         rooms.make_env(observations="features")
+    with pytest.raises(UnknownNameError, match="argument of OptionsEnv 'include_primitive'"):
+        rooms.make_env(options={"include_primitive": False})
 
 
 def test_an_environment_over_a_set_is_made_again_from_its_description(rooms):
