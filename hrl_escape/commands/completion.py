@@ -80,7 +80,7 @@ def _list_options(arguments: Any) -> dict[str, list[str]]:
     hints, found = typing.get_type_hints(arguments, include_extras=True), {}
     for field in dataclasses.fields(arguments):
         hint, marks = hints[field.name], getattr(hints[field.name], "__metadata__", ())
-        if tyro.conf.Positional in (hint, *marks) or "Positional" in repr(marks):
+        if tyro.conf.Positional in marks:
             continue
         word = next((mark.name for mark in marks if getattr(mark, "name", None)), field.name)
         negation = "no-" if field.default is True else ""

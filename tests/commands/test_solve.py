@@ -8,6 +8,11 @@ import pytest
 from PIL import Image
 
 from hrl_escape.cli import main
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning.motion.trajectory import make_trajectory
+from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.viewer.pages.motion import make_motion
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:
@@ -57,6 +62,15 @@ def test_pictures_and_pddl_are_written(capsys, tmp_path):
         assert video.n_frames == 10, "the start and nine primitives"
     assert "(define (domain escape-buttons)" in (tmp_path / "pddl" / "domain.pddl").read_text()
     assert out.count("wrote") == 5
+
+
+def test_a_page_shows_the_motion_with_lights_as_they_are_before_it(tmp_path):
+    page = tmp_path / "way.html"
+    assert main(["solve", "--preset", "paper-one-button", "--goal", "button-1", "--draw", str(page)]) == 0
+    planner = RoomPlanner(generate(get_preset("paper-one-button"), 0))
+    start = planner.rules.make_state(planner.instance.starts[0])
+    motion = make_trajectory(planner.plan(start, "button-1"))
+    assert page.read_text() == make_motion(motion, planner.instance, start)
 
 
 @pytest.mark.parametrize(
