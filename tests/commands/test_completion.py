@@ -30,6 +30,7 @@ def script(tmp_path_factory) -> str:
     ("play --preset pap", {name for name in PRESETS if name.startswith("pap")}),
     ("ladder run --proto", {"--protocol"}),
     ("list refer", {"references"}),
+    ("record --driv", set()),
     ("nonsense ", set()),
 ])
 def test_bash_offers_what_fits(script: str, line: str, offered: set[str]):
