@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import pytest
@@ -67,6 +68,18 @@ def test_a_hidden_graph_looks_the_same_whatever_it_is():
     assert len({make_graph(generate(get_preset("four-button-chain"), seed).puzzle,
                            generate(get_preset("four-button-chain"), seed).puzzle.make_state())
                 for seed in range(3)}) > 1
+
+
+def test_a_drawn_graph_holds_all_its_discs():
+    puzzle = generate(get_preset("ten-button"), 0).puzzle
+    for is_hidden in (False, True):
+        page = make_graph(puzzle, puzzle.make_state(), is_hidden=is_hidden)
+        left, top, width, height = map(float, re.search(r'<svg [^>]*viewBox="([^"]*)"', page)[1].split())
+        discs = [[float(re.search(rf'{key}="([^"]*)"', disc)[1]) for key in ("cx", "cy", "r")]
+                 for disc in re.findall(r'<circle class="node"[^>]*>', page)]
+        assert len(discs) == 10
+        assert all(left <= x - r and x + r <= left + width and top <= y - r and y + r <= top + height
+                   for x, y, r in discs)
 
 
 def test_a_belief_is_drawn_with_what_is_wrong_in_red_and_what_is_open_dashed(two_buttons):
