@@ -219,7 +219,8 @@ class WatchPage:
             by_hand = isinstance(goal, PressGoal) and instance.dynamics.press_with == "hand"
             if isinstance(goal, (PressGoal, ExitGoal)) and not by_hand:
                 shut = not instance.puzzle.is_solved(state.puzzle)
-                found = self._navigator.plan((state.x, state.y), goal, door_shut=shut)
+                found = self._navigator.plan((state.x, state.y), goal, door_shut=shut,
+                                             heading=scene.rules.get_heading(state))
                 path = [(float(x), float(y)) for x, y in found.path]
         scene.draw_path(path)
 

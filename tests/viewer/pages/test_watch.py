@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
+from hrl_escape.env.config import StartConfig
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
 from hrl_escape.viewer.scene.poses import make_pose
 from hrl_escape.viewer.server import Server
@@ -27,6 +31,19 @@ def test_the_scene_never_lags_the_panel(server: Server, two_buttons, monkeypatch
     view.run(episodes=3)
     assert view.problem == "all episodes are over" and view.watch.episode == 3
     assert not behind, f"the panel was ahead of the scene after {behind} states"
+
+
+def test_the_path_of_a_rectangular_base_begins_at_its_heading(server: Server, monkeypatch):
+    """Along a wall that leaves no room for the base across."""
+    preset = get_preset("paper-one-button")
+    robot = dataclasses.replace(preset.robot, footprint="rectangle", body_length=1.6, body_width=0.5)
+    start = StartConfig(place="fixed", x=9.5, y=0.0, heading_deg=90.0)
+    room = generate(dataclasses.replace(preset, robot=robot, start=start), 0)
+    view = WatchPage(server, Watch(open_driver("planner", room), Gate(None)))
+    drawn: list[list[tuple[float, float]]] = []
+    monkeypatch.setattr(view.page.scene, "draw_path", drawn.append)
+    view.run(episodes=1)
+    assert [path[0] for path in drawn if path][0] == (9.5, 0.0)
 
 
 def test_the_buttons_pause_run_and_let_one_step_through(server: Server, two_buttons):
