@@ -244,6 +244,13 @@ MUTATIONS = [
         "::test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once",
     ),
     Mutation(
+        "a resumed run makes only the last action of its episodes again",
+        "agents/training/stream_run.py",
+        "for actions in np.asarray(state[\"made\"]):",
+        "for actions in np.asarray(state[\"made\"])[-1:]:",
+        "agents/training/test_streams.py::test_a_run_cut_off_resumes_to_the_same_bits",
+    ),
+    Mutation(
         "streams share the running calls of a hierarchy",
         "agents/streams.py",
         "        self._place(stream)\n",

@@ -1,10 +1,12 @@
 """One training run in many streams: segments of steps, their totals, and checkpoints of the running episodes.
 
-Streams that can write their episodes down are saved with the run at any time. All others begin anew after every
-evaluation, and the run is saved only there, so that it resumes to the same bits either way.
+Streams that can write their episodes down are saved with the run at any time. All others begin anew at an evaluation,
+and the run is saved only there, so that it resumes to the same bits either way.
 
 Vector environments of Gymnasium become streams here, with each of the three kinds of automatic reset. The state that an
-episode ended in is a decision's outcome, never the first observation of the next one.
+episode ended in is a decision's outcome, never the first observation of the next one. Where the environment cannot give
+its episodes, their actions stand for them, which a resumed run makes again; so that this takes little time, all
+episodes begin anew at the first evaluation after `REMADE` actions.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.agent import check_observation, count_actions
@@ -41,7 +44,10 @@ from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import SegmentRecord, read_row
 from hrl_escape.agents.training.run import NO_OPTIONS, Run, RunArguments
 from hrl_escape.agents.training.run_folder import RunFolder
-from hrl_escape.errors import StepContractError
+from hrl_escape.errors import CheckpointError, StepContractError
+
+REMADE = 200_000
+"""Most actions, of all streams together, that stand for running episodes."""
 
 
 class VectorStreams:
@@ -63,6 +69,8 @@ class VectorStreams:
         self._mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self.observation = self.action_mask = torch.empty(0)
         self._was_over = torch.zeros(self.count, dtype=torch.bool)
+        self._gives_episodes = isinstance(env.unwrapped, SavedEpisodes)
+        self._made: list[NDArray[np.integer]] = []  # otherwise, actions of every step since `reset`, (streams,) each
 
     @property
     def device(self) -> torch.device:
@@ -76,6 +84,7 @@ class VectorStreams:
 
     def reset(self, seeds: int) -> None:
         """Begin all episodes anew."""
+        self._made = []
         observation, infos = self._env.reset(seed=seeds)
         self.observation = self._take(observation)
         self.action_mask = self._read_mask(infos)
@@ -84,6 +93,8 @@ class VectorStreams:
     def step(self, action: Tensor) -> EndedDecisions:
         """Run one decision in every stream, or the reset that takes its place."""
         before, where = self.observation, self.is_waiting
+        if not self._gives_episodes and len(self._made) * self.count <= REMADE:
+            self._made.append(action.cpu().numpy().astype(np.min_scalar_type(self._actions)))
         given = action if isinstance(before, Tensor) and self._gives_tensors else action.cpu().numpy()
         seen, reward, terminated, truncated, infos = self._env.step(given)
         now, mask = self._take(seen), self._read_mask(infos)
@@ -166,20 +177,32 @@ class VectorStreams:
     # --- checkpoints -----------------------------------------------------------------------
 
     def state_dict(self) -> StateTree | None:
-        """Running episodes, for environments that can give them."""
+        """Running episodes, or the actions that they came of; None after too many of these."""
         env: Any = self._env.unwrapped
-        if not isinstance(env, SavedEpisodes):
+        if self._gives_episodes:
+            return {"env": dict(env.state_dict()), "observation": self.observation, "action_mask": self.action_mask,
+                    "was_over": self._was_over}
+        if len(self._made) * self.count > REMADE:
             return None
-        return {"env": dict(env.state_dict()), "observation": self.observation, "action_mask": self.action_mask,
-                "was_over": self._was_over}
+        return {"made": np.array(self._made).reshape(-1, self.count), "observation": self.observation}
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken; after a `reset`."""
+        """Go on where `state_dict` was taken; after a `reset` with the same seeds.
+
+        Raises:
+            CheckpointError: the same actions came to something else.
+        """
         env: Any = self._env.unwrapped
-        env.load_state_dict(state["env"])
-        self.observation, self.action_mask, self._was_over = (
-            torch.from_numpy(np.array(state[name])).to(self.device)
-            for name in ("observation", "action_mask", "was_over"))
+        if self._gives_episodes:
+            env.load_state_dict(state["env"])
+            self.observation, self.action_mask, self._was_over = (
+                torch.from_numpy(np.array(state[name])).to(self.device)
+                for name in ("observation", "action_mask", "was_over"))
+            return
+        for actions in np.asarray(state["made"]):
+            self.step(torch.from_numpy(actions.astype(np.int64)).to(self.device))
+        if not np.array_equal(self.observation.cpu().numpy(), np.asarray(state["observation"]), equal_nan=True):
+            raise CheckpointError("the environments do not do the same again for equal seeds and actions")
 
 
 def make_streams(env: VectorEnv | Streams, gamma: float) -> Streams:
@@ -294,7 +317,13 @@ class StreamRun(Run):
         self._begun = int(state["begun"])
         self._reset_streams()
         if state["streams"] is not None:
-            self.streams.load_state_dict(state["streams"])
+            try:
+                self.streams.load_state_dict(state["streams"])
+            except CheckpointError as error:
+                warnings.warn(f"{error}: all episodes begin anew, so the run does not resume to the same bits",
+                              stacklevel=2)
+                self._begin()
+                return
             self._tally.load_state_dict(state["tally"])
 
 

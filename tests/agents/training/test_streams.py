@@ -294,6 +294,44 @@ def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, kind, stop, monk
     assert evaluate(again, env, 2) == evaluate(whole.agent, env, 2)
 
 
+@pytest.mark.parametrize(("remade", "begun"), [(200_000, 1), (100, 4)])
+def test_episodes_that_cannot_be_written_down_are_made_again_and_begin_anew_after_enough_actions(
+    tmp_path, monkeypatch, remade, begun
+):
+    monkeypatch.setattr("hrl_escape.agents.training.stream_run.REMADE", remade)
+    monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 64)
+    resets, reset = [], SyncVectorEnv.reset
+
+    def count(self, **given):
+        resets.append(given)
+        return reset(self, **given)
+
+    monkeypatch.setattr(InterruptedPoles, "reset", count)
+    arguments = {"primitives": 800, "seed": 1, "eval_every": 200, "eval_episodes": 1, "settings": SMALL,
+                 "checkpoint_seconds": 0.0}
+    whole = train("ppo", make_interrupted("poles"), out=tmp_path / "whole", **arguments)
+    assert len(resets) == begun, "at an evaluation, and only where too many actions were made since"
+    env = make_interrupted("poles")
+    env.left = 110
+    with pytest.raises(KeyboardInterrupt):
+        train("ppo", env, out=tmp_path / "cut", **arguments)
+    assert train("ppo", make_interrupted("poles"), out=tmp_path / "cut", **arguments) == whole
+
+
+def test_environments_that_do_not_do_the_same_again_begin_anew_and_a_warning_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 64)
+    arguments = {"primitives": 400, "eval_episodes": 0, "settings": SMALL, "checkpoint_seconds": 0.0}
+    env = make_interrupted("poles")
+    env.left = 60
+    with pytest.raises(KeyboardInterrupt):
+        train("ppo", env, out=tmp_path / "run", **arguments)
+    reset = SyncVectorEnv.reset
+    monkeypatch.setattr(InterruptedPoles, "reset", lambda self, **given: reset(self, **(given | {"seed": 77})))
+    with pytest.warns(UserWarning, match="all episodes begin anew"):
+        result = train("ppo", make_interrupted("poles"), out=tmp_path / "run", **arguments)
+    assert result.resumed_at > 0 and result.primitives >= 400
+
+
 @pytest.mark.parametrize("name", ["smdp-ppo", "smdp-dqn", "smdp-dac"])
 def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option(name):
     env = BatchedOptionsEnv(8, "paper-one-button", discount=0.99)
@@ -323,7 +361,10 @@ def test_a_failed_sea_is_logged_as_no_success():
     assert 0 < env.successes < env.ends
 
 
-def test_a_rollout_longer_than_the_time_between_evaluations_is_learned_from_and_cut_where_episodes_were_dropped():
+def test_a_rollout_longer_than_the_time_between_evaluations_is_learned_from_and_cut_where_episodes_were_dropped(
+    monkeypatch,
+):
+    monkeypatch.setattr("hrl_escape.agents.training.stream_run.REMADE", 0)
     poles = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")] * 4)
     poles.spec = gymnasium.spec("CartPole-v1")
     agent = PPO(poles.single_observation_space, poles.single_action_space, 0, PPOSettings(rollout=48, epochs=1))

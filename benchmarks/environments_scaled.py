@@ -1,0 +1,190 @@
+"""How much is learned from a primitive, and in a second, as environments grow from 1 to 4,096?
+
+    python -m benchmarks.environments_scaled choose    # which rule of settings, on CartPole: some 5 minutes of a core
+    python -m benchmarks.environments_scaled           # the rule beside the defaults, in a room: some 30 minutes
+    python -m benchmarks.environments_scaled --quick   # seconds: shows that everything runs
+
+A rule gives `ppo` settings for each number of environments. The one with the highest mean return over the run, evenly
+over 64, 512 and 4,096 environments, is chosen on CartPole, and no run in the room is looked at for it. All are
+evaluated after the same numbers of primitives, of all environments together, in the same greedy episodes; seconds are
+of processor time, without evaluations. Finished runs are kept, a line each, in the file `--out`; the command goes on
+where it was stopped, seed by seed, so that every line of the table has as many runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import matplotlib
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+import hrl_escape  # noqa: F401  # registers the rooms
+from benchmarks.learning_curves import Marks, train_in_many, train_in_one
+from hrl_escape.agents import evaluate, make_agent
+from hrl_escape.comparison.inference import compare_pairs
+from hrl_escape.env.drawing import palette
+from hrl_escape.figures import STYLE, save_figure
+
+COUNTS = (1, 8, 64, 512, 4096)
+CHOOSING, REPORTED = "CartPole-v1", "hrl_escape/PaperOneButton-v1"
+BUDGETS = {CHOOSING: 65_536, REPORTED: 65_536}
+CHOICE_COUNTS, CHOICE_SEEDS = (64, 512, 4096), (100, 101, 102)
+ARGUMENTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    CHOOSING: ({}, {}), REPORTED: ({"observation": "features"}, {"output": "torch"})}
+"""Arguments of an environment, and further ones of many."""
+EVALUATIONS, EPISODES = 16, {CHOOSING: 5, REPORTED: 3}
+
+
+def cut(count: int, steps: int, batch: int = 64) -> dict[str, Any]:
+    """Rollouts of at least 2,048 decisions and so many of each stream, in minibatches of a size.
+
+    The step size grows with the root of the minibatch.
+    """
+    rollout = max(2048, steps * count)
+    return {"stream_rollout": max(1, rollout // count), "rollout": rollout, "batch_size": batch,
+            "learning_rate": 1e-3 * math.sqrt(batch / 64)}
+
+
+RULES: dict[str, Callable[[int], dict[str, Any]]] = {
+    "defaults": lambda count: {},
+    "one step": lambda count: {} if count < 64 else cut(count, 1),
+    "eight steps": lambda count: {} if count < 64 else cut(count, 8),
+    "eight steps, wide": lambda count: {} if count < 64 else cut(count, 8, 256),
+}
+"""Name -> settings for so many environments; below 64 all are the defaults."""
+
+
+class Timer:
+    """Score of a learner, with the processor seconds of training before it."""
+
+    def __init__(self, task: str) -> None:
+        self._env, self._episodes = gymnasium.make(task, **ARGUMENTS[task][0]), EPISODES[task]
+        self._trained, self._since = 0.0, time.process_time()
+        self.seconds: list[float] = []
+
+    def __call__(self, learner: Any) -> float:
+        """Mean return of greedy episodes."""
+        self._trained += time.process_time() - self._since
+        self.seconds.append(round(self._trained, 2))
+        score = evaluate(learner, self._env, self._episodes, seed=0).mean_return
+        self._since = time.process_time()
+        return score
+
+
+def execute(task: str, rule: str, count: int, seed: int, budget: int) -> dict[str, Any]:
+    """Returns, and processor seconds, at the marks of a run."""
+    single, further = ARGUMENTS[task]
+    timer = Timer(task)
+    marks = Marks([budget * (number + 1) // EVALUATIONS for number in range(EVALUATIONS)], timer)
+    env: Any = (gymnasium.make(task, **single) if count == 1 else
+                gymnasium.make_vec(task, num_envs=count, **single, **further))
+    space = env.observation_space if count == 1 else env.single_observation_space
+    actions = env.action_space if count == 1 else env.single_action_space
+    agent: Any = make_agent("ppo", space, actions, seed, **RULES[rule](count))
+    (train_in_one if count == 1 else train_in_many)(agent, env, seed, marks)
+    return {"scores": [score for _, score in marks.scores], "seconds": timer.seconds}
+
+
+def list_runs(what: str, chosen: str, seeds: Sequence[int]) -> list[tuple[str, str, int, int]]:
+    """(task, rule, environments, seed) of every run, seed by seed."""
+    if what == "choose":
+        return [(CHOOSING, rule, count, seed) for seed in CHOICE_SEEDS for rule in RULES for count in CHOICE_COUNTS]
+    return [(REPORTED, rule, count, seed) for seed in seeds for count in COUNTS[::-1]
+            for rule in dict.fromkeys(("defaults", chosen)) if rule == "defaults" or count >= 64]
+
+
+def choose_rule(rows: Sequence[dict[str, Any]]) -> str:
+    """The rule of the highest mean return over the run, evenly over numbers of environments; the first of equals."""
+    def rate(rule: str) -> float:
+        return float(np.mean([np.mean([row["scores"] for row in rows if (row["rule"], row["count"]) == (rule, count)])
+                              for count in CHOICE_COUNTS]))
+
+    return max(RULES, key=rate)
+
+
+def summarise(rows: Sequence[dict[str, Any]]) -> str:
+    """A table with a line for each rule and number of environments of one task."""
+    lines = ["| settings | environments | runs | after 1/4 | 1/2 | all | over the run | seconds | over the run, "
+             "less one environment's |", "|---|---|---|---|---|---|---|---|---|"]
+    means = {(row["rule"], row["count"], row["seed"]): float(np.mean(row["scores"])) for row in rows}
+    for rule, count in dict.fromkeys((row["rule"], row["count"]) for row in
+                                     sorted(rows, key=lambda row: (row["count"], list(RULES).index(row["rule"])))):
+        own = [row for row in rows if (row["rule"], row["count"]) == (rule, count)]
+        scores = np.array([row["scores"] for row in own]).mean(axis=0)
+        marks = " | ".join(f"{scores[len(scores) * part // 4 - 1]:.0f}" for part in (1, 2, 4))
+        seconds = np.mean([row["seconds"][-1] for row in own])
+        gaps = [means[rule, count, row["seed"]] - means["defaults", 1, row["seed"]] for row in own
+                if ("defaults", 1, row["seed"]) in means]
+        test = compare_pairs([np.array(gaps)]) if len(gaps) > 1 and count > 1 else None
+        gap = "" if test is None else f"{test.difference:+.0f} ({test.low:+.0f} to {test.high:+.0f})"
+        lines.append(f"| {rule} | {count:,} | {len(own)} | {marks} | {scores.mean():.0f} | {seconds:.1f} | {gap} |")
+    return "\n".join(lines)
+
+
+def draw(rows: Sequence[dict[str, Any]], budget: int) -> Figure:
+    """Mean return against primitives and against seconds: a line for each number, dashed at the defaults."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(8.4, 3.4), facecolor=palette.BACKGROUND, layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        for rule, count in dict.fromkeys((row["rule"], row["count"]) for row in
+                                         sorted(rows, key=lambda row: row["count"])):
+            own = [row for row in rows if (row["rule"], row["count"]) == (rule, count)]
+            scores, seconds = (np.array([row[name] for row in own]).mean(axis=0) for name in ("scores", "seconds"))
+            style: dict[str, Any] = {"color": palette.LINES[COUNTS.index(count)],
+                                     "linestyle": "--" if rule == "defaults" and count >= 64 else "-",
+                                     "label": f"{count:,}" if rule != "defaults" or count < 64 else None}
+            left.plot(budget * (1 + np.arange(len(scores))) / len(scores), scores, **style)
+            right.plot(seconds, scores, **style)
+        left.set(xlabel="primitives, of all environments", ylabel="greedy return")
+        right.set(xlabel="seconds of processor time", xscale="log")
+        right.legend(title="environments", frameon=False, fontsize=8)
+        for axes in (left, right):
+            axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def main() -> None:
+    """Run what is missing, then print the table, and draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="?", choices=["choose", "report"], default="report")
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(range(10)))
+    parser.add_argument("--out", type=Path, default=Path("environments_scaled.jsonl"), help="where runs are kept")
+    parser.add_argument("--draw", type=Path, help="figure: svg, png or pdf")
+    parser.add_argument("--quick", action="store_true", help="a sixteenth of each budget, one seed")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.exists() else []
+    part = 16 if arguments.quick else 1
+    choice = [row for row in rows if (row["task"], row["budget"]) == (CHOOSING, BUDGETS[CHOOSING] // part)]
+    is_chosen = len(choice) == len(RULES) * len(CHOICE_COUNTS) * len(CHOICE_SEEDS)
+    chosen = choose_rule(choice) if is_chosen else "eight steps"
+    if not (is_chosen or arguments.quick or arguments.what == "choose"):
+        parser.error(f"{arguments.out} holds no choice of a rule yet: run `choose` first")
+    for task, rule, count, seed in list_runs(arguments.what, chosen, arguments.seeds[: 1 if part > 1 else None]):
+        run = {"task": task, "rule": rule, "count": count, "seed": seed, "budget": BUDGETS[task] // part}
+        if any(row.items() >= run.items() for row in rows):
+            continue
+        rows.append(run | execute(**run))
+        with arguments.out.open("a") as file:
+            file.write(json.dumps(rows[-1]) + "\n")
+        print(f"{rule}, {count:,} on {task}, seed {seed}: {np.mean(rows[-1]['scores']):.0f} over the run", flush=True)
+    task = CHOOSING if arguments.what == "choose" else REPORTED
+    own = [row for row in rows if (row["task"], row["budget"]) == (task, BUDGETS[task] // part)]
+    print("", summarise(own), sep="\n")
+    if task == CHOOSING:
+        print(f"chosen: {choose_rule(own)}")
+    if arguments.draw:
+        save_figure(arguments.draw, draw(own, BUDGETS[task] // part))
+
+
+if __name__ == "__main__":
+    main()
