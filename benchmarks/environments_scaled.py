@@ -1,7 +1,7 @@
 """How much is learned from a primitive, and in a second, as environments grow from 1 to 4,096?
 
-    python -m benchmarks.environments_scaled choose    # which rule of settings, on CartPole: some 5 minutes of a core
-    python -m benchmarks.environments_scaled           # the rule beside the defaults, in a room: some 30 minutes
+    python -m benchmarks.environments_scaled choose    # which rule of settings, on CartPole: two minutes of a core
+    python -m benchmarks.environments_scaled           # the rule beside the defaults, in a room: 15 minutes
     python -m benchmarks.environments_scaled --quick   # seconds: shows that everything runs
 
 A rule gives `ppo` settings for each number of environments. The one with the highest mean return over the run, evenly
@@ -28,16 +28,15 @@ import torch
 from matplotlib.figure import Figure
 
 import hrl_escape  # noqa: F401  # registers the rooms
-from benchmarks.learning_curves import Marks, train_in_many, train_in_one
+from benchmarks.learning_curves import Contender, Marks, compare, describe, train_in_many, train_in_one
 from hrl_escape.agents import evaluate, make_agent
-from hrl_escape.comparison.inference import compare_pairs
 from hrl_escape.env.drawing import palette
 from hrl_escape.figures import STYLE, save_figure
 
 COUNTS = (1, 8, 64, 512, 4096)
 CHOOSING, REPORTED = "CartPole-v1", "hrl_escape/PaperOneButton-v1"
 BUDGETS = {CHOOSING: 65_536, REPORTED: 65_536}
-CHOICE_COUNTS, CHOICE_SEEDS = (64, 512, 4096), (100, 101, 102)
+CHOICE_COUNTS, CHOICE_SEEDS = (64, 512, 4096), (100, 101)
 ARGUMENTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     CHOOSING: ({}, {}), REPORTED: ({"observation": "features"}, {"output": "torch"})}
 """Arguments of an environment, and further ones of many."""
@@ -57,8 +56,7 @@ def cut(count: int, steps: int, batch: int = 64) -> dict[str, Any]:
 RULES: dict[str, Callable[[int], dict[str, Any]]] = {
     "defaults": lambda count: {},
     "one step": lambda count: {} if count < 64 else cut(count, 1),
-    "eight steps": lambda count: {} if count < 64 else cut(count, 8),
-    "eight steps, wide": lambda count: {} if count < 64 else cut(count, 8, 256),
+    "eight steps": lambda count: {} if count < 64 else cut(count, 8, 256),
 }
 """Name -> settings for so many environments; below 64 all are the defaults."""
 
@@ -80,18 +78,18 @@ class Timer:
         return score
 
 
-def execute(task: str, rule: str, count: int, seed: int, budget: int) -> dict[str, Any]:
+def execute(task: str, contender: str, count: int, seed: int, primitives: int) -> dict[str, Any]:
     """Returns, and processor seconds, at the marks of a run."""
     single, further = ARGUMENTS[task]
     timer = Timer(task)
-    marks = Marks([budget * (number + 1) // EVALUATIONS for number in range(EVALUATIONS)], timer)
+    marks = Marks([primitives * (number + 1) // EVALUATIONS for number in range(EVALUATIONS)], timer)
     env: Any = (gymnasium.make(task, **single) if count == 1 else
                 gymnasium.make_vec(task, num_envs=count, **single, **further))
     space = env.observation_space if count == 1 else env.single_observation_space
     actions = env.action_space if count == 1 else env.single_action_space
-    agent: Any = make_agent("ppo", space, actions, seed, **RULES[rule](count))
+    agent: Any = make_agent("ppo", space, actions, seed, **RULES[contender](count))
     (train_in_one if count == 1 else train_in_many)(agent, env, seed, marks)
-    return {"scores": [score for _, score in marks.scores], "seconds": timer.seconds}
+    return {"scores": marks.scores, "seconds": timer.seconds}
 
 
 def list_runs(what: str, chosen: str, seeds: Sequence[int]) -> list[tuple[str, str, int, int]]:
@@ -105,44 +103,59 @@ def list_runs(what: str, chosen: str, seeds: Sequence[int]) -> list[tuple[str, s
 def choose_rule(rows: Sequence[dict[str, Any]]) -> str:
     """The rule of the highest mean return over the run, evenly over numbers of environments; the first of equals."""
     def rate(rule: str) -> float:
-        return float(np.mean([np.mean([row["scores"] for row in rows if (row["rule"], row["count"]) == (rule, count)])
+        return float(np.mean([np.mean([take_scores(row) for row in rows
+                                       if (row["contender"], row["count"]) == (rule, count)])
                               for count in CHOICE_COUNTS]))
 
     return max(RULES, key=rate)
 
 
+def take_scores(row: dict[str, Any]) -> list[float]:
+    """Returns of a run's evaluations."""
+    return [score for _, score in row["scores"]]
+
+
+def list_pairs(chosen: str) -> list[tuple[Contender, Contender]]:
+    """Contenders that are compared: the rule with the defaults, and both with one environment."""
+    many = [count for count in COUNTS if count >= 64]
+    rules = list(dict.fromkeys(("defaults", chosen)))
+    return [*((Contender(rule, count), Contender("defaults", 1)) for rule in rules for count in COUNTS[1:]
+              if rule == "defaults" or count in many),
+            *((Contender(chosen, count), Contender("defaults", count)) for count in many if chosen != "defaults")]
+
+
 def summarise(rows: Sequence[dict[str, Any]]) -> str:
     """A table with a line for each rule and number of environments of one task."""
-    lines = ["| settings | environments | runs | after 1/4 | 1/2 | all | over the run | seconds | over the run, "
-             "less one environment's |", "|---|---|---|---|---|---|---|---|---|"]
-    means = {(row["rule"], row["count"], row["seed"]): float(np.mean(row["scores"])) for row in rows}
-    for rule, count in dict.fromkeys((row["rule"], row["count"]) for row in
-                                     sorted(rows, key=lambda row: (row["count"], list(RULES).index(row["rule"])))):
-        own = [row for row in rows if (row["rule"], row["count"]) == (rule, count)]
-        scores = np.array([row["scores"] for row in own]).mean(axis=0)
+    lines = ["| settings | environments | runs | after 1/4 | 1/2 | all | over the run | seconds |",
+             "|---|---|---|---|---|---|---|---|"]
+    for (rule, count), own in group(rows).items():
+        scores = np.array([take_scores(row) for row in own]).mean(axis=0)
         marks = " | ".join(f"{scores[len(scores) * part // 4 - 1]:.0f}" for part in (1, 2, 4))
         seconds = np.mean([row["seconds"][-1] for row in own])
-        gaps = [means[rule, count, row["seed"]] - means["defaults", 1, row["seed"]] for row in own
-                if ("defaults", 1, row["seed"]) in means]
-        test = compare_pairs([np.array(gaps)]) if len(gaps) > 1 and count > 1 else None
-        gap = "" if test is None else f"{test.difference:+.0f} ({test.low:+.0f} to {test.high:+.0f})"
-        lines.append(f"| {rule} | {count:,} | {len(own)} | {marks} | {scores.mean():.0f} | {seconds:.1f} | {gap} |")
+        lines.append(f"| {rule} | {count:,} | {len(own)} | {marks} | {scores.mean():.0f} | {seconds:.1f} |")
     return "\n".join(lines)
 
 
-def draw(rows: Sequence[dict[str, Any]], budget: int) -> Figure:
+def group(rows: Sequence[dict[str, Any]]) -> dict[tuple[str, int], list[dict[str, Any]]]:
+    """Runs by rule and number of environments, few environments first."""
+    found: dict[tuple[str, int], list[dict[str, Any]]] = {}
+    for row in sorted(rows, key=lambda row: (row["count"], list(RULES).index(row["contender"]))):
+        found.setdefault((row["contender"], row["count"]), []).append(row)
+    return found
+
+
+def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     """Mean return against primitives and against seconds: a line for each number, dashed at the defaults."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.4, 3.4), facecolor=palette.BACKGROUND, layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
-        for rule, count in dict.fromkeys((row["rule"], row["count"]) for row in
-                                         sorted(rows, key=lambda row: row["count"])):
-            own = [row for row in rows if (row["rule"], row["count"]) == (rule, count)]
-            scores, seconds = (np.array([row[name] for row in own]).mean(axis=0) for name in ("scores", "seconds"))
+        for (rule, count), own in group(rows).items():
+            scores, seconds = (np.array(values).mean(axis=0) for values in
+                               ([take_scores(row) for row in own], [row["seconds"] for row in own]))
             style: dict[str, Any] = {"color": palette.LINES[COUNTS.index(count)],
                                      "linestyle": "--" if rule == "defaults" and count >= 64 else "-",
                                      "label": f"{count:,}" if rule != "defaults" or count < 64 else None}
-            left.plot(budget * (1 + np.arange(len(scores))) / len(scores), scores, **style)
+            left.plot([mark for mark, _ in own[0]["scores"]], scores, **style)
             right.plot(seconds, scores, **style)
         left.set(xlabel="primitives, of all environments", ylabel="greedy return")
         right.set(xlabel="seconds of processor time", xscale="log")
@@ -164,26 +177,28 @@ def main() -> None:
     torch.set_num_threads(1)
     rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.exists() else []
     part = 16 if arguments.quick else 1
-    choice = [row for row in rows if (row["task"], row["budget"]) == (CHOOSING, BUDGETS[CHOOSING] // part)]
+    choice = [row for row in rows if (row["task"], row["primitives"]) == (CHOOSING, BUDGETS[CHOOSING] // part)]
     is_chosen = len(choice) == len(RULES) * len(CHOICE_COUNTS) * len(CHOICE_SEEDS)
     chosen = choose_rule(choice) if is_chosen else "eight steps"
     if not (is_chosen or arguments.quick or arguments.what == "choose"):
         parser.error(f"{arguments.out} holds no choice of a rule yet: run `choose` first")
     for task, rule, count, seed in list_runs(arguments.what, chosen, arguments.seeds[: 1 if part > 1 else None]):
-        run = {"task": task, "rule": rule, "count": count, "seed": seed, "budget": BUDGETS[task] // part}
+        run = {"task": task, "contender": rule, "count": count, "seed": seed, "primitives": BUDGETS[task] // part}
         if any(row.items() >= run.items() for row in rows):
             continue
         rows.append(run | execute(**run))
         with arguments.out.open("a") as file:
             file.write(json.dumps(rows[-1]) + "\n")
-        print(f"{rule}, {count:,} on {task}, seed {seed}: {np.mean(rows[-1]['scores']):.0f} over the run", flush=True)
+        print(f"{rule}, {count:,}, seed {seed}: {np.mean(take_scores(rows[-1])):.0f} over the run", flush=True)
     task = CHOOSING if arguments.what == "choose" else REPORTED
-    own = [row for row in rows if (row["task"], row["budget"]) == (task, BUDGETS[task] // part)]
+    own = [row for row in rows if (row["task"], row["primitives"]) == (task, BUDGETS[task] // part)]
     print("", summarise(own), sep="\n")
     if task == CHOOSING:
         print(f"chosen: {choose_rule(own)}")
+    else:
+        print("", *(f"- {describe(found)}" for found in compare(own, list_pairs(chosen))), sep="\n")
     if arguments.draw:
-        save_figure(arguments.draw, draw(own, BUDGETS[task] // part))
+        save_figure(arguments.draw, draw(own))
 
 
 if __name__ == "__main__":

@@ -222,14 +222,15 @@ class Comparison(NamedTuple):
     final: PairedTest
 
 
-def compare(rows: Sequence[dict[str, Any]]) -> list[Comparison]:
+def compare(rows: Sequence[dict[str, Any]], pairs: Sequence[tuple[Contender, Contender]] = PAIRS) -> list[Comparison]:
     """Compare the contenders of one task; p-values are of Student's paired test, by Holm's correction over all of them.
 
     Args:
         rows: finished runs of the task; a pair has those seeds that both contenders ran.
+        pairs: contenders to be compared.
     """
     found: list[tuple[tuple[Contender, Contender], list[PairedTest]]] = []
-    for pair in PAIRS:
+    for pair in pairs:
         runs = [{row["seed"]: [score for _, score in row["scores"]] for row in rows
                  if (row["contender"], row["count"]) == contender} for contender in pair]
         seeds = sorted(runs[0].keys() & runs[1].keys())

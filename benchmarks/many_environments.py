@@ -6,11 +6,11 @@
     python -m benchmarks.many_environments pixels              # frames of the robot's camera, beside Bullet's
     python -m benchmarks.many_environments rates --quick       # seconds: shows that everything runs
 
-`ppo` at its default settings but for the epochs, Stable-Baselines3's PPO (`sb3`) at its own (10 epochs), with 1 and 8
-environments. Whether as much is learned from equally many primitives is the question of `benchmarks.learning_curves`.
-Rates are of processor time, and of wall time, which is the one to read with several threads. A run warms up before it
-is timed, so that nothing is compiled meanwhile. Finished runs are kept, a line each, in the file `--out`; the command
-goes on where it was stopped.
+`ppo` at its default settings but for the epochs, `dqn` at its own, Stable-Baselines3's PPO (`sb3`) at its own (10
+epochs), with 1 and 8 environments. Whether as much is learned from equally many primitives is the question of
+`benchmarks.learning_curves` and `benchmarks.environments_scaled`. Rates are of processor time, and of wall time, which
+is the one to read with several threads. A run warms up before it is timed, so that nothing is compiled meanwhile.
+Finished runs are kept, a line each, in the file `--out`; the command goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -34,17 +34,20 @@ PEERS = (1, 8)
 PICTURED = ("PaperTwoButton", "Clutter")
 COMPILED = 512
 """Environments from which on rooms are compiled: fewer do not spend enough to be worth it."""
-RATE_SETTINGS: dict[str, dict[str, Any]] = {"10 epochs": {}, "4 epochs": {"epochs": 4}, "1 epoch": {"epochs": 1}}
+RATED: dict[str, tuple[str, dict[str, Any]]] = {
+    "10 epochs": ("ppo", {}), "4 epochs": ("ppo", {"epochs": 4}), "1 epoch": ("ppo", {"epochs": 1}), "dqn": ("dqn", {})}
+"""Contender -> agent and settings."""
 
 
-def measure_ours(count: int, budget: int, settings: dict[str, Any], threads: int) -> dict[str, float]:
-    """Primitives of a room that `ppo` learns from in a second."""
+def measure_ours(contender: str, count: int, budget: int, threads: int) -> dict[str, float]:
+    """Primitives of a room that an agent learns from in a second."""
+    agent, settings = RATED[contender]
     env: Any = (gymnasium.make(RATES, observation="features") if count == 1 else
                 gymnasium.make_vec(RATES, num_envs=count, output="torch", observation="features",
                                    compile=count >= COMPILED))
 
     def run(primitives: int) -> int:
-        return train("ppo", env, primitives=primitives, eval_episodes=0, progress=False, settings=settings,
+        return train(agent, env, primitives=primitives, eval_episodes=0, progress=False, settings=settings,
                      threads=threads).primitives
 
     run(min(budget, 8 * 2048))
@@ -138,7 +141,7 @@ def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
                 for count in counts]
     return [{"what": "rates", "contender": contender, "count": count, "round": number, "threads": arguments.threads}
             for number in range(arguments.rounds)
-            for contender, counts in (*((name, arguments.counts) for name in RATE_SETTINGS), ("sb3", PEERS))
+            for contender, counts in (*((name, arguments.counts) for name in RATED), ("sb3", PEERS))
             for count in counts]
 
 
@@ -152,7 +155,7 @@ def execute(run: dict[str, Any], quick: bool) -> dict[str, Any]:
     budget = 4_096 if quick or peer or count <= 8 else 512 * count
     if peer:
         return measure_peer(count, budget, run["threads"])
-    return measure_ours(count, budget, RATE_SETTINGS[run["contender"]], run["threads"])
+    return measure_ours(run["contender"], count, budget, run["threads"])
 
 
 def summarise(rows: list[dict[str, Any]], what: str) -> str:

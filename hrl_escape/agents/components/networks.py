@@ -246,7 +246,7 @@ class _Blocks(torch.autograd.Function):
                 if ctx.is_tanh:
                     torch.ops.aten.tanh_backward.grad_input(error, before, grad_input=error)
                 else:
-                    error.mul_(before > 0)
+                    torch.ops.aten.threshold_backward.grad_input(error, before, 0, grad_input=error)
             if of_rows is not None:
                 torch.mm(error, weights[0], out=of_rows[part])
         pairs = (part for pair in zip(of_weights, of_biases, strict=True) for part in pair)
