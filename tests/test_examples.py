@@ -24,6 +24,8 @@ LESSONS = [
     ("stable_baselines.py", ["--steps", "256"],
      [r"DQN on primitives", r"MaskablePPO on options: 256 steps, then return",
       r"PPO as the option balance: \d+ primitives, reward \d+, ended by (reached|episode-over)"]),
+    ("continuous_sac.py", ["--steps", "300"],
+     [r"plan: escaped in \d+\.\d s of motion", r"SAC, 300 steps: return -?\d+\.\d in \d+\.\d s"]),
     ("cleanrl_ppo.py", ["--primitives", "24576"],
      [r"24,576 primitives: return (8[5-9]|9\d), 100% of \d+ episodes escape"]),
     ("torchrl_macros.py", [],

@@ -11,6 +11,7 @@ from .config import (
     StartConfig,
     Wall,
 )
+from .continuous import EscapeRoomContinuousEnv
 from .escape_room import EscapeRoomEnv
 from .instance import PlacedProp, Rectangle, RoomInstance, Start, Target
 from .kinematics import Kinematics, RoomState, Rules
@@ -44,6 +45,7 @@ __all__ = [
     "ButtonsConfig",
     "Contacts",
     "DynamicsConfig",
+    "EscapeRoomContinuousEnv",
     "EscapeRoomEnv",
     "EscapeRoomTorchRLEnv",
     "EscapeRoomVectorEnv",

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.engine import Engine, Renderer, check_camera, check_picture_size, make_engine, make_renderer
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState, Transition
+from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import draw_episode
 from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.sampling.generation import generate
@@ -234,24 +234,33 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
 
     def step(self, action: np.int64 | int) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
         """Run one primitive, by its number in the action table; returns Gymnasium's five values."""
-        if self._state is None or self._ended:
-            self._get_room()
-            raise ResetNeededError("call reset() first: " + ("the episode has ended" if self._ended
-                                                            else "no episode has begun"))
+        _, room = self._require_episode()
         try:
             number = operator.index(action)
         except TypeError:
             raise ActionError(action, self._count) from None
         if not 0 <= number < self._count:
             raise ActionError(action, self._count)
-        transition: Transition = self.room.step(number)  # type: ignore[union-attr]  # a state means a room
-        self._state, reward, terminated, truncated, pressed = transition
+        return self._finish(*room.step(number))
+
+    def _require_episode(self) -> tuple[RoomState, Engine]:
+        """State and room of the running episode."""
+        room = self._get_room()
+        if self._state is None or self._ended:
+            raise ResetNeededError("call reset() first: " + ("the episode has ended" if self._ended
+                                                            else "no episode has begun"))
+        return self._state, room
+
+    def _finish(self, state: RoomState, reward: float, terminated: bool, truncated: bool, pressed: tuple[int, ...]
+                ) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
+        """Take over the outcome of a step; returns Gymnasium's five values."""
+        self._state = state
         self._ended = terminated or truncated
         if self._trailing:
-            self._trail.append((self._state.x, self._state.y))
+            self._trail.append((state.x, state.y))
         if self.render_mode == "human":
             self.render()
-        escaped = terminated and self.rules.has_escaped(self._state)
+        escaped = terminated and self.rules.has_escaped(state)
         return self._observe(), reward, terminated, truncated, self._inform(pressed, escaped)
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]  # its frames are generic

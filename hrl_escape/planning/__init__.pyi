@@ -4,6 +4,7 @@ from .best_known import BestKnown, best_known_return, find_best_known, record_re
 from .calls import plan_many, start_planning
 from .goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
 from .motion.limits import MotionLimits
+from .motion.tracking import Tracking, track
 from .motion.trajectory import TimedTrajectory, make_trajectory
 from .paths.navigator import Navigator
 from .paths.planners import list_planners, register_planner
@@ -41,6 +42,7 @@ __all__ = [
     "Scene",
     "TaskMotionPlanner",
     "TimedTrajectory",
+    "Tracking",
     "best_known_return",
     "export_pddl",
     "find_best_known",
@@ -48,6 +50,7 @@ __all__ = [
     "is_reached",
     "list_planners",
     "make_trajectory",
+    "track",
     "parse_goal",
     "plan_many",
     "record_return",

@@ -297,4 +297,25 @@ MUTATIONS = [
         "rng.choice(count, self.scramble, replace=True).tolist():",
         "env/puzzles/test_lights_out.py::test_a_scrambled_board_needs_as_many_different_presses_as_were_drawn",
     ),
+    Mutation(
+        "a step of velocities goes along the heading before its turn",
+        "env/continuous.py",
+        "middle = self.rules.get_heading(state) + turn / 2.0",
+        "middle = self.rules.get_heading(state)",
+        "env/test_continuous.py::test_the_rules_of_a_step",
+    ),
+    Mutation(
+        "velocities carry the base through solids",
+        "env/kinematics.py",
+        "x, y = x + fraction * dx, y + fraction * dy",
+        "x, y = x + dx, y + dy",
+        "env/test_continuous.py::test_contact_is_exact_and_nothing_tunnels_asked_of_bullet",
+    ),
+    Mutation(
+        "a step of velocities costs a primitive",
+        "env/continuous.py",
+        "reward -= self.instance.reward.step * (1.0 - self.time_step)",
+        "pass",
+        "env/test_continuous.py::test_the_rules_of_a_step",
+    ),
 ]

@@ -235,4 +235,11 @@ MUTATIONS = [
         "(0.0,)",
         "planning/motion/test_trajectory.py::test_clearance_is_kept_where_there_is_a_way_with_it",
     ),
+    Mutation(
+        "the controller has no feedback",
+        "planning/motion/tracking.py",
+        "rates = (wanted + push - at) / step",
+        "rates = (wanted + push - trajectory.evaluate(max(now - step, 0.0))) / step",
+        "planning/motion/test_tracking.py::test_physics_and_noise_press_the_same",
+    ),
 ]

@@ -1,0 +1,172 @@
+"""The continuous door: Gymnasium's contract, exact contact, plans played as velocities, and Stable-Baselines3's SAC."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.continuous import EscapeRoomContinuousEnv
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ConfigError, ResetNeededError, UnsupportedError
+from hrl_escape.planning.planner import RoomPlanner
+
+
+def change(preset: str, robot=None, dynamics=None, **settings):
+    config = get_preset(preset)
+    return dataclasses.replace(config, robot=dataclasses.replace(config.robot, **(robot or {})),
+                               dynamics=dataclasses.replace(config.dynamics, **(dynamics or {})), **settings)
+
+
+RECTANGLE = {"footprint": "rectangle", "body_length": 1.0, "body_width": 0.6}
+
+
+@pytest.mark.parametrize("config", [get_preset("arm-two-button"), change("clutter", RECTANGLE),
+                                    change("paper-two-button", {"drive": "differential"}),
+                                    change("paper-two-button", dynamics={"kind": "physics"})])
+def test_it_is_an_environment_of_gymnasium(config):
+    env = gymnasium.make("hrl_escape/EscapeRoomContinuous-v1", config=config, observation="features")
+    check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+
+
+def test_the_action_space_is_the_robot_s():
+    env = EscapeRoomContinuousEnv("arm-two-button", speed=0.7, joint_speed=20.0)
+    assert env.action_space.high == pytest.approx([0.7, 0.7, 1.5, 10.0, 10.0, 10.0]), "the URDF allows 10 rad/s"
+    other = EscapeRoomContinuousEnv(change("clutter", {"drive": "differential"}))
+    assert other.action_space.shape == (2,)
+
+
+@pytest.mark.parametrize(("preset", "seed"), [("paper-random", 1), ("key-chest", 0), ("arm-two-button", 0),
+                                              ("lights-out", 0), ("door-free", 0)])
+def test_a_plan_of_primitives_played_as_velocities_reaches_the_same_states(preset, seed):
+    config = change("clutter", {"drive": "differential"}) if preset == "door-free" else get_preset(preset)
+    planner = RoomPlanner(generate(config, seed))
+    plan = planner.solve(planner.rules.make_state(planner.instance.starts[0]))
+    env = EscapeRoomContinuousEnv(instance=plan.instance, turn_speed=4.0, joint_speed=4.0)
+    env.reset(options={"state": plan.states[0]})
+    total, rules, steps = 0.0, planner.rules, 10
+    for action, expected in zip(plan.primitives, plan.states[1:], strict=True):
+        primitive = rules.actions.primitives[action]
+        rates = np.zeros(len(env.action_space.high))
+        rates[0] = primitive.forward
+        rates[1] = primitive.left if len(rates) - rules.instance.robot.joints == 3 else 0.0
+        rates[len(rates) - rules.instance.robot.joints - 1] = primitive.turn * rules.turn_step
+        if primitive.joint >= 0:
+            rates[len(rates) - rules.instance.robot.joints + primitive.joint] = (
+                primitive.joint_change * rules.robot.step)
+        for _ in range(steps):
+            _, reward, terminated, _, info = env.step(rates / (steps * env.time_step))
+            total += reward
+            if terminated:
+                break
+        if terminated:  # the last move may cross the exit before its end
+            break
+        state = env.get_state()
+        assert (state.x, state.y) == pytest.approx((expected.x, expected.y), abs=1e-9)
+        assert math.remainder(rules.get_heading(state) - rules.get_heading(expected), math.tau) == pytest.approx(0.0)
+        assert rules.get_angles(state) == pytest.approx(rules.get_angles(expected), abs=1e-9)
+        assert (state.puzzle, state.touching) == (expected.puzzle, expected.touching)
+    assert terminated and info["success"] and action == plan.primitives[-1] and expected == plan.states[-1]
+    assert 0.0 <= plan.cost - info["seconds"] < 1.0
+    assert total == pytest.approx(plan.compute_return() + plan.cost - info["seconds"]), "-1 a second, as -1 a primitive"
+
+
+@pytest.mark.parametrize("config", [get_preset("clutter"), change("clutter", RECTANGLE)])
+def test_contact_is_exact_and_nothing_tunnels_asked_of_bullet(config):
+    env = EscapeRoomContinuousEnv(config, time_step=0.25, speed=8.0, turn_speed=3.0)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    gaps = []
+    for _ in range(150):
+        env.step(env.action_space.sample())
+        gaps.append(env.room.compute_clearance())
+    assert min(gaps) > CONTACT_SKIN - 5e-5
+    assert sum(gap < 2 * CONTACT_SKIN for gap in gaps) > 10, "it meets walls"
+
+
+def test_the_rules_of_a_step():
+    env = EscapeRoomContinuousEnv("arm-two-button", time_step=0.5, speed=2.0)
+    env.reset(seed=0)
+    before = env.get_state()
+    rules = env.rules
+    _, reward, _, _, info = env.step(np.array([0.4, 0.0, 1.0, 0.2, 0.0, 0.0]))
+    state = env.get_state()
+    middle = rules.get_heading(before) + 0.25
+    assert (state.x - before.x, state.y - before.y) == pytest.approx((0.2 * math.cos(middle), 0.2 * math.sin(middle)))
+    assert rules.get_heading(state) - rules.get_heading(before) == pytest.approx(0.5)
+    assert rules.get_angles(state) == pytest.approx((rules.get_angles(before)[0] + 0.1, *rules.get_angles(before)[1:]))
+    assert (reward, info["seconds"], info["time_step"]) == (-0.5, 0.5, 0.5)
+    high = rules.robot.limits[1][1]
+    for _ in range(20):
+        env.step(np.array([0.0, 0.0, 0.0, 0.0, 9.0, 0.0]))
+    assert rules.get_angles(env.get_state())[1] == high, "clipped to the bound, and stopped at the joint's limit"
+
+
+def test_states_are_written_back_exactly_and_copies_go_on():
+    env = EscapeRoomContinuousEnv("clutter")
+    env.action_space.seed(1)
+    env.reset(seed=0)
+    actions = [env.action_space.sample() for _ in range(20)]
+    for action in actions[:10]:
+        env.step(action)
+    twin, kept = pickle.loads(pickle.dumps(env)), env.get_state()
+    first = [env.step(action)[0] for action in actions[10:]]
+    env.set_state(kept)
+    for other in (env, twin):
+        assert all(np.array_equal(a, other.step(b)[0]) for a, b in zip(first, actions[10:], strict=True))
+    assert twin.describe()["time_step"] == 0.1
+
+
+def test_time_runs_out_in_seconds():
+    env = EscapeRoomContinuousEnv("paper-one-button", time_limit=0.95)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(3))[3] for _ in range(10)]
+    assert ends == [False] * 9 + [True]
+    with pytest.raises(ResetNeededError):
+        env.step(np.zeros(3))
+
+
+def test_physics_moves_as_fast_as_it_is_told():
+    env = EscapeRoomContinuousEnv(change("paper-two-button", dynamics={"kind": "physics"}))
+    env.reset(seed=0)
+    begin = env.get_state()
+    places = [env.step(np.array([0.5, 0.0, 0.0])) and env.get_state() for _ in range(10)]
+    assert math.hypot(places[-1].x - begin.x, places[-1].y - begin.y) == pytest.approx(0.5, abs=0.02)
+    assert all(b.physics != a.physics for a, b in itertools.pairwise([begin, *places][:2]))
+
+
+def test_wrong_arguments_actions_and_rooms_are_named():
+    for wrong in ({"time_step": 0.0}, {"speed": math.inf}, {"time_limit": -1.0}):
+        with pytest.raises(ConfigError, match=next(iter(wrong))):
+            EscapeRoomContinuousEnv(**wrong)
+    for preset in ("taxi", "sokoban"):
+        with pytest.raises(UnsupportedError, match="EscapeRoom-v1"):
+            EscapeRoomContinuousEnv(preset)
+    env = EscapeRoomContinuousEnv()
+    env.reset(seed=0)
+    for wrong in (0, np.zeros(2), np.array([0.0, math.nan, 0.0]), "left"):
+        with pytest.raises(ConfigError, match="3 finite numbers"):
+            env.step(wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["SAC", "TD3"])
+def test_stable_baselines3_trains_on_it_unmodified(algorithm):
+    sb3 = pytest.importorskip("stable_baselines3")
+    env = gymnasium.make("hrl_escape/EscapeRoomContinuous-v1", config="paper-one-button", observation="features",
+                         time_limit=30.0)
+    model = getattr(sb3, algorithm)("MlpPolicy", env, learning_starts=50, batch_size=32, seed=0)
+    before = [weights.detach().clone() for weights in model.actor.parameters()]
+    model.learn(400)
+    assert any((a != b).any() for a, b in zip(before, model.actor.parameters(), strict=True))
+    action, _ = model.predict(env.reset(seed=0)[0], deterministic=True)
+    assert env.action_space.contains(action)
