@@ -52,21 +52,23 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
         turn_speed: rad/s.
         joint_speed: rad/s.
         time_limit: s; None for as many seconds as the room's horizon has primitives.
+
+    Attributes:
+        speeds: `speed`, `turn_speed` and `joint_speed`.
+        time_step: s.
     """
 
     def __init__(self, config: SchematicForm = "paper-two-button", *, time_step: float = 0.1, speed: float = 1.0,
                  turn_speed: float = 1.5, joint_speed: float = 1.0, time_limit: float | None = None, **settings: Any
                  ) -> None:
-        self._numbers: dict[str, float | None] = {
-            "time_step": time_step, "speed": speed, "turn_speed": turn_speed, "joint_speed": joint_speed,
-            "time_limit": time_limit}
-        for name, value in self._numbers.items():
+        self.speeds = {"speed": speed, "turn_speed": turn_speed, "joint_speed": joint_speed}
+        self.time_step, self._time_limit = time_step, time_limit
+        for name, value in (self.speeds | {"time_step": time_step, "time_limit": time_limit}).items():
             is_number = isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 < value < math.inf
             if not is_number and (name != "time_limit" or value is not None):
                 raise ConfigError(name, value, "a finite number above 0")
-        self.time_step = float(time_step)
         super().__init__(config, **settings)
-        EzPickle.__init__(self, config, **self._numbers, **settings)
+        EzPickle.__init__(self, config, **self.speeds, time_step=time_step, time_limit=time_limit, **settings)
 
     def _enter(self, instance: RoomInstance) -> None:
         if instance.robot.actions.gripper or (isinstance(instance.puzzle, Pushing)
@@ -74,16 +76,16 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
             raise UnsupportedError(f"{instance.name!r} is a room of things to grip or push from cell to cell, which "
                                    "takes primitives: hrl_escape/EscapeRoom-v1")
         super()._enter(instance)
-        speed, turn_speed, joint_speed = (self._numbers[name] for name in ("speed", "turn_speed", "joint_speed"))
+        speed, turn_speed, joint_speed = self.speeds.values()
         self._strafes = instance.robot.drive == "strafing"
-        self._seconds = float(self._numbers["time_limit"] or instance.horizon)
-        joints = [min(float(joint_speed or 0.0), top) for top in self.rules.robot.speeds]
+        self._seconds = self._time_limit or instance.horizon
+        joints = [min(joint_speed, top) for top in self.rules.robot.speeds]
         self._top = np.array([*[speed] * (1 + self._strafes), turn_speed, *joints], dtype=np.float64)
         self.action_space = spaces.Box(-self._top.astype(np.float32), self._top.astype(np.float32))  # type: ignore[assignment]
 
     def describe(self) -> dict[str, Any]:
         """As in `EscapeRoomEnv`, and the numbers of this one."""
-        return super().describe() | self._numbers
+        return super().describe() | self.speeds | {"time_step": self.time_step, "time_limit": self._time_limit}
 
     def step(self, action: NDArray[Any]) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:  # type: ignore[override]
         """Move for one step of time; returns Gymnasium's five values.

@@ -16,6 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.poses import list_touched
@@ -222,10 +223,10 @@ class RoomDomain(OptionDomain):
         room = env.unwrapped
         assert isinstance(room, RoomEnv)
         self.room = room
-        if not isinstance(env.action_space, spaces.Discrete):
+        if self._discrete is None and not isinstance(room, EscapeRoomContinuousEnv):
             raise UnsupportedError(f"options choose primitives by number, but a wrapper below changed the action "
                                    f"space to {env.action_space}. Apply that wrapper after OptionsEnv")
-        self._count = int(env.action_space.n)
+        self._count = 0 if self._discrete is None else int(self._discrete.n)
         self._numbers: dict[Any, int] = {}  # of rooms, in the order in which they first appear
 
     @property
@@ -240,7 +241,7 @@ class RoomDomain(OptionDomain):
     @property
     def action_names(self) -> tuple[str, ...]:
         """Names of the room's action table, or of the actions of the environment of options below."""
-        if self.lower is not None:
+        if self.lower is not None or self._discrete is None:
             return super().action_names
         return self.room.instance.robot.actions.names
 
@@ -253,18 +254,22 @@ class RoomDomain(OptionDomain):
         if self.lower is not None:
             raise OptionError("planned options choose primitives, and the actions below are options themselves: give "
                               "OptionsEnv(env, options) options that choose among them")
+        if isinstance(self.room, EscapeRoomContinuousEnv):
+            from hrl_escape.options.tracked import TrackedSource  # loads the planners
+
+            return TrackedSource.of(self.room, planner)
         return MetaSource(flavour, planner)
 
     def get_state(self, observation: Any) -> RoomState:
         """Full state of the room."""
         return self.room.get_state()
 
-    def get_idle_action(self, mask: NDArray[np.int8]) -> int:
-        """Turn left; over options without primitives, the first legal one."""
-        turns = self.lower is None or self.lower.primitive_count > 0
+    def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
+        """Turn left; over options without primitives, the first legal one; over velocities, rest."""
+        turns = self._discrete is not None and (self.lower is None or self.lower.primitive_count > 0)
         return self.room.instance.robot.actions.wait if turns else super().get_idle_action(mask)
 
-    def check_action(self, action: Any) -> int:
+    def check_action(self, action: Any) -> Any:
         """Bring an option's primitive into the form that the room takes."""
         return action if type(action) is int and 0 <= action < self._count else super().check_action(action)
 

@@ -183,4 +183,11 @@ MUTATIONS = [
         "return goals",
         "ladder/test_instance_set.py",
     ),
+    Mutation(
+        "a tracked option does not see where its steps lead",
+        "options/tracked.py",
+        "self._tracker.see(state)",
+        "pass",
+        "options/test_tracked.py",
+    ),
 ]

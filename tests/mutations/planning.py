@@ -238,8 +238,8 @@ MUTATIONS = [
     Mutation(
         "the controller has no feedback",
         "planning/motion/tracking.py",
-        "rates = (wanted + push - at) / step",
-        "rates = (wanted + push - trajectory.evaluate(max(now - step, 0.0))) / step",
+        "rates = (self._wanted + self._push - self._at) / self._step",
+        "rates = (self._wanted - self._trajectory.evaluate(max(self._now - self._step, 0.0))) / self._step",
         "planning/motion/test_tracking.py::test_physics_and_noise_press_the_same",
     ),
 ]

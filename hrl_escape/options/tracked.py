@@ -1,0 +1,106 @@
+"""Options over velocities: a plan's trajectory, driven step by step in the continuous environment."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import PlanningReason, UnsupportedError
+from hrl_escape.options.meta_actions import AbsentOption, list_goals, name_object
+from hrl_escape.options.option import Option
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, is_reached
+from hrl_escape.planning.motion.limits import MotionLimits
+from hrl_escape.planning.motion.tracking import Tracker
+from hrl_escape.planning.motion.trajectory import make_trajectory
+from hrl_escape.planning.planner import RoomPlanner, get_planner
+
+if TYPE_CHECKING:
+    from hrl_escape.env.continuous import EscapeRoomContinuousEnv
+
+MOST_TRIES = 5
+"""Trajectories that one run of an option may drive."""
+HEADROOM = 0.9
+"""Share of the environment's largest velocities that a trajectory uses; the rest is for feedback."""
+
+
+class TrackedOption(Option):
+    """Reach one goal by a trajectory of its plan; where it ends short of the goal, by another from there.
+
+    Args:
+        name: stable name.
+        planner: the room's planner.
+        goal: goal of the option.
+        limits: of the trajectories.
+        time_step: of the environment, s.
+    """
+
+    def __init__(self, name: str, planner: RoomPlanner, goal: Goal, limits: MotionLimits, time_step: float) -> None:
+        super().__init__(name)
+        self.instance, self.goal, self.about = planner.instance, goal, name_object(goal, planner.instance)
+        self.targets = (goal.target,) if isinstance(goal, PressGoal) else ()
+        self._planner, self._limits, self._time_step = planner, limits, time_step
+
+    def initiation(self, state: RoomState) -> bool:
+        """True unless the goal is reached already or planning from here is known to fail."""
+        return self._planner.routes.can_start(state, self.goal)
+
+    def start(self, state: RoomState) -> None:
+        """Plan from here. Raises `PlanningFailed`."""
+        super().start(state)
+        self._last, self._tries = state, 0
+        self._plan(state)
+
+    def _plan(self, state: RoomState) -> None:
+        if self._tries == MOST_TRIES:
+            raise self._planner.routes.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
+                                                    nearest=f"{MOST_TRIES} trajectories driven")
+        self._tries += 1
+        plan = self._planner.plan(state, self.goal)
+        try:
+            trajectory = make_trajectory(plan, self._limits)
+        except UnsupportedError as error:
+            raise self._planner.routes.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, self.goal,
+                                                    nearest=str(error)) from None
+        self._tracker = Tracker(trajectory, self._planner.rules, self._time_step, state)
+
+    def policy(self, state: RoomState) -> NDArray[Any]:
+        """Velocities of the next step."""
+        if state is not self._last:
+            self._tracker.see(state)
+        if self._tracker.is_done:
+            self._plan(state)
+        self._last = state
+        return self._tracker.choose()
+
+    def termination(self, state: RoomState) -> float:
+        """1 once the goal is reached; a press counts at the step that begins the touch."""
+        return float(is_reached(self.goal, self._last, state, self._planner.rules))
+
+
+@dataclasses.dataclass(frozen=True)
+class TrackedSource:
+    """Makes the tracked meta-actions of any room, for one continuous environment's velocities and step of time."""
+
+    limits: MotionLimits
+    time_step: float
+    planner: str = "auto"  # method of their plans, as in `RoomPlanner`
+
+    @classmethod
+    def of(cls, env: EscapeRoomContinuousEnv, planner: str) -> TrackedSource:
+        """The source for an environment, within `HEADROOM` of its velocities."""
+        speeds = {name: HEADROOM * env.speeds[name] for name in ("speed", "turn_speed", "joint_speed")}
+        return cls(MotionLimits(**speeds), env.time_step, planner)
+
+    def __call__(self, instance: RoomInstance) -> Sequence[Option]:
+        """The meta-actions of a room: `meta-01` and so on press one target each, `meta-exit` leaves."""
+        planner = get_planner(instance, self.planner)
+        goals = [goal for goal in list_goals(instance) if isinstance(goal, PressGoal)]
+        names = [*(f"meta-{n:02d}" for n in range(1, len(goals) + 1)), "meta-exit"]
+        return [AbsentOption(name) if isinstance(goal, PressGoal) and goal.target >= len(instance.targets)
+                else TrackedOption(name, planner, goal, self.limits, self.time_step)
+                for name, goal in zip(names, [*goals, ExitGoal()], strict=True)]

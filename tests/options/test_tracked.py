@@ -1,0 +1,59 @@
+"""Options over velocities: `OptionsEnv` on the continuous door, with tracked plans."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hrl_escape.env.continuous import EscapeRoomContinuousEnv
+from hrl_escape.env.presets import get_preset
+from hrl_escape.options.option import FunctionOption
+from hrl_escape.options.options_env import OptionsEnv
+
+
+def change(preset: str, **dynamics):
+    config = get_preset(preset)
+    return dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, **dynamics))
+
+
+@pytest.mark.parametrize("config", [get_preset("paper-two-button"), get_preset("arm-two-button"),
+                                    change("paper-two-button", noise=0.1)])
+def test_random_options_escape_and_each_presses_its_own_target(config):
+    env = OptionsEnv(EscapeRoomContinuousEnv(config), discount=0.999)
+    assert env.action_names == ("meta-01", "meta-02", "meta-exit")
+    _, info = env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        choice = int(rng.choice(np.flatnonzero(info["action_mask"])))
+        _, reward, terminated, truncated, info = env.step(choice)
+        option, name = info["option"], env.action_names[choice]
+        assert option["ended"] == "reached" and not option["also_pressed"]
+        assert option["pressed"] == (() if name == "meta-exit" else (f"button-{name[-1]}",))
+        bonus = 100.0 if terminated else 0.0
+        assert reward == pytest.approx(bonus - 0.1 * info["duration"])
+        assert info["discount"] == pytest.approx(0.999 ** info["duration"])
+        if terminated:
+            break
+    assert terminated and info["success"] and not truncated
+
+
+def test_targets_are_pressed_under_physics():
+    env = OptionsEnv(EscapeRoomContinuousEnv(change("paper-two-button", kind="physics")))
+    env.reset(seed=0)
+    for choice in (1, 0, 1):
+        _, _, _, _, info = env.step(choice)
+        assert info["option"]["ended"] == "reached" and info["option"]["pressed"] == (f"button-{choice + 1}",)
+    env.close()
+
+
+def test_options_of_your_own_choose_velocities():
+    ahead = FunctionOption("ahead", lambda state: np.array([1.0, 0.0, 0.0]), lambda state: float(state.x > 2.0))
+    env = OptionsEnv(EscapeRoomContinuousEnv("paper-two-button"), [ahead])
+    env.reset(seed=0)
+    before = env.unwrapped.get_state()
+    _, reward, _, _, info = env.step(0)
+    after = env.unwrapped.get_state()
+    assert before.y == after.y and 2.0 < after.x <= 2.1 + 1e-9
+    assert info["duration"] == round((after.x - before.x) / 0.1) and reward == pytest.approx(-0.1 * info["duration"])
