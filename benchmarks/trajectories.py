@@ -1,6 +1,6 @@
 """Trajectories of escapes over puzzles, bodies and hands: what each presses, and whether it keeps every limit.
 
-Run: `python -m benchmarks.trajectories --count 1000`; exits with 1 if a trajectory that was made is wrong. Each is
+Run: `python benchmarks/trajectories.py --count 1000`; exits with 1 if a trajectory that was made is wrong. Each is
 checked by what made no part of it: rising edges of touch at 1 kHz against the plan's, limits at 1 kHz and by the
 polynomials between knots, gaps of the base to all solids. A plan for which none was found is counted by its message.
 """
