@@ -86,7 +86,7 @@ def get_agent_class(name: str) -> type[Agent]:
 
 
 def _is_agent(thing: Any) -> bool:
-    return isinstance(thing, type) and issubclass(thing, Agent)
+    return issubclass(type(thing), type) and issubclass(thing, Agent)  # 3.10: isinstance(dict[str, int], type)
 
 
 @cache
