@@ -30,7 +30,7 @@ from hrl_escape.settings import replace_settings
 ENTRY_POINT_GROUP = "hrl_escape.agents"
 SMDP_PREFIX = "smdp-"
 
-GIVEN_PARTS = ("hierarchy", "program", "goals", "landmarks", "tree")
+GIVEN_PARTS = ("hierarchy", "program", "goals", "goal_space", "landmarks", "tree")
 """Names under which agents take a structure, each a kind of its own."""
 GOAL_RULE = "goal_rule"
 """Name under which agents take what an environment says of its goals; those that do not take it do without."""

@@ -44,7 +44,8 @@ TITLES = {"agents": f"agents; with {SMDP_PREFIX} in front they choose options",
           "references": "references: they learn nothing, and a learner has to beat the best of them"}
 
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
-              "macros": "macro-actions", "tree": "cells", "simulator": "simulator"}
+              "macros": "macro-actions", "tree": "cells", "simulator": "simulator", "goal_space": "goals",
+              "count_steps": "adjacency"}
 """Arguments of agents with a given hierarchy -> what they tell the agent beyond what a flat one knows."""
 
 

@@ -9,6 +9,9 @@ import pytest
 
 from hrl_escape.agents.algorithms.given.feudal_rl import FeudalRl
 from hrl_escape.agents.algorithms.given.h_dqn import HDqn
+from hrl_escape.agents.algorithms.given.hac import Hac
+from hrl_escape.agents.algorithms.given.hiro import Hiro
+from hrl_escape.agents.algorithms.given.hrac import Hrac
 from hrl_escape.agents.algorithms.given.macro_q import MacroQ
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.hierarchy.regions import Quadtree
@@ -61,6 +64,9 @@ GRAPHS = {
 OWN = {
     "macro-q": lambda: _run(MacroQ, EmptyRoom(EDGE), make_wall_macros()),
     "h-dqn": lambda: _run(HDqn, FourRooms(None), values="table", patience=5),
+    "hac": lambda: _run(Hac, FourRooms(None)),
+    "hiro": lambda: _run(Hiro, FourRooms(None), window=5),
+    "hrac": lambda: _run(Hrac, FourRooms(None), window=5),
     "feudal-rl": lambda: _run(FeudalRl, BarrierMaze(), Quadtree(2, find_place), patience=3),
 }
 """Agents that make their hierarchy themselves."""

@@ -9,7 +9,7 @@ def _trap(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str,
     return bug, f"{folder}/{file}.py", old, new, f"{GIVEN}/{test}"
 
 
-HIERARCHY = ("machine", "task_graph")
+HIERARCHY = ("machine", "task_graph", "goal_space")
 
 MUTATIONS = [
     # terminal means: for that task
@@ -130,4 +130,30 @@ MUTATIONS = [
           "largest = followed if turn.agent + 1 == self.last else self",
           "largest = 0.0 if turn.agent + 1 == self.last else self",
           "test_hq_learning.py::test_a_trial_teaches_values_of_primitives_and_of_the_subgoal_by_hand"),
+    # goals
+    _trap("hac learns of the goal that was named", "hac",
+          "actions = [decision.choice] if is_lowest else np.flatnonzero(reached & decision.legal).tolist()",
+          "actions = [decision.choice]",
+          "test_hac.py::test_an_action_is_learned_from_as_the_goal_that_was_reached"),
+    _trap("something follows a subgoal that missed its test", "hac",
+          "decision.choice, -self.settings.attempts)", "decision.choice, -1.0)",
+          "test_hac.py::test_a_subgoal_that_misses_its_test_is_worth_minus_h_and_nothing_follows"),
+    _trap("hac's values fall below -H", "hac", "target = max(worst, -1.0", "target = max(-99.0, -1.0",
+          "test_hac.py::test_an_action_is_learned_from_as_the_goal_that_was_reached"),
+    _trap("levels below a test explore", "hac", "elif not self._tested and", "elif",
+          "test_hac.py::test_levels_below_a_test_do_not_explore"),
+    _trap("a goal is not advanced along the logged way", "hiro",
+          "told = self.space.goals + (window.points[0] - point) * self.space.is_relative", "told = self.space.goals",
+          "test_hiro.py::test_a_goal_is_as_likely_as_the_product_over_the_logged_way"),
+    _trap("the states that primitives led to are those they are compared at", "hiro",
+          "window.points[:-1], window.masks", "window.points[1:], window.masks",
+          "test_hiro.py::test_a_goal_is_as_likely_as_the_product_over_the_logged_way"),
+    _trap("the worker's goal does not move with it", "goal_space",
+          "return goal + self.project(observation) - self.project(next_observation)", "return goal",
+          "test_hiro.py::test_the_distance_left_is_what_the_worker_pays"),
+    _trap("the manager discounts a window once", "hiro",
+          "0.0 if returned.terminated else decision.discount", "0.0 if returned.terminated else self.gamma",
+          "test_hiro.py::test_windows_hold_what_the_manager_is_to_learn"),
+    _trap("goals that are far may be named", "hrac", "return near if near.any() else legal", "return legal",
+          "test_hiro.py::test_adjacency_is_exact_where_it_is_given_and_never_more_than_that_where_it_is_learned"),
 ]

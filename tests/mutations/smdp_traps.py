@@ -83,8 +83,8 @@ MUTATIONS = [
     Mutation(
         "9 an illegal action wins the maximum, deep",
         "agents/algorithms/dqn.py",
-        "best = next_choice.masked_fill(~batch.next_mask, -torch.inf).argmax",
-        "best = next_choice.argmax",
+        "return next_choice.masked_fill(~batch.next_mask, -torch.inf).argmax",
+        "return next_choice.argmax",
         "agents/algorithms/test_deep_losses.py::test_trap_9_an_illegal_action_of_value_a_million_leaves_every_target_alone",
     ),
     Mutation(

@@ -157,9 +157,12 @@ class ActionValues(Stateful):
         return compute_td_loss(values, targets, self._settings.loss), values.detach()
 
     def update(self, batch: Experience, targets: Tensor) -> dict[str, float]:
-        """One gradient step, then, if they are due, one of the target and of the average; returns numbers to log."""
+        """One gradient step towards targets; see `descend`."""
+        return self.descend(*self.compute_loss(batch, targets))
+
+    def descend(self, loss: Tensor, values: Tensor) -> dict[str, float]:
+        """One step down a loss, then, if they are due, one of the target and of the average; returns numbers to log."""
         settings, learner = self._settings, self.learner
-        loss, values = self.compute_loss(batch, targets)
         value = learner.minimise(loss)
         if learner.updates % settings.target_every == 0:
             self.target.blend(self.online, settings.target_rate)
@@ -237,11 +240,15 @@ class DQN(ReplayStreamAgent):
 
     # --- learning ------------------------------------------------------------------------
 
+    def choose_next(self, batch: Experience, next_values: Tensor) -> Tensor:
+        """o*, the legal argmax of Q_theta(s', .), or of Q_target without `double`; int64 (batch, 1)."""
+        next_choice = self.values.online(batch.next_observation) if self.settings.double else next_values
+        return next_choice.masked_fill(~batch.next_mask, -torch.inf).argmax(dim=1, keepdim=True)
+
     def compute_targets(self, batch: Experience) -> Tensor:
         """R + b Q_target(s', o*), o* = argmax over legal o of Q_theta(s', o), (batch,); called without gradient."""
         next_values = self.values.target(batch.next_observation)
-        next_choice = self.values.online(batch.next_observation) if self.settings.double else next_values
-        best = next_choice.masked_fill(~batch.next_mask, -torch.inf).argmax(dim=1, keepdim=True)
+        best = self.choose_next(batch, next_values)
         return batch.reward + batch.bootstrap * next_values.gather(1, best).squeeze(1)
 
     def update(self, batch: Experience) -> dict[str, float]:
@@ -264,7 +271,7 @@ class DQN(ReplayStreamAgent):
         due = self._schedule.advance(count_steps(transition, settings), len(self.replay))
         metrics = {"epsilon": compute_epsilon(settings, self._schedule.steps)}
         for _ in range(due):
-            metrics |= self.update(self.replay.sample(settings.batch_size, self._replay_rng))
+            metrics |= self.update(self.draw(self.replay, settings.batch_size, self._replay_rng))
         return metrics | self.values.conduct
 
     # --- streams -------------------------------------------------------------------------

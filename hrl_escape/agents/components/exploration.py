@@ -69,8 +69,11 @@ def choose_best(values: NDArray, mask: NDArray[np.bool_], rng: np.random.Generat
 def compute_epsilon(settings: Any, steps: int) -> float:
     """Epsilon after this many steps: linear from `epsilon_start` to `epsilon_end`, then constant.
 
-    Settings here and below are any with the fields of `EpsilonSettings` or `ExplorationSettings`.
+    It is 0 where noise in the weights explores. Settings here and below are any with the fields of `EpsilonSettings` or
+    `ExplorationSettings`.
     """
+    if getattr(settings, "exploration", "") == "noisy":
+        return 0.0
     progress = min(steps / settings.epsilon_steps, 1.0)
     return settings.epsilon_start + progress * (settings.epsilon_end - settings.epsilon_start)
 

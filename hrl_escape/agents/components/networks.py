@@ -155,6 +155,41 @@ def is_image_space(space: gymnasium.Space) -> bool:
     return isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(shape) == 3 and shape[2] in (1, 3, 4)
 
 
+class NoisyLinear(nn.Module):
+    """A linear layer with factorised Gaussian noise in its weights (Fortunato et al. 2018, equations 10 and 11).
+
+    y = (mu + sigma * f(e_out) f(e_in)') x + (mu_b + sigma_b * f(e_out)), f(e) = sign(e) sqrt|e|. Without noise drawn
+    it is the linear layer of its means.
+
+    Args:
+        linear: initial means.
+        noise: sigma_0; every sigma begins at sigma_0 / sqrt(inputs).
+    """
+
+    _ins: torch.Tensor
+    _outs: torch.Tensor
+
+    def __init__(self, linear: nn.Linear, noise: float) -> None:
+        super().__init__()
+        self.mean = linear
+        scale = noise * linear.in_features**-0.5
+        self.weight_scale = nn.Parameter(torch.full_like(linear.weight.detach(), scale))
+        self.bias_scale = nn.Parameter(torch.full_like(linear.bias.detach(), scale))
+        self.register_buffer("_ins", torch.zeros(linear.in_features), persistent=False)
+        self.register_buffer("_outs", torch.zeros(linear.out_features), persistent=False)
+
+    def draw(self, generator: torch.Generator | None) -> None:
+        """Draw the noise anew; None takes it away."""
+        for part in (self._ins, self._outs):
+            drawn = torch.zeros(len(part)) if generator is None else torch.randn(len(part), generator=generator)
+            part.copy_(drawn.sign() * drawn.abs().sqrt())
+
+    def forward(self, input: torch.Tensor) -> torch.Tensor:
+        """(n, outputs) from (n, inputs), under one noise for all rows."""
+        weight = self.mean.weight + self.weight_scale * torch.outer(self._outs, self._ins)
+        return functional.linear(input, weight, self.mean.bias + self.bias_scale * self._outs)
+
+
 class Network(nn.Sequential):
     """Layers whose parameters, and their gradients, are views of one vector each.
 
@@ -502,7 +537,8 @@ def make_forward(network: Network) -> Callable[[NDArray], NDArray]:
             with torch.no_grad():
                 return network(torch.from_numpy(observation).unsqueeze(0).to(device)).squeeze(0).cpu().numpy()
 
-        if device.type != "cpu" or isinstance(network[0], _Unit):  # pictures hardly repeat
+        is_noisy = any(isinstance(layer, NoisyLinear) for layer in network.modules())
+        if device.type != "cpu" or is_noisy or isinstance(network[0], _Unit):  # pictures hardly repeat
             return forward_torch
         return _remember(forward_torch, network.weights.numpy())
 

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
@@ -195,8 +195,45 @@ class ReplayBuffer(_Ring):
 
     def sample(self, batch: int, rng: np.random.Generator) -> Experience:
         """Draw a batch; arrays are copies with leading dimension `batch`."""
-        rows = rng.integers(len(self), size=batch)
+        return self.take(rng.integers(len(self), size=batch))
+
+    def take(self, rows: NDArray[np.int64]) -> Experience:
+        """Copies of the backups in some rows."""
         return Experience(*(field.take(rows, axis=0) for field in self._fields))
+
+
+class Priorities(Stateful):
+    """Rows of a ring drawn in proportion to their latest loss to a power (Schaul et al. 2016, section 3.3).
+
+    New rows have the largest priority so far. The sums are taken anew for every draw: of 50,000 rows that takes 0.1 ms,
+    less than a tree of sums in Python.
+
+    Args:
+        exponent: omega, the power; 0 draws uniformly.
+    """
+
+    STATE = ("_powers", "_largest", "_seen")
+
+    def __init__(self, exponent: float) -> None:
+        self._exponent = exponent
+        self._powers = np.zeros(0)
+        self._largest, self._seen = 1.0, 0
+
+    def draw(self, ring: _Ring, batch: int, importance: float, rng: np.random.Generator
+             ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Rows, int64 (batch,), and their weights (N P)^-importance over the largest of them, float32 (batch,)."""
+        self._powers = np.pad(self._powers, (0, len(ring) - len(self._powers)))
+        self._powers[np.arange(max(self._seen, ring.added - ring.capacity), ring.added) % ring.capacity] = self._largest
+        self._seen = ring.added
+        sums = self._powers.cumsum()
+        rows = np.minimum(sums.searchsorted(rng.random(batch) * sums[-1], side="right"), len(ring) - 1)
+        weights = (self._powers[rows] * len(ring) / sums[-1]) ** -importance
+        return rows, (weights / weights.max()).astype(np.float32)
+
+    def set(self, rows: NDArray[np.int64], losses: NDArray) -> None:
+        """Note the latest losses of some rows, each 0 or more."""
+        self._powers[rows] = (losses + 1e-6) ** self._exponent
+        self._largest = max(self._largest, float(self._powers[rows].max()))
 
 
 def _join(first: Experience, then: Experience) -> Experience:
@@ -267,7 +304,11 @@ class StreamReplay(_Ring):
 
     def sample(self, batch: int, generator: torch.Generator) -> Experience:
         """Draw a batch of backups, (batch, ...)."""
-        rows = torch.randint(len(self), (batch,), generator=generator, device=generator.device)
+        return self.take(torch.randint(len(self), (batch,), generator=generator, device=generator.device))
+
+    def take(self, rows: Any) -> Experience:
+        """Backups in some rows, int64 (batch,)."""
+        rows = torch.as_tensor(rows, device=self._fields.reward.device)
         return Experience(*(field[rows] for field in self._fields))
 
 
@@ -349,6 +390,10 @@ class ReplayStreamAgent(StreamAgent):
     def update(self, batch: Experience) -> dict[str, float]:
         """One gradient step on a batch of arrays or tensors; returns numbers to log."""
 
+    def draw(self, replay: Any, batch: int, rng: Any) -> Experience:
+        """A batch of one environment's replay or of that of many streams, uniformly."""
+        return replay.sample(batch, rng)
+
     def compute_bonus(self, decisions: StreamTransitions) -> Tensor | None:
         """Pay for novelty beside the rewards of decisions, in units of return, (n,); None for none."""
         return None
@@ -394,7 +439,7 @@ class ReplayStreamAgent(StreamAgent):
         metrics = {"epsilon": compute_epsilon(settings, self._schedule.steps)}
         count = min(due, settings.stream_updates)
         for _ in range(count):
-            metrics |= self.update(replay.sample(settings.batch_size * due // count, choices.generator))
+            metrics |= self.update(self.draw(replay, settings.batch_size * due // count, choices.generator))
         return metrics
 
 

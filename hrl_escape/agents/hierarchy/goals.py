@@ -11,11 +11,9 @@ from typing import Any, Literal
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
-from hrl_escape.errors import UnsupportedSpaceError
 
 
 @dataclass(frozen=True)
@@ -58,38 +56,6 @@ class GoalSet:
     places: tuple[tuple[float, float] | None, ...] = ()
     source: Literal["given", "synthesised"] = "given"
     privileges: tuple[str, ...] = ("goals",)
-
-
-def make_goals(space: gymnasium.Space, agent: str) -> GoalSet:
-    """Goals of an observation space: each state of a Discrete one; else each bound of each bounded component.
-
-    A bit has the goals 0 and 1.
-
-    Raises:
-        UnsupportedSpaceError: the space has no bounded component, or is of another kind.
-    """
-    if isinstance(space, spaces.Discrete):
-        first = int(space.start)
-        return GoalSet(int(space.n), lambda observation, goal: int(observation) == first + goal, privileges=())
-    if isinstance(space, spaces.MultiBinary):
-        low, high = np.zeros(space.shape), np.ones(space.shape)
-    elif isinstance(space, spaces.MultiDiscrete):
-        low, high = space.start.astype(float), (space.start + space.nvec - 1).astype(float)
-    elif isinstance(space, spaces.Box) and len(space.shape) == 1:
-        low, high = space.low.astype(float), space.high.astype(float)
-    else:
-        raise UnsupportedSpaceError(f"{agent} finds no goals in {space}; give it a GoalSet")
-    low, high = low.reshape(-1), high.reshape(-1)
-    bounded = np.flatnonzero((low > -1e6) & (high < 1e6) & (high > low))
-    if not len(bounded):
-        raise UnsupportedSpaceError(f"{agent} finds no bounded component in {space}; give it a GoalSet")
-    goals = [(int(index), bound[index]) for index in bounded for bound in (low, high)]
-
-    def is_reached(observation: Any, goal: int) -> bool:
-        index, value = goals[goal]
-        return bool(np.asarray(observation).reshape(-1)[index] == value)
-
-    return GoalSet(len(goals), is_reached, privileges=())
 
 
 class Manager(BaseTask):

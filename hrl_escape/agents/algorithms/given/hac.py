@@ -1,0 +1,189 @@
+"""HAC, hierarchical actor-critic: every level learns as if the levels below it were already as good as they can be.
+
+Levy, Konidaris, Platt and Saenko (2019), with finitely many goals and Q-learning in tables, as in their grid worlds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
+from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_cell_finder
+from hrl_escape.agents.hierarchy.call_stack import Return
+from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
+from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.settings import Range
+
+END = -1
+"""Goal of the root where the episode names none: that the episode ends in the task's sense."""
+
+
+@dataclass(frozen=True)
+class HacSettings(StackSettings, ResolutionSettings):
+    """Settings of `hac`; `gamma` discounts once for each choice of a level."""
+
+    levels: Annotated[int, Range(2, 4)] = 2
+    """Levels, the one that chooses primitives included."""
+    attempts: Annotated[int, Range(1)] = 5
+    """H: choices within which a level is to reach its goal. A level i above the primitives gives up after H^(i + 1)
+    primitives, the highest never."""
+    subgoal_tests: Annotated[float, Range(0, 1)] = 0.3
+    """Share of subgoals that the levels below must reach without exploring; a miss is worth -H."""
+    random_share: Annotated[float, Range(0, 1)] = 0.2
+    """Share of choices that are uniform over the legal ones."""
+    hindsight_goals: Annotated[int, Range(0)] = 3
+    """Goals reached later in a level's call under which each of its choices is learned from again."""
+    learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
+    """Step size of the tables."""
+
+
+class _Level(BaseTask):
+    """Pursues a goal by goals for the level below, or by primitives."""
+
+    def __init__(self, name: str, space: GoalSpace, choices: int, below: _Level | None, limit: int) -> None:
+        super().__init__(name, choices, None if space.view is None else space.view.space)
+        self._space, self._below, self._limit = space, below, limit
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        view = self._space.view
+        return seen.observation if view is None else view.see(seen.observation)
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        return seen.mask if self._below is None else ~self._space.list_reached(seen.observation)
+
+    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
+        return Call(int(choice) if self._below is None else self._below, None if self._below is None else int(choice))
+
+    def list_calls(self) -> Mapping[str, Any]:
+        return {f"{self.name} goal {goal}": goal for goal in range(len(self._space.goals))}
+
+    def ends(self, frame: Frame, seen: Seen) -> float:
+        if frame.context is None:
+            return 0.0
+        is_reached = self._space.is_reached(self._space.goals[frame.context], seen.observation)
+        return float(is_reached or frame.primitives >= self._limit)
+
+
+class Hac(CallRunner):
+    """Q_i(s, a; g) = 0 where a reaches g, else -1 + gamma max over a' of Q_i(s', a'; g), within -H and 0.
+
+    The actions a of a level above the primitives are goals for the level below, and g its own goal. An action is
+    learned from as the goals that its call did reach, whatever goal was named (hindsight actions); again under goals
+    that the level reached later (hindsight goals); and as worth -H where it was put to the test and missed (subgoal
+    tests), from where nothing follows. The highest level pursues the goal that the episode asks for, by default its
+    end. Rewards of the environment are not looked at.
+
+    Args:
+        goal_space: absolute goals; by default those that `make_goal_space` finds in the observation space.
+    """
+
+    Settings = HacSettings
+    STATE = ("tables", "_calls", "_tested", "_action_rng")
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: HacSettings | None = None, goal_space: GoalSpace | None = None) -> None:
+        settings = settings or HacSettings()
+        actions = count_actions(action_space, "hac")
+        self.space = space = goal_space or make_goal_space(observation_space, "hac")
+        levels: list[_Level] = []
+        for index in range(settings.levels):
+            levels.append(_Level(f"level {index}", space, len(space.goals) if index else actions,
+                                 levels[-1] if index else None, settings.attempts ** (index + 1)))
+        super().__init__(Hierarchy(levels[-1], tuple(levels[:-1]), source="learned", privileges=space.privileges), seed,
+                         settings)
+        table = TabularSettings(learning_rate=settings.learning_rate, initial_value=-float(settings.attempts))
+        self.tables = {level.name: QTable(int(level.space.n), table) for level in levels}
+        view_space = observation_space if space.view is None else space.view.space
+        self._find_cell = make_cell_finder(view_space, settings, "hac")
+        self._calls: dict[str, list[list[Any]]] = {level.name: [] for level in levels}
+        """Choices of each level's running call: s, actions in hindsight, s', goals reached there, what is legal there,
+        whether the episode terminated."""
+        self._tested = 0
+        """Depth of the call whose subgoal is being tested; 0 for none."""
+        self._action_rng = make_rng(seed, "actions")
+
+    # --- acting --------------------------------------------------------------------------
+
+    def compute_choice_values(self, level: str, view: Any, goal: int) -> NDArray[np.float64]:
+        """Q_i(s, .; g) of a level, (choices,)."""
+        return self.tables[level].get_values(self._make_key(self._find_cell(view), goal))
+
+    def _make_key(self, cell: NDArray[np.int32], goal: int) -> bytes:
+        return cell.tobytes() + np.int32(goal).tobytes()
+
+    def _find_goal(self, frame: Frame, seen: Seen) -> int:
+        if frame.context is not None:
+            return int(frame.context)
+        return END if self.space.find_desired is None else self.space.find_desired(seen.observation)
+
+    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
+        """Greedy below a test, else also uniform; a level above the primitives may put its subgoal to the test."""
+        depth = len(stack)
+        if depth <= self._tested:
+            self._tested = 0
+        if not self._tested and depth < self.settings.levels and (
+                self._action_rng.random() < self.settings.subgoal_tests):
+            self._tested = depth
+        elif not self._tested and self._action_rng.random() < self.settings.random_share:
+            return sample_legal(legal, self._action_rng)
+        return self.choose_greedy(stack, view, legal, seen, self._action_rng)
+
+    def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+                      ) -> int:
+        """The best choice towards the level's goal, drawn among equals."""
+        frame = stack[-1]
+        return choose_best(self.compute_choice_values(frame.task.name, view, self._find_goal(frame, seen)), legal, rng)
+
+    # --- learning ------------------------------------------------------------------------
+
+    def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
+        """Note each level's choice that came back, and learn from the calls that are over."""
+        error = 0.0
+        reached = self.space.list_reached(step.next_seen.observation)
+        for returned in returns:
+            frame, decision = returned.frame, returned.decision
+            name, is_lowest = frame.task.name, len(returned.stack) == self.settings.levels
+            before, after = (self._find_cell(view) for view in (
+                decision.view, frame.task.view(returned.seen, returned.stack)))
+            actions = [decision.choice] if is_lowest else np.flatnonzero(reached & decision.legal).tolist()
+            self._calls[name].append([before, actions, after, reached, frame.task.legal(returned.seen, frame.context),
+                                      returned.terminated])
+            goal = self._find_goal(frame, returned.seen)
+            if len(returned.stack) == self._tested and not (reached[decision.choice] or returned.cut):
+                self.tables[name].update(self._make_key(before, goal), decision.choice, -self.settings.attempts)
+            if returned.is_over:
+                error = max(error, self._learn_call(name, goal))
+        return {"td_error": error} if returns else {}
+
+    def _learn_call(self, name: str, goal: int) -> float:
+        """Learn from a call that is over, its last choice first, under its goal and others; returns the last error."""
+        call, error = self._calls[name], 0.0
+        for index in range(len(call) - 1, -1, -1):
+            error = self._back_up(name, call[index], goal)
+            for later in self._action_rng.integers(index, len(call), self.settings.hindsight_goals):
+                there = np.flatnonzero(call[later][3])
+                if len(there):
+                    self._back_up(name, call[index], int(self._action_rng.choice(there)))
+        self._calls[name] = []
+        return error
+
+    def _back_up(self, name: str, choice: list[Any], goal: int) -> float:
+        before, actions, after, reached, legal, terminated = choice
+        worst = -float(self.settings.attempts)
+        if terminated if goal == END else reached[goal]:
+            target = 0.0
+        elif terminated or not legal.any():
+            target = worst
+        else:
+            best = self.tables[name].get_values(self._make_key(after, goal))[legal].max()
+            target = max(worst, -1.0 + self.settings.gamma * float(best))
+        return max((abs(self.tables[name].update(self._make_key(before, goal), action, target))
+                    for action in actions), default=0.0)

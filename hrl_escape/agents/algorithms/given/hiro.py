@@ -1,0 +1,270 @@
+"""HIRO: a manager that names displacements, and learns from old ones as what they would have to be called today.
+
+Nachum, Gu, Lee and Levine (2018), with finitely many displacements and primitives: values are tables, and the worker's
+policy is the softmax of its values, so that logged primitives have likelihoods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.components.exploration import (
+    EpsilonSettings,
+    choose_best,
+    compute_epsilon,
+    compute_softmax,
+    make_rng,
+    mask_values,
+    sample_index,
+    sample_legal,
+)
+from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_cell_finder
+from hrl_escape.agents.hierarchy.call_stack import Return
+from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
+from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Decision, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.state import Kept
+from hrl_escape.settings import Range
+
+
+@dataclass(frozen=True)
+class HiroSettings(StackSettings, ResolutionSettings, EpsilonSettings):
+    """Settings of `hiro`; epsilon is the manager's, and the worker explores by its softmax."""
+
+    window: Annotated[int, Range(1)] = 10
+    """c, primitives for which a goal holds."""
+    worker_gamma: Annotated[float, Range(0, 1)] = 0.95
+    """Discount per primitive of the worker, whose reward is minus the distance left."""
+    temperature: Annotated[float, Range(0, open_low=True)] = 0.2
+    """Temperature of the worker's softmax, in units of distance."""
+    correction: bool = True
+    """Call old goals what makes their primitives likeliest today; otherwise they keep their names."""
+    learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
+    """Step size of the tables."""
+    replay_capacity: Annotated[int, Range(1)] = 2_000
+    """Decisions of the manager kept for replay."""
+    batch_size: Annotated[int, Range(1)] = 8
+    """Decisions replayed after each decision of the manager."""
+
+
+class Window(NamedTuple):
+    """A decision of the manager, and the primitives under it."""
+
+    before: NDArray[np.int32]  # cells of the view in which the goal was named
+    legal: NDArray[np.bool_]  # goals that might be named there, (goals,)
+    goal: int  # its number
+    reward: float  # sum of gamma^i r_i
+    bootstrap: float  # gamma^k, 0 where nothing follows
+    after: NDArray[np.int32]  # cells where it ended
+    next_legal: NDArray[np.bool_]
+    cells: NDArray[np.int32]  # (k, ...), where each primitive was chosen: not where the window ended
+    points: NDArray[np.float64]  # (k + 1, dimensions), projections of these, and of where the window ended
+    masks: NDArray[np.bool_]  # (k, primitives)
+    actions: NDArray[np.int64]  # (k,)
+
+
+def _make_key(cell: NDArray[np.int32], goal: NDArray[np.float64]) -> bytes:
+    return cell.tobytes() + (np.round(goal, 6) + 0.0).tobytes()  # -0.0 is 0.0
+
+
+class Pursuit(BaseTask):
+    """Goes for a goal for a number of primitives, told at each what is left of it; paid minus the distance left."""
+
+    def __init__(self, space: GoalSpace, primitives: int, window: int) -> None:
+        super().__init__("worker", primitives, None if space.view is None else space.view.space)
+        self._space, self._window = space, window
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        """The part of the observation that tables see; the goal is asked for by `tell`."""
+        return seen.observation if self._space.view is None else self._space.view.see(seen.observation)
+
+    def tell(self, frame: Frame, seen: Seen) -> NDArray[np.float64]:
+        """The call's goal, advanced to a moment."""
+        return self._space.advance(self._space.goals[frame.context], frame.start.observation, seen.observation)
+
+    def list_calls(self) -> Mapping[str, Any]:
+        """One a goal, by number."""
+        return {f"goal {goal}": goal for goal in range(len(self._space.goals))}
+
+    def ends(self, frame: Frame, seen: Seen) -> float:
+        """Certain when the window is over."""
+        return float(frame.primitives >= self._window)
+
+    def pay(self, step: Step, frame: Frame) -> float:
+        """Minus the distance left after the primitive."""
+        return -step.arrival * float(self._space.measure(self.tell(frame, step.next_seen), step.next_seen.observation))
+
+
+class Naming(BaseTask):
+    """Names a goal for every window; paid by the environment."""
+
+    def __init__(self, space: GoalSpace, worker: Pursuit) -> None:
+        super().__init__("manager", len(space.goals), None if space.view is None else space.view.space)
+        self._space, self._worker = space, worker
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        """The part of the observation that tables see."""
+        return self._worker.view(seen, stack)
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        """Goals that are not reached here; all where every one is."""
+        open_goals = ~self._space.list_reached(seen.observation)
+        return open_goals if open_goals.any() else ~open_goals
+
+    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
+        """The worker, told the goal's number."""
+        return Call(self._worker, int(choice))
+
+
+class Hiro(CallRunner):
+    """Two levels of Q-learning, with the manager's goals relabelled before each use.
+
+        worker:  Q1(s, a; g) <- -d(s', h(s, g, s')) + gamma_w^k max over a' of Q1(s', a'; h(s, g, s'))
+        manager: Q2(s, g~) <- R + gamma^k max over g' of Q2(s', g'),
+                 g~ = argmax over goals of sum over i of log pi(a_i | s_i, g_i),  g_(i+1) = h(s_i, g_i, s_(i+1))
+
+    pi is the softmax of Q1 over legal primitives. The sum runs over the states in which primitives were chosen, along
+    the logged way; the goal that was named wins a tie. The paper draws ten candidates, here every goal is one.
+
+    Args:
+        goal_space: by default that of `make_goal_space`, whose goals are absolute.
+    """
+
+    Settings = HiroSettings
+    STATE = ("tables", Kept("_replay", pack=lambda kept: [each._asdict() for each in kept],
+                            unpack=lambda saved: [Window(**fields) for fields in saved]),
+             "_added", "_way", "_steps", "_action_rng")
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: HiroSettings | None = None, goal_space: GoalSpace | None = None) -> None:
+        settings = settings or self.Settings()
+        self._actions = count_actions(action_space, "hiro")
+        self.space = space = goal_space or make_goal_space(observation_space, "hiro")
+        self._worker = Pursuit(space, self._actions, settings.window)
+        super().__init__(Hierarchy(Naming(space, self._worker), (self._worker,), source="learned",
+                                   privileges=space.privileges), seed, settings)
+        view_space = observation_space if space.view is None else space.view.space
+        self._find_cell = make_cell_finder(view_space, settings, "hiro")
+        table = TabularSettings(learning_rate=settings.learning_rate)
+        self.tables = {"manager": QTable(len(space.goals), table), "worker": QTable(self._actions, table)}
+        self._replay: list[Window] = []
+        self._way: list[list[Any]] = []
+        """Cells, point, mask and primitive of each primitive in the window that runs."""
+        self._added, self._steps, self._action_rng = 0, 0, make_rng(seed, "actions")
+
+    @property
+    def latest(self) -> Window:
+        """The decision that the manager came back from last."""
+        return self._replay[(self._added - 1) % self.settings.replay_capacity]
+
+    # --- acting --------------------------------------------------------------------------
+
+    def compute_worker_values(self, cell: NDArray[np.int32], goal: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Q1(s, .; g), g as told at s, (primitives,); of several goals, (goals, primitives)."""
+        if goal.ndim > 1:
+            return np.array([self.compute_worker_values(cell, each) for each in goal])
+        return self.tables["worker"].get_values(_make_key(cell, goal))
+
+    def compute_worker_policy(self, cell: NDArray[np.int32], goal: NDArray[np.float64], mask: NDArray[np.bool_]
+                              ) -> NDArray[np.float64]:
+        """The softmax of Q1 over legal primitives, as `compute_worker_values`."""
+        return compute_softmax(mask_values(self.compute_worker_values(cell, goal) / self.settings.temperature, mask))
+
+    def find_allowed(self, seen: Seen, legal: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Goals that the manager considers, of those legal; (goals,)."""
+        return legal
+
+    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
+        """The manager epsilon-greedy, the worker by its softmax."""
+        cell, frame = self._find_cell(view), stack[-1]
+        if frame.task is self._worker:
+            policy = self.compute_worker_policy(cell, self._worker.tell(frame, seen), legal)
+            return sample_index(policy, self._action_rng)
+        allowed = self.find_allowed(seen, legal)
+        if self._action_rng.random() < compute_epsilon(self.settings, self._steps):
+            return sample_legal(allowed, self._action_rng)
+        return choose_best(self.tables["manager"].get_values(cell.tobytes()), allowed, self._action_rng)
+
+    def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+                      ) -> int:
+        """The best goal, the best primitive towards it."""
+        cell, frame = self._find_cell(view), stack[-1]
+        if frame.task is self._worker:
+            return choose_best(self.compute_worker_values(cell, self._worker.tell(frame, seen)), legal, rng)
+        return choose_best(self.tables["manager"].get_values(cell.tobytes()), self.find_allowed(seen, legal), rng)
+
+    # --- learning ------------------------------------------------------------------------
+
+    def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
+        """Learn of the primitive; of the manager's decision once its window is over, and of others from replay."""
+        metrics: dict[str, float] = {}
+        for returned in returns:
+            if returned.frame.task is self._worker:
+                metrics["worker_error"] = self._learn_worker(step, returned)
+            else:
+                self.store(returned)
+                rows = self._action_rng.integers(len(self._replay), size=self.settings.batch_size)
+                windows = [self._replay[row] for row in rows]
+                metrics["manager_error"] = max(map(self._learn_manager, windows))
+        self._steps += step.duration
+        return metrics
+
+    def _learn_worker(self, step: Step, returned: Return) -> float:
+        decision, frame = returned.decision, returned.frame
+        cell, after = self._find_cell(decision.view), self._find_cell(self._worker.view(returned.seen, ()))
+        goal, left = self._worker.tell(frame, step.seen), self._worker.tell(frame, returned.seen)
+        self._way.append([cell, self.space.project(step.seen.observation), decision.legal, decision.choice])
+        target, legal = decision.reward, returned.seen.mask
+        if not returned.terminated:  # the window's end is none in the worker's eyes
+            target += self.settings.worker_gamma**decision.duration * float(
+                self.compute_worker_values(after, left)[legal].max())
+        return abs(self.tables["worker"].update(_make_key(cell, goal), decision.choice, target))
+
+    def get_gamma(self, task: BaseTask) -> float:
+        """The worker's discount, or the manager's."""
+        return self.settings.worker_gamma if task is self._worker else self.gamma
+
+    def store(self, returned: Return) -> None:
+        """Keep the manager's decision, over the oldest when replay is full; a window cut by a time limit counts."""
+        decision: Decision = returned.decision
+        seen, task = returned.seen, returned.frame.task
+        cells, points, masks, actions = zip(*self._way, strict=True)
+        legal = task.legal(seen, None)
+        window = Window(
+            self._find_cell(decision.view), decision.legal, decision.choice, decision.reward,
+            0.0 if returned.terminated else decision.discount, self._find_cell(task.view(seen, returned.stack)),
+            self.find_allowed(seen, legal), np.array(cells), np.array([*points, self.space.project(seen.observation)]),
+            np.array(masks), np.array(actions))
+        row = self._added % self.settings.replay_capacity
+        self._replay[row : row + 1] = [window]
+        self._added, self._way = self._added + 1, []
+
+    def compute_likelihoods(self, window: Window) -> NDArray[np.float64]:
+        """Sum over the window of log pi(a_i | s_i, g_i), for each goal named at its start, (goals,)."""
+        total = np.zeros(len(self.space.goals))
+        chosen_in = zip(window.cells, window.points[:-1], window.masks, window.actions, strict=True)
+        for cell, point, mask, action in chosen_in:
+            told = self.space.goals + (window.points[0] - point) * self.space.is_relative
+            policies = self.compute_worker_policy(cell, told, mask)
+            total += np.log(np.maximum(policies[:, action], 1e-300))
+        return total
+
+    def relabel(self, window: Window) -> int:
+        """Goal under which a window is learned from today."""
+        if not self.settings.correction:
+            return window.goal
+        likely = np.where(window.legal, self.compute_likelihoods(window), -np.inf)
+        return window.goal if likely[window.goal] >= likely.max() - 1e-12 else int(likely.argmax())
+
+    def _learn_manager(self, window: Window) -> float:
+        table, target = self.tables["manager"], window.reward
+        if window.bootstrap:
+            target += window.bootstrap * float(table.get_values(window.after.tobytes())[window.next_legal].max())
+        return abs(table.update(window.before.tobytes(), self.relabel(window), target))
