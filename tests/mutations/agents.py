@@ -333,4 +333,15 @@ MUTATIONS = [
         "% ring.capacity] = 1e-6",
         "agents/algorithms/test_rainbow.py::test_rows_are_drawn_by_their_powers_and_weights_undo_it",
     ),
+    *(Mutation(bug, "agents/algorithms/options/fun.py", old, new, f"agents/algorithms/options/test_fun.py::test_{test}")
+      for bug, old, new, test in (
+        ("a direction reaches over the end of an episode", "total[lag:] += directions[:-lag] * same",
+         "total[lag:] += directions[:-lag]", "directions_are_summed_and_paid_within_episodes"),
+        ("the worker is paid over the end of an episode", "pay[lag:] += same * functional", "pay[lag:] += functional",
+         "directions_are_summed_and_paid_within_episodes"),
+        ("the manager moves its latent states to where it points", "(states[start + c : end + c] - states[start:end])"
+         ".detach()", "(states[start + c : end + c] - states[start:end])",
+         "the_manager_turns_its_directions_and_leaves_states_where_they_are"),
+        ("the manager learns of decisions one late", "(states[start + c : end + c]",
+         "(states[start + c - 1 : end + c - 1]", "the_loss_is_that_of_its_equations"))),
 ]

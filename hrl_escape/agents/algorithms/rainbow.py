@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -38,12 +38,9 @@ from hrl_escape.settings import Range
 class RainbowSettings(DQNSettings):
     """The parts that `dqn` does not have. Defaults are those of the paper but for the support, and for `importance`."""
 
-    exploration: Literal["epsilon-greedy", "boltzmann", "noisy"] = "noisy"
-    """`noisy`: greedy under noise in the weights, drawn for each decision, whose size is learned; without epsilon.
-    The others as in `dqn`, without noise."""
-    noise: Annotated[float, Range(0, open_low=True)] = 0.5
-    """sigma_0 of `noisy`: standard deviation of the noise at the beginning, times the square root of a layer's
-    inputs."""
+    noise: Annotated[float, Range(0)] = 0.5
+    """sigma_0 of the noise in the weights, drawn for each decision in place of epsilon: its standard deviation at the
+    beginning, times the square root of a layer's inputs. 0 has no noise, and explores as `dqn` does."""
     dueling: bool = True
     """Separate streams for the state and for the advantages of actions."""
     atoms: Annotated[int, Range(1)] = 51
@@ -69,7 +66,7 @@ class RainbowSettings(DQNSettings):
     @property
     def has_own_network(self) -> bool:
         """Dueling, atoms or noise ask for layers that a network of one number an action does not have."""
-        return self.dueling or self.atoms > 1 or self.exploration == "noisy"
+        return self.dueling or self.atoms > 1 or self.noise > 0
 
     def check(self) -> None:
         """Refuse bounds that are none, and rows of objects in the network's own layers."""
@@ -79,7 +76,7 @@ class RainbowSettings(DQNSettings):
                                      f"a number below highest_return = {high:g}; gamma = 1 gives none")
         if self.has_own_network and (self.network != "mlp" or not self.hidden):
             raise AgentSettingsError("RainbowSettings.network", f"{self.network}, hidden = {self.hidden}", "mlp of at "
-                                     "least one hidden layer; or dueling = False, atoms = 1 and another exploration")
+                                     "least one hidden layer; or dueling = False, atoms = 1, noise = 0")
 
 
 def project(reward: Tensor, bootstrap: Tensor, shares: Tensor, support: Tensor) -> Tensor:
@@ -115,18 +112,20 @@ class ReturnLayers(nn.Module):
         super().__init__()
         self._actions, is_tanh = actions, settings.initialisation == "orthogonal"
         activation = nn.Tanh if is_tanh else nn.ReLU
-        *body, last = make_network(encoder, 1, replace(settings, hidden=settings.hidden[:-1], dueling=False, atoms=1,
-                                                       exploration="boltzmann"), generator)
+        shared = replace(settings, hidden=settings.hidden[:-1], dueling=False, atoms=1, noise=0.0)
+        made: Any = make_network(encoder, 1, shared, generator)
+        *body, last = made
+        width = int(last.weight.shape[1])
         gain = nn.init.calculate_gain("tanh" if is_tanh else "relu")
 
         def make(inputs: int, outputs: int, factor: float) -> nn.Module:
             linear = initialise_layer(nn.utils.skip_init(nn.Linear, inputs, outputs), settings.initialisation, factor,
                                       generator)
-            return NoisyLinear(linear, settings.noise) if settings.exploration == "noisy" else linear
+            return NoisyLinear(linear, settings.noise) if settings.noise else linear
 
         def make_stream(outputs: int) -> nn.Module:
             units = settings.hidden[-1]
-            return nn.Sequential(make(last.in_features, units, gain), activation(), make(units, outputs, 1.0))
+            return nn.Sequential(make(width, units, gain), activation(), make(units, outputs, 1.0))
 
         self.body, self.advantage = nn.Sequential(*body), make_stream(actions * settings.atoms)
         self.state = make_stream(settings.atoms) if settings.dueling else None
@@ -157,7 +156,7 @@ class Rainbow(DQN):
 
     name: ClassVar[str] = "rainbow"
     Settings: ClassVar[type] = RainbowSettings
-    settings: RainbowSettings
+    settings: Any
     STATE = ("_priorities", "_noise_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,

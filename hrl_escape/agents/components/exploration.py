@@ -72,7 +72,7 @@ def compute_epsilon(settings: Any, steps: int) -> float:
     It is 0 where noise in the weights explores. Settings here and below are any with the fields of `EpsilonSettings` or
     `ExplorationSettings`.
     """
-    if getattr(settings, "exploration", "") == "noisy":
+    if getattr(settings, "noise", 0.0):
         return 0.0
     progress = min(steps / settings.epsilon_steps, 1.0)
     return settings.epsilon_start + progress * (settings.epsilon_end - settings.epsilon_start)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
+from hrl_escape.agents.algorithms.dqn import DQN
 from hrl_escape.agents.algorithms.rainbow import Rainbow, RainbowSettings, project
 from hrl_escape.agents.components.networks import NoisyLinear
 from hrl_escape.agents.components.replay import Experience, Priorities, ReplayBuffer
@@ -18,7 +18,7 @@ from tests.agents.running import learn
 from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv, solve
 from tests.agents.training.test_resuming import flatten
 
-OFF = {"exploration": "epsilon-greedy", "dueling": False, "atoms": 1, "priority_exponent": 0.0}
+OFF = {"noise": 0.0, "dueling": False, "atoms": 1, "priority_exponent": 0.0}
 SMALL = {"hidden": (16,), "batch_size": 8, "warmup": 20, "replay_capacity": 60}
 
 
@@ -61,7 +61,7 @@ def test_projection_is_that_of_brute_force_over_random_durations(seed):
 @pytest.mark.parametrize("double", [True, False])
 def test_targets_are_projected_distributions_of_the_best_legal_action(double):
     batch, *_ = make_batch(0)
-    agent = make(double=double, lowest_return=-3.0, highest_return=3.0, exploration="boltzmann")
+    agent = make(double=double, lowest_return=-3.0, highest_return=3.0, noise=0.0)
     with torch.no_grad():
         agent.values.target.weights += 0.3 * torch.randn(len(agent.values.target.weights),
                                                          generator=torch.Generator().manual_seed(1))
@@ -89,13 +89,13 @@ def test_with_every_part_off_it_is_dqn_to_the_bit():
 
 
 @pytest.mark.parametrize(("part", "value"), [
-    ("exploration", "noisy"), ("dueling", True), ("atoms", 11), ("priority_exponent", 0.5)])
+    ("noise", 0.5), ("dueling", True), ("atoms", 11), ("priority_exponent", 0.5)])
 def test_each_part_is_a_setting_of_its_own(part, value):
     env = ButtonGrid(trace=True, horizon=40)
     agent = Rainbow(env.observation_space, env.action_space, 0, RainbowSettings(**SMALL, **OFF | {part: value}))
     learn(agent, env, 100)
     layers = agent.values.online[0]
-    parts = {"exploration": any(isinstance(each, NoisyLinear) for each in agent.values.online.modules()),
+    parts = {"noise": any(isinstance(each, NoisyLinear) for each in agent.values.online.modules()),
              "dueling": getattr(layers, "state", None) is not None,
              "atoms": len(getattr(layers, "support", [0])) > 1, "priority_exponent": agent._priorities._seen > 0}
     assert [name for name, is_there in parts.items() if is_there] == [part]
@@ -112,8 +112,7 @@ def learn_path(**settings):
     """Values after 500 updates on a batch of all decisions."""
     env = SmdpEnv(PATH, one_hot=True)
     agent = Rainbow(env.observation_space, env.action_space, 0, RainbowSettings(
-        gamma=0.9, hidden=(32,), learning_rate=1e-2, target_every=20, average_rate=0.05,
-        exploration="epsilon-greedy", **settings))
+        gamma=0.9, hidden=(32,), learning_rate=1e-2, target_every=20, average_rate=0.05, noise=0.0, **settings))
     rows, all_legal = np.eye(4, dtype=np.float32), np.ones(3, np.bool_)
     decisions = [
         Experience(rows[state], all_legal, action, 0.1 * sum(0.9**i * r for i, r in enumerate(outcome.rewards)),
@@ -140,7 +139,7 @@ def test_the_support_of_clipped_games_saturates_here():
 
 
 def test_dueling_streams_meet_in_the_mean_of_advantages():
-    layers = make(exploration="boltzmann").values.online[0]
+    layers = make(noise=0.0).values.online[0]
     rows = torch.from_numpy(make_batch(0)[0].observation)
     with torch.no_grad():
         assert torch.allclose(layers.compute_logits(rows).mean(dim=1), layers.state(layers.body(rows)), atol=1e-5)
@@ -198,6 +197,5 @@ def test_what_does_not_go_together_is_refused():
     with refused(match="mlp of at least one hidden layer"):
         RainbowSettings(network="objects")
     assert RainbowSettings(network="objects", **OFF) == RainbowSettings(network="objects", gamma=0.99, **OFF)
-    assert DQNSettings().exploration == "epsilon-greedy"
     with refused(match="none, with dueling, atoms or noise"):
         Rainbow(*SPACES, 0, network=torch.nn.Linear(5, 4))

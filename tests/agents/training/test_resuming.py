@@ -41,6 +41,7 @@ SMALL = {
     "ddpg": {"hidden": (8,), "batch_size": 8, "warmup": 20, "actor_warmup": 40, "updates_per_step": 0.05},
     **dict.fromkeys(("ppo", "dac", "diayn"), {"hidden": (8,), "rollout": 16, "batch_size": 8, "epochs": 2}),
     "a2oc": {"hidden": (8,), "rollout": 5},
+    "fun": {"hidden": (8,), "rollout": 7, "horizon": 3},
     **dict.fromkeys(("torchrl-dqn", "torchrl-sac"), {"hidden": (8,), "batch_size": 8, "warmup": 20,
                                                       "updates_per_step": 0.05, "replay_capacity": 60}),
     "torchrl-ppo": {"hidden": (8,), "rollout": 16, "batch_size": 8, "epochs": 2},

@@ -144,7 +144,7 @@ class Hiro(CallRunner):
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HiroSettings | None = None, goal_space: GoalSpace | None = None) -> None:
-        settings = settings or self.Settings()
+        settings = settings or HiroSettings()
         self._actions = count_actions(action_space, "hiro")
         self.space = space = goal_space or make_goal_space(observation_space, "hiro")
         self._worker = Pursuit(space, self._actions, settings.window)

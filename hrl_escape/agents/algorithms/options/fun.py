@@ -1,0 +1,265 @@
+"""FeUdal Networks: a manager sets directions in a latent space of its own, a worker is paid for going that way.
+
+Vezhnevets et al. (2017), over perceptrons in place of the convolutional front and of both recurrent nets. With
+`horizon` 1 a direction holds for one decision, and no hierarchy is left: the ablation that a result is to be read
+beside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, compute_backup, count_actions
+from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
+from hrl_escape.agents.components.networks import (
+    Learner,
+    Network,
+    NetworkSettings,
+    ObservationEncoder,
+    initialise_layer,
+    make_generator,
+    make_network,
+)
+from hrl_escape.agents.components.policy_gradient import (
+    Rollout,
+    compute_advantages,
+    compute_entropy,
+    compute_log_policy,
+    stack_decisions,
+    take_column,
+    unstack_decisions,
+)
+from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import Kept
+from hrl_escape.settings import Range
+
+
+@dataclass(frozen=True)
+class FunSettings(NetworkSettings, LearningSettings):
+    """Settings of `fun`."""
+
+    horizon: Annotated[int, Range(1)] = 10
+    """c, decisions over which a direction is to be followed; 1 leaves no hierarchy."""
+    direction_units: Annotated[int, Range(1)] = 16
+    """Numbers in the manager's latent state, and in a direction."""
+    embedding_units: Annotated[int, Range(1)] = 8
+    """k, numbers of a direction that the worker is told."""
+    intrinsic_weight: Annotated[float, Range(0)] = 0.5
+    """alpha, weight of the pay for following directions beside the environment's scaled reward."""
+    random_directions: Annotated[float, Range(0, 1)] = 0.05
+    """Share of directions that are drawn at random."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
+    """Initial weights; `orthogonal` goes with tanh units."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 0.5
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    rollout: Annotated[int, Range(2)] = 40
+    """Decisions collected before each update."""
+    gae_lambda: Annotated[float, Range(0, 1)] = 1.0
+    """Lambda of generalised advantage estimation, of both levels."""
+    lambda_per: Literal["decision", "primitive"] = "decision"
+    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the entropy of the worker's policy in the loss."""
+    value_weight: Annotated[float, Range(0)] = 0.5
+    """Weight of half the squared value errors in the loss."""
+
+
+class FunLayers(nn.Module):
+    """Percept z, the manager's latent state s and direction g, the worker's U, both critics."""
+
+    def __init__(self, encoder: ObservationEncoder, actions: int, settings: FunSettings, generator: torch.Generator
+                 ) -> None:
+        super().__init__()
+        self._shape, units = (actions, settings.embedding_units), settings.direction_units
+        width = (settings.hidden or (64,))[-1]
+        self.percept = nn.Sequential(*make_network(encoder, width, settings, generator), nn.Tanh())
+
+        def make(inputs: int, outputs: int, gain: float = 1.0) -> Any:
+            return initialise_layer(nn.utils.skip_init(nn.Linear, inputs, outputs), settings.initialisation, gain,
+                                    generator)
+
+        self.state, self.direct = make(width, units), make(units, units)
+        self.embed: Any = nn.utils.skip_init(nn.Linear, units, settings.embedding_units, bias=False)
+        nn.init.orthogonal_(self.embed.weight, generator=generator)
+        self.act = make(width, actions * settings.embedding_units, 0.01)
+        self.manager_value, self.worker_value = make(width, 1), make(width, 1)
+
+    def see(self, observation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Percept z (n, units), latent state s and direction g of length 1, (n, direction units)."""
+        percept = self.percept(observation)
+        state = functional.relu(self.state(percept))
+        return percept, state, functional.normalize(self.direct(state), dim=1)
+
+    def compute_logits(self, percept: Tensor, followed: Tensor) -> Tensor:
+        """U w, w = phi(sum of directions), (n, actions)."""
+        table = self.act(percept).unflatten(1, self._shape)
+        return (table @ self.embed(followed)[:, :, None]).squeeze(2)
+
+
+def sum_directions(directions: Tensor, is_fresh: Tensor, horizon: int) -> Tensor:
+    """Sum of the directions of a decision and of the `horizon` before it in its episode, (n, units).
+
+    Args:
+        directions: g_t, (n, units).
+        is_fresh: bool (n,), the decision begins an episode.
+        horizon: c.
+    """
+    episode, total = is_fresh.cumsum(0), directions.clone()
+    for lag in range(1, min(horizon, len(directions) - 1) + 1):
+        same = (episode[lag:] == episode[:-lag])[:, None]
+        total[lag:] += directions[:-lag] * same
+    return total
+
+
+def pay_for_following(states: Tensor, reached: Tensor, directions: Tensor, is_fresh: Tensor, horizon: int) -> Tensor:
+    """R^I = 1/c sum over i = 1..c of cos(s_(t+1) - s_(t+1-i), g_(t+1-i)), within the episode, (n,).
+
+    Args:
+        states: s_t, (n, units).
+        reached: s_(t+1), also where an episode ended.
+        directions: g_t, (n, units).
+        is_fresh: bool (n,), the decision begins an episode.
+        horizon: c.
+    """
+    episode, pay = is_fresh.cumsum(0), torch.zeros(len(states))
+    for lag in range(min(horizon, len(states))):
+        end = len(states) - lag
+        same = episode[lag:] == episode[:end]
+        pay[lag:] += same * functional.cosine_similarity(reached[lag:] - states[:end], directions[:end], dim=1)
+    return pay / horizon
+
+
+class Fun(Agent):
+    """One step down the sum of these losses for every rollout.
+
+        manager  - A^M_t cos(s_(t+c) - s_t, g_t), no gradient into s;  A^M of the environment's rewards
+        worker   - A^W_t log pi(a_t | s_t) - weight x entropy;         A^W of R + alpha R^I, no gradient into g
+        critics  half the squared errors of V^M and V^W, functions of the percept
+
+    pi is the softmax of U(z) w over legal actions, w = phi(the sum of the directions of the last c decisions and this
+    one). Both levels discount by gamma^k. Sums end at the episode's beginning. The manager learns of a decision once
+    the c after it are there, where the episode goes on so long.
+    """
+
+    name: ClassVar[str] = "fun"
+    Settings: ClassVar[type] = FunSettings
+    STATE = ("_learner", Kept("_kept", "rollout", unpack=dict), "_new", "_followed", "_action_rng")
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: FunSettings | None = None) -> None:
+        self.settings = settings = settings or FunSettings()
+        actions = count_actions(action_space, self.name)
+        self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
+        self.layers = FunLayers(self._encoder, actions, settings, make_generator(make_rng(seed, "weights")))
+        network = Network(self.layers)
+        self._learner = Learner(self.name, {"layers": network}, ["layers"], settings)
+        self._rows: list[tuple] = []
+        """Decisions, the c before those that are new included; their memory is the direction that was followed, and 1
+        where an episode begins."""
+        self._new = 0
+        self._followed: list[NDArray] = []
+        """Directions of this episode's decisions, the last c + 1 of them."""
+        self._asked: list[NDArray] = []  # the same with that of the latest choice
+        self._evaluation: tuple[np.random.Generator, list[NDArray]] | None = None
+        self._action_rng = make_rng(seed, "actions")
+
+    # --- acting --------------------------------------------------------------------------
+
+    def _choose(self, observation: Any, mask: NDArray[np.bool_], followed: list[NDArray], replaced: NDArray | None
+                ) -> NDArray[np.float64]:
+        """Probabilities of actions; appends the direction to those followed."""
+        with torch.no_grad():
+            percept, _, direction = self.layers.see(torch.from_numpy(self._encoder.encode(observation))[None])
+            followed.append(direction[0].numpy() if replaced is None else replaced)
+            del followed[: -self.settings.horizon - 1]
+            logits = self.layers.compute_logits(percept, torch.from_numpy(np.sum(followed, axis=0))[None])
+        return compute_softmax(mask_values(logits[0].numpy(), mask))
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Draw from the worker's policy; asking again draws the direction anew."""
+        replaced = None
+        if self._action_rng.random() < self.settings.random_directions:
+            drawn = self._action_rng.standard_normal(self.settings.direction_units).astype(np.float32)
+            replaced = drawn / np.linalg.norm(drawn)
+        self._asked = list(self._followed)
+        return sample_index(self._choose(observation, action_mask, self._asked, replaced), self._action_rng)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The likeliest action, under the directions of this evaluation, which belongs to `rng`."""
+        running, followed = self._evaluation or (None, [])
+        followed = list(followed) if running is rng else []
+        policy = self._choose(observation, action_mask, followed, None)
+        self._evaluation = rng, followed
+        return choose_best(policy, action_mask)
+
+    def compute_state_value(self, observation: Any) -> float:
+        """V^M(s) at an observation, in units of return."""
+        with torch.no_grad():
+            percept, *_ = self.layers.see(torch.from_numpy(self._encoder.encode(observation))[None])
+            return float(self.layers.manager_value(percept)) / self.settings.reward_scale
+
+    # --- learning ------------------------------------------------------------------------
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Keep the decision; update when the rollout is full."""
+        reward, bootstrap = compute_backup(transition, self.settings)
+        over = transition.terminated or transition.truncated
+        memory = np.append(self._asked[-1], float(not self._followed)).astype(np.float32)
+        self._rows.append((self._encoder.encode(transition.observation), transition.action_mask, transition.action,
+                           reward * self.settings.reward_scale, bootstrap, transition.duration, over,
+                           self._encoder.encode(transition.next_observation), memory))
+        self._followed, self._new = [] if over else self._asked, self._new + 1
+        if self._new < self.settings.rollout:
+            return {}
+        parts = self.compute_loss(stack_decisions(self._rows, 0), len(self._rows) - self._new)
+        self._learner.minimise(parts["loss"])
+        self._rows, self._new = self._rows[-self.settings.horizon :], 0
+        return {name: part.item() for name, part in parts.items()} | {"gradient_norm": self._learner.gradient_norm}
+
+    def compute_loss(self, rollout: Rollout, first: int) -> dict[str, Tensor]:
+        """The loss over the decisions from `first` on, the manager's c decisions earlier, and its parts."""
+        settings, layers, c = self.settings, self.layers, self.settings.horizon
+        directions, is_fresh = rollout.memory[:, :-1], rollout.memory[:, -1] > 0
+        percept, states, aimed = layers.see(rollout.observation)
+        with torch.no_grad():
+            after, reached, _ = layers.see(rollout.next_observation)
+            intrinsic = pay_for_following(states, reached, directions, is_fresh, c)
+        losses, advantages = [], {}
+        for name, critic, pay in (("manager", layers.manager_value, 0.0), ("worker", layers.worker_value, intrinsic)):
+            values = critic(percept).squeeze(1)
+            paid = rollout._replace(reward=rollout.reward + settings.intrinsic_weight * pay)
+            with torch.no_grad():
+                advantages[name] = compute_advantages(paid, values, critic(after).squeeze(1), settings)
+            losses.append(0.5 * functional.mse_loss(values[first:], (advantages[name] + values.detach())[first:]))
+        log_policy = compute_log_policy(
+            layers.compute_logits(percept, sum_directions(directions, is_fresh, c))[first:], rollout.mask[first:])
+        worker = -(take_column(log_policy, rollout.action[first:]) * advantages["worker"][first:]).mean()
+        entropy = compute_entropy(log_policy, rollout.mask[first:])
+        start, end, episode = max(first - c, 0), max(len(aimed) - c, 0), is_fresh.cumsum(0)
+        is_there = episode[start:end] == episode[start + c : end + c]
+        shift = (states[start + c : end + c] - states[start:end]).detach()
+        aligned = functional.cosine_similarity(shift, aimed[start:end], dim=1)
+        manager = -(is_there * advantages["manager"][start:end] * aligned).sum() / settings.rollout
+        loss = manager + worker - settings.entropy_weight * entropy + settings.value_weight * sum(losses)
+        return {"loss": loss, "manager_loss": manager, "policy_loss": worker, "entropy": entropy,
+                "intrinsic": intrinsic[first:].mean()}
+
+    @property
+    def _kept(self) -> dict[str, Tensor] | None:
+        """Fields of the decisions that are kept; None where there are none."""
+        return stack_decisions(self._rows, 0)._asdict() if self._rows else None
+
+    @_kept.setter
+    def _kept(self, saved: Mapping[str, Any] | None) -> None:
+        self._rows = [] if saved is None else unstack_decisions(saved)
