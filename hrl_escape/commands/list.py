@@ -45,7 +45,7 @@ TITLES = {"agents": f"agents; with {SMDP_PREFIX} in front they choose options",
 
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
               "macros": "macro-actions", "tree": "cells", "simulator": "simulator", "goal_space": "goals",
-              "count_steps": "adjacency"}
+              "count_steps": "adjacency", "abstraction": "abstraction"}
 """Arguments of agents with a given hierarchy -> what they tell the agent beyond what a flat one knows."""
 
 

@@ -7,12 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 
+from hrl_escape.agents.algorithms.given.deep_abstract_q import DeepAbstractQ
 from hrl_escape.agents.algorithms.given.feudal_rl import FeudalRl
 from hrl_escape.agents.algorithms.given.h_dqn import HDqn
 from hrl_escape.agents.algorithms.given.hac import Hac
 from hrl_escape.agents.algorithms.given.hiro import Hiro
 from hrl_escape.agents.algorithms.given.hrac import Hrac
 from hrl_escape.agents.algorithms.given.macro_q import MacroQ
+from hrl_escape.agents.algorithms.given.option_keyboard import OptionKeyboard
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.hierarchy.regions import Quadtree
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackAgent, make_task_transition
@@ -65,6 +67,8 @@ OWN = {
     "macro-q": lambda: _run(MacroQ, EmptyRoom(EDGE), make_wall_macros()),
     "h-dqn": lambda: _run(HDqn, FourRooms(None), values="table", patience=5),
     "hac": lambda: _run(Hac, FourRooms(None)),
+    "deep-abstract-q": lambda: _run(DeepAbstractQ, FourRooms(None), worker="table"),
+    "option-keyboard": lambda: _run(OptionKeyboard, EmptyRoom(EDGE), patience=5),
     "hiro": lambda: _run(Hiro, FourRooms(None), window=5),
     "hrac": lambda: _run(Hrac, FourRooms(None), window=5),
     "feudal-rl": lambda: _run(FeudalRl, BarrierMaze(), Quadtree(2, find_place), patience=3),

@@ -1,0 +1,195 @@
+"""The option keyboard: skills are keys, and a chord of them, wanted or unwanted, is played without learning it.
+
+Barreto et al. (2019), in tables: successor features of the skills (Barreto et al. 2017), generalised policy improvement
+for chords, and a player that learns which chord to strike. Events are goals that come to be reached, such as a touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.components.tables import QTable, TabularSettings, make_cell_finder
+from hrl_escape.agents.hierarchy.call_stack import Return
+from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
+from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.state import Columns, Stateful
+from hrl_escape.settings import Range
+
+
+@dataclass(frozen=True)
+class OptionKeyboardSettings(StackSettings, TabularSettings):
+    """Settings of `option-keyboard`; exploration is the player's, and within a chord a share of it."""
+
+    patience: Annotated[int, Range(1)] = 50
+    """Primitives after which a chord without an event is released."""
+    chord_epsilon: Annotated[float, Range(0, 1)] = 0.1
+    """Share of random primitives within a chord."""
+
+
+class SuccessorTable(Stateful):
+    """psi_i(s, a), the discounted chance that each event is the first to happen, under the skill of event i.
+
+    Args:
+        events: how many there are.
+        actions: number of primitives.
+        settings: `TabularSettings`, of whose rates `learning_rate` counts.
+    """
+
+    STATE = (Columns({"values": "_values"}),)
+
+    def __init__(self, events: int, actions: int, settings: TabularSettings) -> None:
+        self._shape, self._rate = (events, actions, events), settings.learning_rate
+        self._values: dict[bytes, NDArray[np.float64]] = {}
+
+    def get(self, key: bytes) -> NDArray[np.float64]:
+        """psi(s), (skills, actions, events); not to be written."""
+        values = self._values.get(key)
+        return np.zeros(self._shape) if values is None else values
+
+    def compute_chord(self, key: bytes, chord: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Generalised policy improvement: max over skills i of psi_i(s, .) w, (actions,)."""
+        return (self.get(key) @ chord).max(axis=0)
+
+    def update(self, key: bytes, action: int, happened: NDArray[np.floating], discount: float, after: bytes,
+               legal: NDArray[np.bool_]) -> None:
+        """Move every skill's psi_i(s, a) towards what happened + discount psi_i(s', a'), a' best for event i.
+
+        Args:
+            key: of s.
+            action: a.
+            happened: discount of each event that happened at s', else 0; (events,).
+            discount: gamma^k, 0 where an event happened or the episode terminated.
+            after: key of s'.
+            legal: primitives at s'.
+        """
+        target = np.tile(happened, (self._shape[0], 1))
+        if discount:
+            follow, skills = self.get(after), np.arange(self._shape[0])
+            best = np.where(legal, follow[skills, :, skills], -np.inf).argmax(axis=1)
+            target = target + discount * follow[skills, best]
+        values = self._values.setdefault(key, np.zeros(self._shape))
+        values[:, action] = (1 - self._rate) * values[:, action] + self._rate * target
+
+
+class _Player(BaseTask):
+    """Strikes a chord; paid by the environment."""
+
+    def __init__(self, view: Any, chords: int, chord: _Chord) -> None:
+        super().__init__("player", chords, None if view is None else view.space)
+        self._view, self._chord = view, chord
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        return seen.observation if self._view is None else self._view.see(seen.observation)
+
+    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
+        return Call(self._chord, int(choice))
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        return np.ones(int(self.space.n), np.bool_)
+
+
+class _Chord(_Player):
+    """Plays a chord, by number, until an event or for want of patience."""
+
+    def __init__(self, space: GoalSpace, chords: int, primitives: int, patience: int) -> None:
+        BaseTask.__init__(self, "chord", primitives, None if space.view is None else space.view.space)
+        self._view, self._space, self._chords, self._patience = space.view, space, chords, patience
+
+    def list_calls(self) -> Mapping[str, Any]:
+        return {f"chord {number}": number for number in range(self._chords)}
+
+    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
+        return Call(int(choice))
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        return seen.mask
+
+    def ends(self, frame: Frame, seen: Seen) -> float:
+        """Whether a goal is reached that was not where the chord was struck; one left and reached again is none."""
+        before, now = (self._space.list_reached(each.observation) for each in (frame.start, seen))
+        return float(frame.primitives >= self._patience or bool((now & ~before).any()))
+
+
+def make_chords(events: int) -> NDArray[np.float64]:
+    """Each event; each event and no other; all events alike. (chords, events)."""
+    single = np.eye(events)
+    return np.concatenate([single, 2 * single - 1, np.ones((1, events))] if events > 1 else [single])
+
+
+class OptionKeyboard(TabularRunner):
+    """Three kinds of learning from each primitive and each chord.
+
+        skill i   psi_i(s, a) <- phi + gamma^k psi_i(s', argmax over a' of psi_i(s', a')[i]), up to the first event
+        chord w   plays argmax over a of max over i of psi_i(s, a) w; nothing is learned
+        player    Q(s, w) <- R + gamma^k max over w' of Q(s', w')
+
+    phi is 1 for the events that happen, discounted within an option of the environment. Every skill learns from every
+    primitive. A chord is at least as good as each skill alone (Barreto et al. 2017, theorem 1).
+
+    Args:
+        goal_space: its goals are the events, each when it comes to be reached; by default those of `make_goal_space`.
+        chords: weights of events, (chords, events); by default `make_chords`.
+    """
+
+    Settings = OptionKeyboardSettings
+    STATE = ("skills", "table")
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: OptionKeyboardSettings | None = None, goal_space: GoalSpace | None = None,
+                 chords: NDArray[np.float64] | None = None) -> None:
+        settings = settings or OptionKeyboardSettings()
+        actions = count_actions(action_space, "option-keyboard")
+        self.space = space = goal_space or make_goal_space(observation_space, "option-keyboard")
+        self.chords = make_chords(len(space.goals)) if chords is None else np.asarray(chords, np.float64)
+        self._chord = _Chord(space, len(self.chords), actions, settings.patience)
+        super().__init__(Hierarchy(_Player(space.view, len(self.chords), self._chord), (self._chord,), source="learned",
+                                   privileges=space.privileges), seed, settings)
+        view_space = observation_space if space.view is None else space.view.space
+        self._find_cell = make_cell_finder(view_space, settings, "option-keyboard")
+        self.skills = SuccessorTable(len(space.goals), actions, settings)
+        self.table = QTable(len(self.chords), settings)
+
+    def make_key(self, view: Any) -> bytes:
+        """Key of what tables see."""
+        return self._find_cell(view).tobytes()
+
+    def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64]:
+        """Values of chords, or of primitives within one."""
+        frame = stack[-1]
+        if frame.task is not self._chord:
+            return self.table.get_values(self.make_key(view))
+        return self.skills.compute_chord(self.make_key(view), self.chords[frame.context])
+
+    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
+        """The player explores as the settings say, a chord by its own epsilon."""
+        if stack[-1].task is not self._chord:
+            return super().choose(stack, view, legal, seen)
+        if self._action_rng.random() < self.settings.chord_epsilon:
+            return int(self._action_rng.choice(legal.nonzero()[0]))
+        return self.choose_greedy(stack, view, legal, seen, self._action_rng)
+
+    def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
+        """Teach every skill the primitive, and the player its chord once it is released."""
+        before, after = (self.space.list_reached(each.observation) for each in (step.seen, step.next_seen))
+        happened = after & ~before
+        goes_on = not (happened.any() or step.terminated)
+        view, next_view = (self._chord.view(each, ()) for each in (step.seen, step.next_seen))
+        arrival = self.gamma ** (step.duration - 1)
+        self.skills.update(self.make_key(view), step.action, arrival * happened,
+                           arrival * self.gamma * goes_on, self.make_key(next_view), step.next_seen.mask)
+        error = 0.0
+        for returned in returns:
+            if returned.frame.task is not self._chord:
+                decision, target = returned.decision, returned.decision.reward
+                if not returned.terminated:
+                    target += decision.discount * float(self.table.get_values(self.make_key(next_view)).max())
+                error = abs(self.table.update(self.make_key(decision.view), decision.choice, target))
+        return self.finish_step(step, error)
