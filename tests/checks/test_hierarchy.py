@@ -15,6 +15,7 @@ from hrl_escape.agents.algorithms.given.hiro import Hiro
 from hrl_escape.agents.algorithms.given.hrac import Hrac
 from hrl_escape.agents.algorithms.given.macro_q import MacroQ
 from hrl_escape.agents.algorithms.given.option_keyboard import OptionKeyboard
+from hrl_escape.agents.algorithms.given.sol import Sol
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.hierarchy.regions import Quadtree
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackAgent, make_task_transition
@@ -69,6 +70,7 @@ OWN = {
     "hac": lambda: _run(Hac, FourRooms(None)),
     "deep-abstract-q": lambda: _run(DeepAbstractQ, FourRooms(None), worker="table"),
     "option-keyboard": lambda: _run(OptionKeyboard, EmptyRoom(EDGE), patience=5),
+    "sol": lambda: _run(Sol, FourRooms(None), hidden=(8,), longest=4),
     "hiro": lambda: _run(Hiro, FourRooms(None), window=5),
     "hrac": lambda: _run(Hrac, FourRooms(None), window=5),
     "feudal-rl": lambda: _run(FeudalRl, BarrierMaze(), Quadtree(2, find_place), patience=3),

@@ -14,7 +14,8 @@ from hrl_escape.commands.list import _describe_hierarchical
 NAMES = sorted(
     path.stem.replace("_", "-") for path in Path(given.__path__[0]).glob("*.py") if path.stem != "__init__"
 )
-SMALL = {"h-dqn": {"hidden": (8,), "batch_size": 8, "worker_warmup": 20}, "h-uct": {"simulations": 5, "depth": 10}}
+SMALL = {"h-dqn": {"hidden": (8,), "batch_size": 8, "worker_warmup": 20}, "h-uct": {"simulations": 5, "depth": 10},
+         "sol": {"hidden": (8,), "rollout": 30, "longest": 4}}
 
 
 @pytest.mark.parametrize("name", NAMES)
