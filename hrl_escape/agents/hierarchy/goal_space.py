@@ -16,6 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hrl_escape.agents.hierarchy.goals import GoalSet, GoalView
+from hrl_escape.agents.hierarchy.task import BaseTask, Seen, Stack
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 
 Point = NDArray[np.float64]
@@ -82,6 +83,28 @@ class GoalSpace:
     def find_nearest(self, point: Point) -> int:
         """Number of the goal nearest to a point, or to a displacement where goals are relative."""
         return int(measure_straight(point, self.goals).argmin())
+
+
+class GoalTask(BaseTask):
+    """A task that sees what a goal space shows of an observation.
+
+    Args:
+        name: unique in its hierarchy.
+        space: of its goals.
+        choices: how many it has.
+
+    Attributes:
+        goal_space: of its goals.
+    """
+
+    def __init__(self, name: str, space: GoalSpace, choices: int) -> None:
+        super().__init__(name, choices, None if space.view is None else space.view.space)
+        self.goal_space = space
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        """The part of the observation that tables see."""
+        view = self.goal_space.view
+        return seen.observation if view is None else view.see(seen.observation)
 
 
 def make_goal_space(space: gymnasium.Space, agent: str) -> GoalSpace:

@@ -17,9 +17,9 @@ from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_cell_finder
 from hrl_escape.agents.hierarchy.call_stack import Return
-from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
+from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import Call, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.settings import Range
 
 END = -1
@@ -45,30 +45,26 @@ class HacSettings(StackSettings, ResolutionSettings):
     """Step size of the tables."""
 
 
-class _Level(BaseTask):
+class _Level(GoalTask):
     """Pursues a goal by goals for the level below, or by primitives."""
 
     def __init__(self, name: str, space: GoalSpace, choices: int, below: _Level | None, limit: int) -> None:
-        super().__init__(name, choices, None if space.view is None else space.view.space)
-        self._space, self._below, self._limit = space, below, limit
-
-    def view(self, seen: Seen, stack: Stack) -> Any:
-        view = self._space.view
-        return seen.observation if view is None else view.see(seen.observation)
+        super().__init__(name, space, choices)
+        self._below, self._limit = below, limit
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        return seen.mask if self._below is None else ~self._space.list_reached(seen.observation)
+        return seen.mask if self._below is None else ~self.goal_space.list_reached(seen.observation)
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         return Call(int(choice) if self._below is None else self._below, None if self._below is None else int(choice))
 
     def list_calls(self) -> Mapping[str, Any]:
-        return {f"{self.name} goal {goal}": goal for goal in range(len(self._space.goals))}
+        return {f"{self.name} goal {goal}": goal for goal in range(len(self.goal_space.goals))}
 
     def ends(self, frame: Frame, seen: Seen) -> float:
         if frame.context is None:
             return 0.0
-        is_reached = self._space.is_reached(self._space.goals[frame.context], seen.observation)
+        is_reached = self.goal_space.is_reached(self.goal_space.goals[frame.context], seen.observation)
         return float(is_reached or frame.primitives >= self._limit)
 
 

@@ -27,7 +27,7 @@ from hrl_escape.agents.components.exploration import (
 )
 from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_cell_finder
 from hrl_escape.agents.hierarchy.call_stack import Return
-from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
+from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Decision, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.state import Kept
@@ -74,24 +74,20 @@ def _make_key(cell: NDArray[np.int32], goal: NDArray[np.float64]) -> bytes:
     return cell.tobytes() + (np.round(goal, 6) + 0.0).tobytes()  # -0.0 is 0.0
 
 
-class Pursuit(BaseTask):
+class Pursuit(GoalTask):
     """Goes for a goal for a number of primitives, told at each what is left of it; paid minus the distance left."""
 
     def __init__(self, space: GoalSpace, primitives: int, window: int) -> None:
-        super().__init__("worker", primitives, None if space.view is None else space.view.space)
-        self._space, self._window = space, window
-
-    def view(self, seen: Seen, stack: Stack) -> Any:
-        """The part of the observation that tables see; the goal is asked for by `tell`."""
-        return seen.observation if self._space.view is None else self._space.view.see(seen.observation)
+        super().__init__("worker", space, primitives)
+        self._window = window
 
     def tell(self, frame: Frame, seen: Seen) -> NDArray[np.float64]:
         """The call's goal, advanced to a moment."""
-        return self._space.advance(self._space.goals[frame.context], frame.start.observation, seen.observation)
+        return self.goal_space.advance(self.goal_space.goals[frame.context], frame.start.observation, seen.observation)
 
     def list_calls(self) -> Mapping[str, Any]:
         """One a goal, by number."""
-        return {f"goal {goal}": goal for goal in range(len(self._space.goals))}
+        return {f"goal {goal}": goal for goal in range(len(self.goal_space.goals))}
 
     def ends(self, frame: Frame, seen: Seen) -> float:
         """Certain when the window is over."""
@@ -99,23 +95,20 @@ class Pursuit(BaseTask):
 
     def pay(self, step: Step, frame: Frame) -> float:
         """Minus the distance left after the primitive."""
-        return -step.arrival * float(self._space.measure(self.tell(frame, step.next_seen), step.next_seen.observation))
+        seen = step.next_seen
+        return -step.arrival * float(self.goal_space.measure(self.tell(frame, seen), seen.observation))
 
 
-class Naming(BaseTask):
+class Naming(GoalTask):
     """Names a goal for every window; paid by the environment."""
 
     def __init__(self, space: GoalSpace, worker: Pursuit) -> None:
-        super().__init__("manager", len(space.goals), None if space.view is None else space.view.space)
-        self._space, self._worker = space, worker
-
-    def view(self, seen: Seen, stack: Stack) -> Any:
-        """The part of the observation that tables see."""
-        return self._worker.view(seen, stack)
+        super().__init__("manager", space, len(space.goals))
+        self._worker = worker
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """Goals that are not reached here; all where every one is."""
-        open_goals = ~self._space.list_reached(seen.observation)
+        open_goals = ~self.goal_space.list_reached(seen.observation)
         return open_goals if open_goals.any() else ~open_goals
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:

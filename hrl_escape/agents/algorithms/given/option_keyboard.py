@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_cell_finder
 from hrl_escape.agents.hierarchy.call_stack import Return
-from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
+from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
 from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import Call, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.state import Columns, Stateful
 from hrl_escape.settings import Range
 
@@ -79,15 +79,12 @@ class SuccessorTable(Stateful):
         values[:, action] = (1 - self._rate) * values[:, action] + self._rate * target
 
 
-class _Player(BaseTask):
+class _Player(GoalTask):
     """Strikes a chord; paid by the environment."""
 
-    def __init__(self, view: Any, chords: int, chord: _Chord) -> None:
-        super().__init__("player", chords, None if view is None else view.space)
-        self._view, self._chord = view, chord
-
-    def view(self, seen: Seen, stack: Stack) -> Any:
-        return seen.observation if self._view is None else self._view.see(seen.observation)
+    def __init__(self, space: GoalSpace, chords: int, chord: _Chord) -> None:
+        super().__init__("player", space, chords)
+        self._chord = chord
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         return Call(self._chord, int(choice))
@@ -96,25 +93,19 @@ class _Player(BaseTask):
         return np.ones(int(self.space.n), np.bool_)
 
 
-class _Chord(_Player):
+class _Chord(GoalTask):
     """Plays a chord, by number, until an event or for want of patience."""
 
     def __init__(self, space: GoalSpace, chords: int, primitives: int, patience: int) -> None:
-        BaseTask.__init__(self, "chord", primitives, None if space.view is None else space.view.space)
-        self._view, self._space, self._chords, self._patience = space.view, space, chords, patience
+        super().__init__("chord", space, primitives)
+        self._chords, self._patience = chords, patience
 
     def list_calls(self) -> Mapping[str, Any]:
         return {f"chord {number}": number for number in range(self._chords)}
 
-    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        return Call(int(choice))
-
-    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        return seen.mask
-
     def ends(self, frame: Frame, seen: Seen) -> float:
         """Whether a goal is reached that was not where the chord was struck; one left and reached again is none."""
-        before, now = (self._space.list_reached(each.observation) for each in (frame.start, seen))
+        before, now = (self.goal_space.list_reached(each.observation) for each in (frame.start, seen))
         return float(frame.primitives >= self._patience or bool((now & ~before).any()))
 
 
@@ -150,7 +141,7 @@ class OptionKeyboard(TabularRunner):
         self.space = space = goal_space or make_goal_space(observation_space, "option-keyboard")
         self.chords = make_chords(len(space.goals)) if chords is None else np.asarray(chords, np.float64)
         self._chord = _Chord(space, len(self.chords), actions, settings.patience)
-        super().__init__(Hierarchy(_Player(space.view, len(self.chords), self._chord), (self._chord,), source="learned",
+        super().__init__(Hierarchy(_Player(space, len(self.chords), self._chord), (self._chord,), source="learned",
                                    privileges=space.privileges), seed, settings)
         view_space = observation_space if space.view is None else space.view.space
         self._find_cell = make_cell_finder(view_space, settings, "option-keyboard")
