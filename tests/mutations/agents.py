@@ -327,6 +327,21 @@ MUTATIONS = [
          "(shares @ layers.support).argmax(dim=1, keepdim=True)",
          "targets_are_projected_distributions_of_the_best_legal_action"))),
     Mutation(
+        "options of exploration are valued too",
+        "agents/algorithms/intra_option_q.py",
+        'np.asarray(mask) != 0, ("exploration", "nothing"))',
+        'np.asarray(mask) != 0, ("nothing",))',
+        "options/test_four_rooms.py::test_credit_crosses_a_room_in_one_backup_and_exploration_alone_does_not",
+    ),
+    Mutation(
+        "options of credit are chosen",
+        "agents/algorithms/intra_option_q.py",
+        'drawn = self._leave_out(action_mask, ("credit", "nothing"))',
+        'drawn = self._leave_out(action_mask, ("nothing",))',
+        "options/test_four_rooms.py::"
+        "test_options_of_one_use_leave_primitives_worth_what_they_are_and_act_by_them",
+    ),
+    Mutation(
         "decisions that are new to replay are never drawn first",
         "agents/components/replay.py",
         "% ring.capacity] = self._largest",

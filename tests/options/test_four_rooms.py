@@ -5,11 +5,16 @@ Sutton, Precup and Singh (1999), sections 3 and 4 and figure 2.
 
 from __future__ import annotations
 
-import numpy as np
+from itertools import groupby
 
-from hrl_escape.agents import train
+import numpy as np
+import pytest
+
+from hrl_escape.agents import make_agent, train
+from hrl_escape.agents.agent import make_transition
 from hrl_escape.options.option import TableOption
 from hrl_escape.options.options_env import OptionsEnv
+from tests.agents.running import interact
 from tests.classic.exact import (
     Model,
     compute_choice_values,
@@ -124,3 +129,60 @@ def test_intra_option_learning_comes_to_them_with_fewer_primitives():
     """It looks inside options (section 6)."""
     assert learn("smdp-intra-option-q", 20_000) < 1e-12
     assert learn("smdp-q-learning", 20_000) > 0.1
+
+
+# --- which use of options helps -----------------------------------------------------------
+
+
+def serve(options_serve, primitives, seed=0, epsilon=1.0, **settings):
+    """An agent whose options serve one use, and the decisions that it made: (action, primitives)."""
+    env = make_env(trace=True)
+    chosen = {"gamma": GAMMA, "learning_rate": 1.0, "epsilon_start": epsilon, "epsilon_end": epsilon}
+    agent = make_agent("intra-option-q", env.observation_space, env.action_space, seed,
+                       options_serve=options_serve, **chosen | settings)
+    return agent, [(each.action, each.duration) for each in interact(agent, env, primitives, seed)]
+
+
+def read_primitives(agent):
+    return np.array([agent.compute_values(cell)[:4] for cell in range(CELLS) if cell != EAST_HALLWAY])
+
+
+@pytest.mark.parametrize("options_serve", ["exploration", "credit", "nothing"])
+def test_options_of_one_use_leave_primitives_worth_what_they_are_and_act_by_them(options_serve):
+    """From random choices: exploration runs options all the time, the others each once at most."""
+    agent, made = serve(options_serve, 8_000 if options_serve == "exploration" else 16_000)
+    flat = make_model(FourRooms(slip="none").make_tables(), GAMMA)
+    exact = np.delete(compute_choice_values(flat, find_values(flat)), EAST_HALLWAY, axis=0)
+    found = read_primitives(agent)
+    assert (found <= exact + 1e-9).all()
+    assert np.isclose(found, exact).mean() > (0.95 if options_serve == "exploration" else 0.999)
+    runs = sum(action >= 4 for action, _ in made)
+    assert runs > 1_000 if options_serve == "exploration" else runs <= 8
+    rng = np.random.default_rng(0)
+    assert all(agent.act_greedy(cell, np.ones(12, np.bool_), rng) < 4 for cell in range(CELLS))
+
+
+def test_credit_crosses_a_room_in_one_backup_and_exploration_alone_does_not():
+    """The same primitives, told of the same options: what a cell is worth after the goal's neighbour learned of it."""
+    told = {}
+    for options_serve in ("credit", "exploration"):
+        agent, _ = serve(options_serve, 600, seed=1)
+        before = GRID.numbers[8, 9]  # one step below the goal's hallway
+        agent.table.update(agent._discretise(before), 4 + 7, 0.5)  # an option's value
+        env = make_env(trace=True)
+        env.reset(seed=0)
+        env.unwrapped.set_state(State(GRID.numbers[9, 9]))
+        env.resume(GRID.numbers[9, 9])
+        mask, below = np.ones(12, np.bool_), GRID.numbers[9, 9]
+        for action in range(12):
+            agent.table.update(agent._discretise(before), action, 0.5 if action == 11 else 0.0)
+        agent.observe(make_transition(below, 0, mask, env.step(0), GAMMA))
+        told[options_serve] = agent.compute_values(below)[0]
+    assert told == pytest.approx({"credit": GAMMA * 0.5, "exploration": 0.0})
+
+
+def test_random_choices_are_repeated_for_the_lengths_that_are_given():
+    _, made = serve("nothing", 600, repeats=(3,))
+    actions = [action for action, _ in made if action < 4]
+    runs = [len(list(group)) for _, group in groupby(actions)]
+    assert np.mean([length % 3 == 0 for length in runs]) > 0.9, "but where an episode ends"

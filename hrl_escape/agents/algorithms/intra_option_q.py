@@ -8,18 +8,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
+import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.agent import SMDPTransition, count_actions
+from hrl_escape.agents.components.exploration import compute_epsilon, sample_legal
 from hrl_escape.agents.components.tables import TabularAgent, TabularAgentSettings
 from hrl_escape.errors import StepContractError
+from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
 class IntraOptionQSettings(TabularAgentSettings):
-    """Those of every agent with a table, for `intra-option-q`."""
+    """What options are for, beside the settings of every agent with a table.
+
+    Given to one use alone, they show by which way they help; repeated primitives are the control, temporal extension
+    without goals.
+    """
+
+    options_serve: Literal["all", "exploration", "credit", "nothing"] = "all"
+    """`all`: they are chosen and valued. `exploration`: random choices may be options; values are backed up over
+    primitives alone, which alone are greedy. `credit`: values are backed up over options too; primitives alone are
+    chosen. `nothing`: as if there were none. For environments with primitives beside options; an option is known by
+    its first run, so it is run once in any case."""
+    repeats: tuple[Annotated[int, Range(1)], ...] = ()
+    """Decisions for which a random choice is repeated, one of these drawn each time; empty for one."""
 
 
 class IntraOptionQ(TabularAgent):
@@ -42,6 +58,37 @@ class IntraOptionQ(TabularAgent):
     Settings: ClassVar[type] = IntraOptionQSettings
     needs_trace: ClassVar[bool] = True
     settings: IntraOptionQSettings
+    STATE = ("_is_option", "_repeated")
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: IntraOptionQSettings | None = None) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self._is_option = np.zeros(count_actions(action_space, self.name), np.bool_)
+        self._repeated = (0, 0)  # a random choice, and for how many decisions more
+
+    def _leave_out(self, mask: NDArray[np.bool_], uses: tuple[str, ...]) -> NDArray[np.bool_]:
+        """A mask without options where they serve one of these; whole where nothing would be left."""
+        left = mask & ~self._is_option
+        return left if self.settings.options_serve in uses and left.any() else mask
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Explore as the settings say, with the actions that they allow."""
+        settings, (choice, left) = self.settings, self._repeated
+        drawn = self._leave_out(action_mask, ("credit", "nothing"))
+        if left and drawn[choice]:
+            self._repeated = choice, left - 1
+            return choice
+        if settings.options_serve != "exploration" and not settings.repeats:
+            return super().act(observation, drawn)
+        if self._rng.random() >= compute_epsilon(settings, self._steps):
+            return self.act_greedy(observation, action_mask, self._rng)
+        choice = sample_legal(drawn, self._rng)
+        self._repeated = choice, int(self._rng.choice(settings.repeats)) - 1 if settings.repeats else 0
+        return choice
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The legal action of highest value, drawn among equals; a primitive where options serve one use alone."""
+        return super().act_greedy(observation, self._leave_out(action_mask, ("exploration", "credit", "nothing")), rng)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn from the primitives inside the decision, and from the decision where they do not cover it.
@@ -57,6 +104,9 @@ class IntraOptionQ(TabularAgent):
                 f"{transition.duration} primitives came with {covers}. Ask the environment for traces "
                 "(OptionsEnv(env, trace=True)), or use q-learning"
             )
+        self._is_option[transition.action] |= bool(trace) and trace[0][1] != transition.action
+        if transition.terminated or transition.truncated:
+            self._repeated = (0, 0)
         for index in range(len(trace) - 1, -1, -1):
             self._learn_primitive(trace[index], transition, is_last=index == len(trace) - 1)
         covered = bool(trace) and any(o == transition.action for o, _ in _get_consistent(trace[0]))
@@ -79,7 +129,8 @@ class IntraOptionQ(TabularAgent):
             if not (is_last and ended):
                 if mask is None and beta > 0:
                     continue
-                best = 0.0 if mask is None else float(next_values[np.asarray(mask) != 0].max())
+                legal = mask is not None and self._leave_out(np.asarray(mask) != 0, ("exploration", "nothing"))
+                best = 0.0 if mask is None else float(next_values[legal].max())
                 value = (1 - beta) * float(next_values[option]) + beta * best
             self.table.update(key, option, reward + discount * value)
 
