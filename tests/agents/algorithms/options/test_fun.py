@@ -107,6 +107,7 @@ def test_the_manager_turns_its_directions_and_leaves_states_where_they_are():
     agent, rollout = make()
     layers = agent.layers
     layers.direct.weight.data.zero_()  # directions are those of the bias, wherever the state is
+    layers.direct.bias.data.copy_(torch.tensor([1.0, -2.0, 0.5, 0.3]))
     agent.compute_loss(rollout, 6)["manager_loss"].backward()
     assert layers.direct.bias.grad.abs().sum() > 0
     assert layers.state.weight.grad.abs().sum() == 0
