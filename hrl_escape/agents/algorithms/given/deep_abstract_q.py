@@ -171,8 +171,9 @@ class DeepAbstractQ(CallRunner):
             made = DQN if self.settings.worker == "network" else QLearning
             seed = int(np.random.SeedSequence([self._seed, *pair]).generate_state(1)[0])
             epsilon = self.settings.worker_epsilon
+            alone = {"n_step": 1} if made is DQN else {}  # streams take turns, so that decisions in a row are no way
             self.workers[pair] = made(*self._spaces, seed, made.Settings(
-                gamma=self.settings.gamma, epsilon_start=epsilon, epsilon_end=epsilon))
+                gamma=self.settings.gamma, epsilon_start=epsilon, epsilon_end=epsilon, **alone))
         return self.workers[pair]
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:

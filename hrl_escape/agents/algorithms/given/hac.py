@@ -20,6 +20,7 @@ from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Call, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 END = -1
@@ -82,7 +83,14 @@ class Hac(CallRunner):
     """
 
     Settings = HacSettings
-    STATE = ("tables", "_calls", "_tested", "_action_rng")
+    EPISODE = (*CallRunner.EPISODE, "_calls", "_tested")
+    EPISODE_STATE = (*CallRunner.EPISODE_STATE, "calls", "tested")
+    STATE = ("tables", Kept("_calls"), Kept("_tested"), "_action_rng")
+    _calls: dict[str, list[list[Any]]]
+    """Choices of each level's running call: s, actions in hindsight, s', goals reached there, what is legal there,
+    whether the episode terminated."""
+    _tested: int
+    """Depth of the call whose subgoal is being tested; 0 for none."""
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HacSettings | None = None, goal_space: GoalSpace | None = None) -> None:
@@ -99,12 +107,12 @@ class Hac(CallRunner):
         self.tables = {level.name: QTable(int(level.space.n), table) for level in levels}
         view_space = observation_space if space.view is None else space.view.space
         self._find_cell = make_cell_finder(view_space, settings, "hac")
-        self._calls: dict[str, list[list[Any]]] = {level.name: [] for level in levels}
-        """Choices of each level's running call: s, actions in hindsight, s', goals reached there, what is legal there,
-        whether the episode terminated."""
-        self._tested = 0
-        """Depth of the call whose subgoal is being tested; 0 for none."""
         self._action_rng = make_rng(seed, "actions")
+
+    def begin_episode(self) -> None:
+        """Nothing runs, and nothing is tested."""
+        super().begin_episode()
+        self._calls, self._tested = {name: [] for name in self.hierarchy.tasks}, 0
 
     # --- acting --------------------------------------------------------------------------
 

@@ -133,7 +133,11 @@ class Hiro(CallRunner):
     Settings = HiroSettings
     STATE = ("tables", Kept("_replay", pack=lambda kept: [each._asdict() for each in kept],
                             unpack=lambda saved: [Window(**fields) for fields in saved]),
-             "_added", "_way", "_steps", "_action_rng")
+             "_added", Kept("_way"), "_steps", "_action_rng")
+    EPISODE = (*CallRunner.EPISODE, "_way")
+    EPISODE_STATE = (*CallRunner.EPISODE_STATE, "way")
+    _way: list[list[Any]]
+    """Cells, point, mask and primitive of each primitive in the window that runs."""
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HiroSettings | None = None, goal_space: GoalSpace | None = None) -> None:
@@ -148,9 +152,12 @@ class Hiro(CallRunner):
         table = TabularSettings(learning_rate=settings.learning_rate)
         self.tables = {"manager": QTable(len(space.goals), table), "worker": QTable(self._actions, table)}
         self._replay: list[Window] = []
-        self._way: list[list[Any]] = []
-        """Cells, point, mask and primitive of each primitive in the window that runs."""
         self._added, self._steps, self._action_rng = 0, 0, make_rng(seed, "actions")
+
+    def begin_episode(self) -> None:
+        """No window runs."""
+        super().begin_episode()
+        self._way = []
 
     @property
     def latest(self) -> Window:

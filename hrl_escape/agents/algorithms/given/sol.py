@@ -157,6 +157,8 @@ class Sol(CallRunner):
     """
 
     Settings = SolSettings
+    EPISODE = (*CallRunner.EPISODE, "_rows")
+    EPISODE_STATE = (*CallRunner.EPISODE_STATE, "rollout")
     STATE = ("_learner", Kept("_kept", "rollout", unpack=dict), "_action_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
@@ -176,8 +178,12 @@ class Sol(CallRunner):
             make_rng(seed, "weights")), extra_inputs=self.options + 1, output_gain=0.1)
         self._forward = make_forward(self.network)
         self._learner = Learner("sol", {"network": self.network}, ["network"], settings)
-        self._rows: list[Choices] = []
         self._action_rng = make_rng(seed, "actions")
+
+    def begin_episode(self) -> None:
+        """Begin an empty rollout; every stream has its own."""
+        super().begin_episode()
+        self._rows: list[Choices] = []
 
     # --- acting --------------------------------------------------------------------------
 
