@@ -16,6 +16,7 @@ from .route import PlanningReport
 from .scene import Scene
 from .symbolic.pddl import export_pddl, save_pddl
 from .task_motion import TaskMotionPlanner
+from .world import World
 
 __all__ = [
     "ArmPlanner",
@@ -43,6 +44,7 @@ __all__ = [
     "TaskMotionPlanner",
     "TimedTrajectory",
     "Tracking",
+    "World",
     "best_known_return",
     "export_pddl",
     "find_best_known",

@@ -196,8 +196,8 @@ MUTATIONS = [
     Mutation(
         "the arm goes through the floor",
         "planning/arm/model.py",
-        "apart += [(i, floor) for i in range(own) if geometry.geometryObjects[i].parentFrame != base]",
-        "pass",
+        "resting = [(i, floor) for i in range(own) if geometry.geometryObjects[i].parentFrame != base]",
+        "resting = []",
         "planning/arm/test_arm_planner.py::test_a_posture_is_free_only_if_the_hand_is_above_the_floor",
     ),
     Mutation(
@@ -241,5 +241,19 @@ MUTATIONS = [
         "rates = (self._wanted + self._push - self._at) / self._step",
         "rates = (self._wanted - self._trajectory.evaluate(max(self._now - self._step, 0.0))) / self._step",
         "planning/motion/test_tracking.py::test_physics_and_noise_press_the_same",
+    ),
+    Mutation(
+        "a map is read upside down",
+        "planning/world.py",
+        '.convert("L"), dtype=np.float64)[::-1] / 255.0',
+        '.convert("L"), dtype=np.float64) / 255.0',
+        "planning/test_world.py",
+    ),
+    Mutation(
+        "an SRDF allows nothing",
+        "planning/arm/model.py",
+        "pinocchio.removeCollisionPairsFromXML(self._model, geometry, srdf)",
+        "pass",
+        "planning/arm/test_arm_planner.py::test_pairs_that_touch_at_home_count_where_the_srdf_does_not_allow_them",
     ),
 ]

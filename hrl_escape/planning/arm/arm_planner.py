@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ from hrl_escape.clock import Clock, OutOfTime
 from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.robot import Robot
 from hrl_escape.env.state_checks import check_fields
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.figures import make_svg, save_figure
@@ -65,19 +67,30 @@ class ArmPlanner:
     Attributes:
         instance: the room; its exit door counts as shut.
         kinematics: the arm's, from Pinocchio.
+        postures: joint angles of the SRDF's group states by name, rad.
     """
 
-    def __init__(self, instance: RoomInstance) -> None:
+    def __init__(self, instance: RoomInstance, srdf: str | Path | None = None) -> None:
         """Store the room; models are loaded on first use.
+
+        Args:
+            instance: the room.
+            srdf: MoveIt's description of the arm, its text or path: pairs of links that may touch, and named postures.
+                None lets those pairs touch that do with all joints at home.
 
         Raises:
             UnsupportedError: the robot has no arm.
+            ConfigError: the SRDF is none.
         """
         if instance.robot.joints == 0:
             raise UnsupportedError("this room's robot has no arm: an ArmPlanner is for robot.joints of at least 1")
         self.instance = instance
         self.rules = Kinematics(instance, is_still=True)
         self._collisions: dict[float, ArmCollisions] = {}
+        self._srdf: str | None = None
+        self.postures: dict[str, tuple[float, ...]] = {}
+        if srdf is not None:
+            self._srdf, self.postures = _read_srdf(srdf, self.rules.robot)
 
     @cached_property
     def kinematics(self) -> ArmKinematics:
@@ -97,7 +110,8 @@ class ArmPlanner:
         if margin not in self._collisions:
             room = self.instance
             solids = (*room.solids, *((room.door,) if room.door else ()))
-            self._collisions[margin] = ArmCollisions(self.rules.robot, room.robot.hand_radius, solids, margin)
+            self._collisions[margin] = ArmCollisions(self.rules.robot, room.robot.hand_radius, solids, margin,
+                                                     self._srdf)
         return self._collisions[margin]
 
     def is_free(self, state: RoomState, angles: Sequence[float], margin: float = 0.0) -> bool:
@@ -296,14 +310,21 @@ class ArmPlanner:
         began, clock = read_clock(), Clock(time_limit)
         place = (state.x, state.y, self.rules.get_heading(state))
 
-        def fail(reason: PlanningReason) -> PlanningFailed:
-            return PlanningFailed(reason, "configuration", place, read_clock() - began, (planner,))
+        def fail(reason: PlanningReason, posture: NDArray[np.float64] | None = None) -> PlanningFailed:
+            meets = ""
+            if posture is not None:
+                x, y, turn = posture[:3].tolist() if names[:1] == ("x",) else place
+                angles = posture[-len(self._limits[0]) :].tolist()
+                found = self._get_collisions(0.0).list_collisions(x, y, turn, angles)
+                meets = ", ".join(found) or "the base meets a solid"
+            return PlanningFailed(reason, "configuration", place, read_clock() - began, (planner,), nearest=meets)
 
         if not is_free(start, 0.0):
-            raise fail(PlanningReason.START_INVALID)
+            raise fail(PlanningReason.START_INVALID, start)
+        last = goals[0]
         goals = np.array([goal for goal in goals if is_free(goal, 0.0)])
         if not len(goals):
-            raise fail(PlanningReason.GOAL_INVALID)
+            raise fail(PlanningReason.GOAL_INVALID, last)
         spent = CheckerBudget(budget, clock)
         for margin in KEPT_MARGINS:
             ends = np.array([goal for goal in goals if is_free(goal, margin)])
@@ -376,6 +397,22 @@ class ReachMap:
         if path is not None:
             save_figure(path, figure)
         return figure
+
+
+def _read_srdf(source: str | Path, robot: Robot) -> tuple[str, dict[str, tuple[float, ...]]]:
+    """Text of an SRDF, and the joint angles of its group states; joints that a state leaves out are at home."""
+    text = source if isinstance(source, str) and source.lstrip().startswith("<") else None
+    try:
+        text = Path(source).read_text(encoding="utf-8") if text is None else text
+        root = ElementTree.fromstring(text)
+        states = {state.get("name", ""): {joint.get("name"): float(joint.get("value", "")) for joint in state}
+                  for state in root.findall("group_state")}
+    except (OSError, ValueError, ElementTree.ParseError) as error:
+        raise ConfigError("srdf", str(source)[:60], f"an SRDF, its text or path: {error}") from None
+    if root.tag != "robot":
+        raise ConfigError("srdf", root.tag, "an SRDF, whose root is <robot>")
+    home = dict(zip(robot.joint_names, robot.home, strict=True))
+    return text, {name: tuple(angles.get(joint, at) for joint, at in home.items()) for name, angles in states.items()}
 
 
 def _make_halton(count: int, dimensions: int) -> NDArray[np.float64]:

@@ -172,25 +172,27 @@ class ArmKinematics:
 class ArmCollisions:
     """Collision test of the arm against solids, the floor and the robot itself, by coal.
 
-    The base against solids is left to `CollisionMap`. Links joined to each other, and pairs that meet with
-    all joints at home (the arm's foot and the base, a link that rests on the floor), never count. The hand is the
-    sphere that presses, added to the shape of its link.
+    The base against solids is left to `CollisionMap`. Links joined to each other never count, nor do pairs that an SRDF
+    allows; without one, those that meet with all joints at home (the arm's foot and the base). Nor does a link that
+    rests on the floor at home. The hand is the sphere that presses, added to the shape of its link.
 
     Attributes:
         robot: the robot.
         margin: distance that counts as a collision already, m.
     """
 
-    def __init__(self, robot: Robot, hand_radius: float, solids: Sequence[Solid], margin: float = 0.0) -> None:
+    def __init__(self, robot: Robot, hand_radius: float, solids: Sequence[Solid], margin: float = 0.0,
+                 srdf: str | None = None) -> None:
         self.robot, self.margin = robot, margin
         self._model = pinocchio.buildModelFromXML(robot.urdf, pinocchio.JointModelPlanar())
         self._data = self._model.createData()
         self._used = [self._model.getJointId(name) for name in robot.joint_names]
         self._rest = _make_rest(self._model, robot)
         geometry = pinocchio.buildGeomFromUrdfString(self._model, robot.urdf, pinocchio.GeometryType.COLLISION)
-        hand = self._model.frames[self._model.getFrameId(robot.hand_link)]
+        number = self._model.getFrameId(robot.hand_link)
+        hand = self._model.frames[number]
         geometry.addGeometryObject(
-            pinocchio.GeometryObject("hand", hand.parentJoint, hand.placement, coal.Sphere(hand_radius)))
+            pinocchio.GeometryObject("hand", hand.parentJoint, number, hand.placement, coal.Sphere(hand_radius)))
         own = len(geometry.geometryObjects)
         for item in geometry.geometryObjects:
             if isinstance(item.geometry, coal.BVHModelBase):
@@ -198,7 +200,8 @@ class ArmCollisions:
                 item.geometry = item.geometry.convex
         base = self._model.getFrameId(BASE_LINK)
         for number, solid in enumerate(solids):
-            geometry.addGeometryObject(_make_collision_object(f"solid-{number}", solid))
+            place = f"{solid.role} at ({solid.x:.4g}, {solid.y:.4g}), number {number}"
+            geometry.addGeometryObject(_make_collision_object(place, solid))
         for i, item in enumerate(geometry.geometryObjects[:own].tolist()):
             if item.parentFrame == base:
                 continue
@@ -206,8 +209,14 @@ class ArmCollisions:
                 geometry.addCollisionPair(pinocchio.CollisionPair(i, other))
         apart = [(i, j) for i in range(own) for j in range(i + 1, own) if not self._is_joined(geometry, i, j)]
         floor = geometry.addGeometryObject(_make_floor())
-        apart += [(i, floor) for i in range(own) if geometry.geometryObjects[i].parentFrame != base]
-        self._keep_clear(geometry, apart)
+        resting = [(i, floor) for i in range(own) if geometry.geometryObjects[i].parentFrame != base]
+        if srdf is None:
+            self._keep_clear(geometry, apart)
+        else:
+            for pair in apart:
+                geometry.addCollisionPair(pinocchio.CollisionPair(*pair))
+            pinocchio.removeCollisionPairsFromXML(self._model, geometry, srdf)
+        self._keep_clear(geometry, resting)
         self._geometry = geometry  # the manager refers to it
         data = geometry.createData()
         for request in data.collisionRequests:
@@ -274,6 +283,20 @@ class ArmCollisions:
         """
         q = self._make_q(x, y, heading, angles)
         return not pinocchio.computeCollisions(self._model, self._data, self._manager, q, True)
+
+    def list_collisions(self, x: float, y: float, heading: float, angles: Sequence[float]) -> list[str]:
+        """List what meets at a posture, such as `arm-3 meets floor`; arguments as of `is_free`."""
+        data, q = self._geometry.createData(), self._make_q(x, y, heading, angles)
+        for request in data.collisionRequests:
+            request.security_margin = self.margin
+        pinocchio.computeCollisions(self._model, self._data, self._geometry, data, q, False)
+
+        def name(number: int) -> str:
+            item = self._geometry.geometryObjects[number]
+            return self._model.frames[item.parentFrame].name if item.parentJoint else item.name
+
+        pairs = zip(self._geometry.collisionPairs, data.collisionResults, strict=True)
+        return sorted({f"{name(pair.first)} meets {name(pair.second)}" for pair, found in pairs if found.isCollision()})
 
 
 def _make_rest(model: Any, robot: Robot) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -159,6 +160,44 @@ def test_motions_are_the_same_again_and_failures_have_reasons():
     with pytest.raises(PlanningFailed) as failed:
         stuck.plan(state, (0.9, 0.0, 0.0))
     assert failed.value.reason is PlanningReason.START_INVALID
+    assert "arm-3 meets obstacle at (" in str(failed.value) and "arm-1 meets" not in str(failed.value)
     with pytest.raises(PlanningFailed) as failed:
         stuck.plan(state._replace(joint_steps=(5, 0, 0)), (0.0, 0.0, 0.0))
-    assert failed.value.reason is PlanningReason.GOAL_INVALID
+    assert failed.value.reason is PlanningReason.GOAL_INVALID and "meets obstacle" in str(failed.value)
+
+
+SRDF = """<robot name="arm"><group_state name="up" group="arm"><joint name="joint-2" value="0.9"/></group_state>
+<disable_collisions link1="mobile-base" link2="arm-1" reason="Adjacent"/>
+<disable_collisions link1="{0}" link2="{1}" reason="Never"/></robot>"""
+
+
+def test_an_srdf_says_which_links_may_touch_and_names_postures(tmp_path):
+    """The third link is folded back into the first: a collision, unless the SRDF allows that pair."""
+    room = make_planner("arm", 3)[0].instance
+    room = dataclasses.replace(room, robot=dataclasses.replace(room.robot, joint_limit_deg=179.0))
+    folded = (0.0, 0.4, math.radians(179.0) - 0.05)
+    free = {}
+    for pair in (("arm-1", "arm-3"), ("arm-1", "hand")):
+        path = tmp_path / "arm.srdf"
+        path.write_text(SRDF.format(*pair))
+        planner = ArmPlanner(room, srdf=path)
+        state = planner.rules.make_state(room.starts[0])
+        free[pair[1]] = {text for text in planner._get_collisions(0.0).list_collisions(state.x, state.y, 0.0, folded)}
+        assert planner.postures == {"up": (0.0, 0.9, 0.0)}
+        assert planner.plan(state, planner.postures["up"]).points[-1] == pytest.approx(planner.postures["up"])
+    assert "arm-1 meets arm-3" in free["hand"] and "arm-1 meets arm-3" not in free["arm-3"]
+    for wrong in ("<urdf/>", "<robot", str(tmp_path / "none.srdf")):
+        with pytest.raises(ConfigError, match="srdf"):
+            ArmPlanner(room, srdf=wrong)
+
+
+def test_pairs_that_touch_at_home_count_where_the_srdf_does_not_allow_them():
+    """A Panda's hulls of the fifth and seventh link overlap at joint angles 0, as MoveIt's own SRDF has it."""
+    planner, state = make_planner("franka-panda", 7)
+    home = planner.rules.robot.home
+    assert planner.is_free(state, home)
+    strict = ArmPlanner(planner.instance, srdf="<robot name='panda'/>")
+    met = strict._get_collisions(0.0).list_collisions(state.x, state.y, 0.0, home)
+    assert "panda_link5 meets panda_link7" in met and not strict.is_free(state, home)
+    allowed = "".join('<disable_collisions link1="{}" link2="{}"/>'.format(*pair.split(" meets ")) for pair in met)
+    assert ArmPlanner(planner.instance, srdf=f"<robot name='panda'>{allowed}</robot>").is_free(state, home)

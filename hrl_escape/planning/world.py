@@ -1,0 +1,181 @@
+"""`World`: a place to plan in that is no puzzle, made of solids or of a map of ROS's map_server."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+
+from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.geometry import Solid
+from hrl_escape.env.instance import Rectangle, RoomInstance, Start, check_room
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.puzzles.base import Contacts, Puzzle
+from hrl_escape.errors import ConfigError, FileReadError
+
+WALL = 0.1
+"""Thickness of the walls that stand round a world, m."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Nothing(Puzzle):
+    """The puzzle of a world: there is none, and it is solved."""
+
+    kind: ClassVar[str] = "nothing"
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """None."""
+        return ()
+
+    def make_state(self) -> int:
+        """The only state."""
+        return 0
+
+    def update(self, state: int, contacts: Contacts) -> int:
+        """Nothing changes."""
+        return state
+
+    def is_solved(self, state: int) -> bool:
+        """Always true."""
+        return True
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:
+        """No target, no light."""
+        return ()
+
+    def observe(self, state: int) -> tuple[float, ...]:
+        """No numbers."""
+        return ()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class World:
+    """A floor with solids and one robot; nothing is to be pressed.
+
+    `instance` goes to `RoomPlanner`, `ArmPlanner`, `Scene` and environments. Its frame has the floor's centre as
+    origin; `to_room` and `to_map` lead from your own frame and back.
+
+    Attributes:
+        instance: the room.
+        centre: centre of the floor in your frame, (x, y), m.
+    """
+
+    instance: RoomInstance
+    centre: tuple[float, float]
+
+    @classmethod
+    def of(cls, solids: Sequence[Solid], robot: RobotConfig, start: Sequence[float], *,
+           floor: tuple[float, float, float, float], wall_height: float = 3.0) -> World:
+        """Make a world of boxes and cylinders.
+
+        Args:
+            solids: in your frame.
+            robot: the robot.
+            start: x and y of its axis, m, and its heading, rad, in your frame.
+            floor: x_min, x_max, y_min and y_max in your frame, m; walls stand round it.
+            wall_height: of these, m.
+
+        Raises:
+            ConfigError: the floor is none, or the start is not free.
+        """
+        x_min, x_max, y_min, y_max = (float(number) for number in floor)
+        if not (x_min < x_max and y_min < y_max):
+            raise ConfigError("floor", floor, "x_min < x_max and y_min < y_max")
+        half_x, half_y, x, y = (x_max - x_min) / 2, (y_max - y_min) / 2, (x_min + x_max) / 2, (y_min + y_max) / 2
+        placed = [dataclasses.replace(solid, x=solid.x - x, y=solid.y - y) for solid in solids]
+        walls = [Solid("box", side * (half_x + WALL), 0.0, WALL, half_y + 2 * WALL, height=wall_height, role="wall")
+                 for side in (-1.0, 1.0)]
+        walls += [Solid("box", 0.0, side * (half_y + WALL), half_x + 2 * WALL, WALL, height=wall_height, role="wall")
+                  for side in (-1.0, 1.0)]
+        instance = RoomInstance(name="world", half_width=half_x, half_depth=half_y, wall_height=wall_height,
+                                solids=(*walls, *placed), robot=robot,
+                                exit=Rectangle(half_x, half_x, half_y, half_y),  # a corner, where no axis comes
+                                puzzle=Nothing())
+        world = cls(instance, (x, y))
+        at_x, at_y, heading = start
+        state = world.make_state(at_x, at_y, heading)
+        begin = Start(state.x, state.y, state.heading_steps, state.heading_offset)
+        world = cls(dataclasses.replace(instance, starts=(begin,)), (x, y))
+        check_room(world.instance)
+        return world
+
+    @classmethod
+    def read(cls, path: str | Path, robot: RobotConfig, start: Sequence[float], *, height: float = 3.0,
+             unknown_is_free: bool = False) -> World:
+        """Read an occupancy grid as ROS's map_server writes it: a YAML file that names an image.
+
+        Occupied cells become boxes, cells side by side one box; your frame is the map's.
+
+        Args:
+            path: the YAML file.
+            robot: the robot.
+            start: x and y of its axis, m, and its heading, rad, in the map's frame.
+            height: of everything occupied, m.
+            unknown_is_free: whether the robot may go where the map knows nothing.
+
+        Raises:
+            FileReadError: a file that is missing or is no map.
+            ConfigError: a turned map, or a start that is not free.
+        """
+        path = Path(path)
+        try:
+            about: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
+            cell, (x, y, yaw) = float(about["resolution"]), (float(number) for number in about["origin"])
+            grey = np.asarray(Image.open(path.parent / about["image"]).convert("L"), dtype=np.float64)[::-1] / 255.0
+            occupancy = grey if int(about.get("negate", 0)) else 1.0 - grey
+            low, high = float(about.get("free_thresh", 0.196)), float(about.get("occupied_thresh", 0.65))
+        except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+            raise FileReadError(f"{path} is no map of map_server: {type(error).__name__}: {error}") from None
+        if abs(yaw) > 1e-9 or not cell > 0.0:
+            raise ConfigError("map", (cell, yaw), "a resolution above 0 and an origin with yaw 0: turn the image")
+        solid = occupancy > high if unknown_is_free else occupancy >= low
+        rows, columns = solid.shape
+        boxes = [Solid("box", x + cell * (a + b) / 2, y + cell * (c + d) / 2, cell * (b - a) / 2, cell * (d - c) / 2,
+                       height=height) for a, b, c, d in merge_cells(solid)]
+        return cls.of(boxes, robot, start, floor=(x, x + cell * columns, y, y + cell * rows), wall_height=height)
+
+    def make_state(self, x: float, y: float, heading: float = 0.0, angles: Sequence[float] | None = None) -> RoomState:
+        """State of the robot at a pose of your frame, m and rad, with joint angles, rad; None for those of its home."""
+        rules = Kinematics(self.instance)
+        steps, offset = rules.split_heading(float(heading))
+        at_x, at_y = self.to_room([x, y]).tolist()
+        state = rules.make_state(Start(at_x, at_y, steps, offset))
+        if angles is None:
+            return state
+        joint_steps, joint_offsets = rules.split_angles(float(angle) for angle in angles)
+        return state._replace(joint_steps=joint_steps, joint_offsets=joint_offsets)
+
+    def to_room(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Points (..., 2 or more) of your frame in the room's; what follows x and y stays."""
+        return self._shift(points, -1.0)
+
+    def to_map(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Points (..., 2 or more) of the room in your frame; what follows x and y stays."""
+        return self._shift(points, 1.0)
+
+    def _shift(self, points: ArrayLike, sign: float) -> NDArray[np.float64]:
+        moved = np.array(points, dtype=np.float64)
+        moved[..., :2] += sign * np.array(self.centre)
+        return moved
+
+
+def merge_cells(solid: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
+    """Rectangles (first column, column after the last, first row, row after the last) that cover exactly the cells.
+
+    Args:
+        solid: shape (rows, columns).
+    """
+    done, open_runs = [], dict[tuple[int, int], int]()
+    for row, cells in enumerate([*solid, np.zeros(solid.shape[1], dtype=bool)]):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], cells.astype(np.int8), [0]])))
+        runs = {(int(a), int(b)) for a, b in edges.reshape(-1, 2)}
+        done += [(a, b, first, row) for (a, b), first in open_runs.items() if (a, b) not in runs]
+        open_runs = {run: open_runs.get(run, row) for run in sorted(runs)}
+    return done

@@ -1,0 +1,89 @@
+"""Worlds without a puzzle: maps of map_server, solids, and plans and trajectories in the map's frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.geometry import Solid, compute_distance
+from hrl_escape.errors import ConfigError, FileReadError
+from hrl_escape.planning.arm.arm_planner import ArmPlanner
+from hrl_escape.planning.goals import PoseGoal
+from hrl_escape.planning.motion.trajectory import make_trajectory
+from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.planning.world import World, merge_cells
+
+ROBOT = RobotConfig(body_radius=0.3, move_step=0.25)
+
+
+def write_map(folder, **changes):
+    """A walled map of 10 x 8 m at 5 cm with a wall in its middle, and a patch that is unknown."""
+    grey = np.full((160, 200), 254, np.uint8)
+    grey[:2], grey[-2:], grey[:, :2], grey[:, -2:] = 0, 0, 0, 0
+    grey[40:120, 98:102] = 0
+    grey[20:30, 150:170] = 205
+    Image.fromarray(grey).save(folder / "map.pgm")
+    about = {"image": "map.pgm", "resolution": 0.05, "origin": "[-3.0, 2.0, 0.0]", "negate": 0,
+             "occupied_thresh": 0.65, "free_thresh": 0.196} | changes
+    (folder / "map.yaml").write_text("".join(f"{key}: {value}\n" for key, value in about.items()))
+    return folder / "map.yaml"
+
+
+def test_rectangles_cover_exactly_the_occupied_cells():
+    rng = np.random.default_rng(0)
+    for share in (0.0, 0.3, 0.8, 1.0):
+        cells = rng.random((17, 23)) < share
+        covered = np.zeros(cells.shape, dtype=int)
+        boxes = merge_cells(cells)
+        for a, b, c, d in boxes:
+            covered[c:d, a:b] += 1
+        assert (covered == cells).all()
+    assert merge_cells(np.ones((4, 5), dtype=bool)) == [(0, 5, 0, 4)]
+
+
+def test_a_map_of_ros_is_planned_in_its_own_frame(tmp_path):
+    world = World.read(write_map(tmp_path), ROBOT, (-1.0, 4.0, 0.5))
+    start = world.make_state(-1.0, 4.0, 0.5)
+    goal = PoseGoal(*world.to_room([5.0, 4.0]).tolist(), tolerance=0.2)
+    trajectory = make_trajectory(RoomPlanner(world.instance).plan(start, goal))
+    places = world.to_map(trajectory.sample(50)[1])
+    assert places[0] == pytest.approx([-1.0, 4.0, 0.5]) and np.hypot(*(places[-1, :2] - (5.0, 4.0))) <= 0.2
+    wall = Solid("box", 2.0, 6.0, 0.1, 2.0).footprint  # columns 98 to 102 of 5 cm, right of x = -3
+    assert min(compute_distance(x, y, wall) for x, y in places[:, :2].tolist()) >= 0.3
+    assert places[:, 1].min() < 4.0 - 0.2 or places[:, 1].max() > 8.0 + 0.2, "round the wall's end"
+
+
+def test_what_the_map_does_not_know_is_solid_unless_it_is_said_to_be_free(tmp_path):
+    path = write_map(tmp_path)
+    unknown = (5.0, 8.8)  # image rows count from the top
+    with pytest.raises(ConfigError, match="starts"):
+        World.read(path, ROBOT, (*unknown, 0.0))
+    assert World.read(path, ROBOT, (*unknown, 0.0), unknown_is_free=True).instance.starts
+
+
+def test_a_world_is_an_environment_and_an_arm_s_place_too():
+    robot = RobotConfig(kind="franka-panda", joints=7, body_radius=0.4, body_height=0.5)
+    world = World.of([Solid("cylinder", 12.0, 21.2, 0.1, 0.1, height=1.5)], robot, (10.0, 20.0, 0.0),
+                     floor=(5.0, 15.0, 16.0, 24.0))
+    home = np.array(world.make_state(10.0, 20.0).joint_steps)
+    state = world.make_state(10.0, 20.0, 1.0, (0.1, 0.2, 0.0, -1.5, 0.0, 1.6, 0.0))
+    arm = ArmPlanner(world.instance)
+    assert home.shape == (7,) and arm.rules.get_angles(state) == pytest.approx((0.1, 0.2, 0.0, -1.5, 0.0, 1.6, 0.0))
+    assert make_trajectory(arm.plan(state, (0.5, 0.2, 0.0, -1.5, 0.0, 1.6, 0.0))).duration > 0.3
+    env = EscapeRoomEnv(instance=world.instance)
+    env.reset(options={"state": state})
+    steps = [env.step(0) for _ in range(20)]
+    assert not any(step[2] for step in steps) and env.get_state().y == pytest.approx(4.0 - 0.4 - 1e-3, abs=0.01)
+
+
+def test_files_that_are_no_maps_are_named(tmp_path):
+    for changes in ({"image": "none.pgm"}, {"resolution": "fine"}, {"origin": "[0, 0]"}):
+        with pytest.raises(FileReadError, match="map_server"):
+            World.read(write_map(tmp_path, **changes), ROBOT, (0.0, 0.0, 0.0))
+    with pytest.raises(ConfigError, match="yaw 0"):
+        World.read(write_map(tmp_path, origin="[0, 0, 0.5]"), ROBOT, (0.0, 0.0, 0.0))
+    with pytest.raises(ConfigError, match="floor"):
+        World.of([], ROBOT, (0.0, 0.0, 0.0), floor=(1.0, 0.0, 0.0, 1.0))
