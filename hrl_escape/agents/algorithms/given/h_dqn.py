@@ -35,6 +35,7 @@ from hrl_escape.agents.hierarchy.goals import GoalSet, Worker, make_goal_hierarc
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
 from hrl_escape.agents.state import Stateful
+from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.settings import Range
 
 
@@ -201,6 +202,17 @@ class HDqn(CallRunner):
         self._steps += step.duration
         return metrics
 
+    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
+        """Learn from each row; a network makes one update from as many backups as in one environment."""
+        levels = {name: level for name, level in (("manager_error", self.manager), ("worker_error", self.worker))
+                  if isinstance(level, _NetworkValues)}
+        for level in levels.values():
+            level.waits = True
+        metrics = super().observe_streams(decisions)
+        for level in levels.values():
+            level.waits = False
+        return {**metrics, **{name: level.update(most=1) for name, level in levels.items()}}
+
     def _get_worker(self, returned: Return) -> Worker:
         task = returned.frame.task
         assert isinstance(task, Worker)
@@ -255,6 +267,8 @@ class _NetworkValues(Stateful):
         shape = (self._encoder.shape[0] + goals,) if goals else self._encoder.shape
         self._replay = ReplayBuffer(settings.replay_capacity, shape, self._encoder.dtype, actions)
         self._rng, self._due, self._all = rng, 0.0, np.ones(actions, np.bool_)
+        self.waits = False
+        """Backups are stored, and updates left for later."""
 
     def _encode(self, observation: Any, goal: int | None) -> NDArray:
         encoded = self._encoder.encode(observation)
@@ -274,11 +288,18 @@ class _NetworkValues(Stateful):
             self._encode(backup.next_observation, backup.goal), backup.next_mask,
         ))  # fmt: skip
         self._due += self._settings.updates_per_decision
-        loss = 0.0
-        while self._due >= 1 and len(self._replay) >= self._settings.batch_size:
-            self._due -= 1
-            loss = self._learner.minimise(self._compute_loss(self._replay.sample(self._settings.batch_size, self._rng)))
-            self._target.blend(self.online, self._settings.target_rate)
+        return 0.0 if self.waits else self.update()
+
+    def update(self, most: int | None = None) -> float:
+        """Make the updates that are due; with `most`, no more, whose minibatches are larger for it."""
+        loss, due, size = 0.0, int(self._due), self._settings.batch_size
+        if due and len(self._replay) >= size:
+            self._due -= due
+            count = min(due, most or due)
+            for _ in range(count):
+                batch = self._replay.sample(size * due // count, self._rng)
+                loss = self._learner.minimise(self._compute_loss(batch))
+                self._target.blend(self.online, self._settings.target_rate)
         return loss
 
     def _compute_loss(self, batch: Experience) -> torch.Tensor:

@@ -67,7 +67,7 @@ class Told(gymnasium.Wrapper):
                        "discounted_reward": discounted}
 
 
-SETTINGS = {"h-uct": {"simulations": 3, "depth": 5}, "h-dqn": {"hidden": (8,), "worker_warmup": 50, "batch_size": 8}}
+SETTINGS = {"h-uct": {"simulations": 3, "depth": 5}, "h-dqn": {"hidden": (8,), "worker_warmup": 50, "batch_size": 2}}
 
 
 def teach_many(agent, count, seed, primitives, longest=12):
@@ -134,6 +134,24 @@ def test_one_stream_learns_what_one_environment_teaches():
         (episode,) = found.pop("episodes", [{}])
         del found["open_masks"]
         assert flatten(found | episode) == flatten(expected), name
+
+
+def test_networks_of_two_levels_learn_as_often_from_every_decision_in_fewer_updates():
+    env, drawn = make_rooms(), {}
+    agent = make_agent("h-dqn", env.single_observation_space, env.single_action_space, 0, hidden=(8,), patience=5,
+                       worker_warmup=0, batch_size=4, updates_per_decision=0.5)
+    for name, level in (("manager", agent.manager), ("worker", agent.worker)):
+        sample = level._replay.sample
+
+        def note(size, rng, name=name, sample=sample):
+            drawn.setdefault(name, []).append(size)
+            return sample(size, rng)
+
+        level._replay.sample = note
+    train(agent, env, primitives=400, eval_episodes=0)
+    assert max(drawn["worker"]) == 4 * 4, "eight rooms, half an update for each decision, of four backups"
+    assert len(drawn["worker"]) <= 400 // 8
+    assert abs(sum(drawn["worker"]) - 4 * 0.5 * 400) <= 4 * 4 and drawn["manager"]
 
 
 def test_trials_are_those_of_each_stream():
