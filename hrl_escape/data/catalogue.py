@@ -19,7 +19,7 @@ TAPE_KINDS = {
     "play": "legal options, drawn uniformly",
     "noisy": "the same with options of which one in five fails at its start",
     "expert": "the planner's order of options",
-    "medium": "a learner stopped at half of the planner's efficiency, one choice in ten at random",
+    "medium": "a learner that has just reached half of the planner's efficiency, one choice in ten at random",
     "stitch": "play cut after one or two decisions, so that no trajectory goes all the way",
     "explore": "primitives, drawn uniformly",
 }

@@ -43,7 +43,7 @@ FAILURE = 0.2
 """Probability that an option of `noisy` fails at its start."""
 RANDOM_SHARE = 0.1
 """Share of random choices in `medium`."""
-MEDIUM_PRIMITIVES, MEDIUM_ROOMS, MEDIUM_EPISODES = 40_000, 20, 40
+MEDIUM_PRIMITIVES, MEDIUM_ROOMS, MEDIUM_EPISODES = 40_000, 20, 20
 """Most primitives that `medium` is trained for, its rooms, and the episodes over which its efficiency is a mean."""
 REFERENCE_ROOMS = 20
 SAVE_SECONDS = 20.0
@@ -274,12 +274,16 @@ class HalfWay(Stateful):
 
 
 def train_medium(rooms: InstanceSet, folder: Path) -> Agent:
-    """Train `smdp-dqn` in some rooms until it is half as good as the planner, or its budget is spent."""
+    """Train `smdp-dqn` in some rooms until it is half as good as the planner, or its budget is spent.
+
+    It explores as much as it is recorded with, so that its training episodes measure what the tape will hold.
+    """
     fewest = float(np.mean([_count_fewest(room) for room in rooms]))
     env = rooms.make_env({"include_primitives": False}, observation="objects")
     try:
         result = train("smdp-dqn", env, primitives=MEDIUM_PRIMITIVES, seed=0, eval_episodes=0, probe=HalfWay(fewest),
-                       settings={"network": "objects"}, out=folder, observed=False)
+                       settings={"network": "objects", "epsilon_start": RANDOM_SHARE, "epsilon_end": RANDOM_SHARE},
+                       out=folder, observed=False)
         assert result.agent is not None
         return result.agent
     finally:

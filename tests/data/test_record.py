@@ -9,6 +9,7 @@ from hrl_escape.agents.components.offline import OPTION_ENDINGS
 from hrl_escape.data.catalogue import DataSpec
 from hrl_escape.data.record import record
 from hrl_escape.data.tape import Tape, save_tape
+from hrl_escape.planning.best_known import find_best_known, list_start_states
 from tests.data.small import make_tape, save_small
 
 
@@ -54,3 +55,14 @@ def test_exploration_is_of_primitives_alone():
     assert tape.primitive_count == len(tape.about["actions"]) == 6
     assert np.array_equal(tape.option, tape.action) and (tape.duration == 1).all()
     np.testing.assert_allclose(np.bincount(tape.action) / len(tape.action), 1 / 6, atol=0.04)
+
+
+@pytest.mark.slow
+def test_medium_is_half_way_between_what_learns_nothing_and_the_planner(tmp_path):
+    tape = record(DataSpec("pair", "medium"), tmp_path / "medium.npz", primitives=4_000)
+    best = [find_best_known(room, list_start_states(room)[0]).primitives for room in tape.rooms]
+    lengths = np.add.reduceat(tape.duration, np.concatenate([[0], np.cumsum(tape.decisions)[:-1]]))
+    whole = tape.end != 0
+    efficiency = np.mean([best[room] / length * (end == 1) for room, length, end in
+                          zip(tape.room[whole], lengths[whole], tape.end[whole], strict=True)])
+    assert 0.4 < efficiency < 0.85

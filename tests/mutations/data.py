@@ -6,6 +6,13 @@ _TABLES = "agents/algorithms/offline/test_offline_tables.py"
 
 MUTATIONS = [
     Mutation(
+        "a medium learner is stopped by how it explores, not by what is recorded of it",
+        "data/record.py",
+        '"epsilon_start": RANDOM_SHARE, "epsilon_end": RANDOM_SHARE',
+        "",
+        "data/test_record.py::test_medium_is_half_way_between_what_learns_nothing_and_the_planner",
+    ),
+    Mutation(
         "a table discounts by one gamma a decision",
         "agents/components/offline.py",
         "(data.reward, data.discount) if by_primitive else (",
