@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import hrl_escape.data
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
-from hrl_escape.data.catalogue import DataSpec
+from hrl_escape.data.catalogue import DataSpec, parse_spec
+from hrl_escape.data.materialise import load_data
 from hrl_escape.data.record import record
-from hrl_escape.data.tape import Tape, save_tape
+from hrl_escape.data.tape import Tape, load_tape, save_tape
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 from tests.data.small import make_tape, save_small
+
+SHIPPED = Path(hrl_escape.data.__file__).parent / "tapes"
 
 
 def keep_first(tape, episodes):
@@ -66,3 +72,16 @@ def test_medium_is_half_way_between_what_learns_nothing_and_the_planner(tmp_path
     efficiency = np.mean([best[room] / length * (end == 1) for room, length, end in
                           zip(tape.room[whole], lengths[whole], tape.end[whole], strict=True)])
     assert 0.4 < efficiency < 0.85
+
+
+@pytest.mark.parametrize("path", [pytest.param(path, marks=() if path.stem == "chain-expert-v1" else pytest.mark.slow)
+                                  for path in sorted(SHIPPED.glob("*.npz"))], ids=lambda path: path.stem)
+def test_what_comes_with_the_package_replays_to_the_scores_on_its_card(path):
+    tape, spec = load_tape(path), parse_spec(path.stem)
+    assert (tape.about["name"], tape.about["kind"], tape.about["command"]) == (
+        spec.name, spec.kind, f"hrl-escape data make {spec.name}")
+    assert len(tape.action) >= spec.primitives and path.stat().st_size < 100_000
+    returns = []
+    for block in load_data(tape, observation="features").blocks("decisions"):
+        returns += np.bincount(block.trajectory - block.trajectory[0], block.summed_reward).tolist()
+    assert np.mean(returns) == pytest.approx(tape.about["scores"]["mean_return"], rel=1e-12)
