@@ -80,13 +80,24 @@ class TimedTrajectory:
                 "contacts": [contact._asdict() for contact in self.contacts]}
 
     def to_ros(self, rate: float = 50.0) -> dict[str, Any]:
-        """Return the fields of a ROS `trajectory_msgs/JointTrajectory`; the base's coordinates stand as joints, too."""
+        """Return the fields of a ROS `moveit_msgs/RobotTrajectory`, sampled at a rate in Hz.
+
+        Joints are its `joint_trajectory`; the base is the planar joint `base` of its `multi_dof_joint_trajectory`,
+        with velocities and accelerations along the room's axes. Either has no points where nothing of it moves.
+        """
         times, positions, velocities = self.sample(rate)
-        points = [{"positions": p, "velocities": v,
-                   "time_from_start": {"sec": int(t), "nanosec": int(round((t - int(t)) * 1e9))}}
-                  for t, p, v in zip(times.tolist(), positions.tolist(), velocities.tolist(), strict=True)]
-        return {"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "room"}, "joint_names": list(self.names),
-                "points": points}
+        rows = list(zip(times.tolist(), positions.tolist(), velocities.tolist(),
+                        self.evaluate(times, 2).tolist(), strict=True))
+        header, first = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "room"}, 3 if self.names[:1] == ("x",) else 0
+        joints = [{"positions": p[first:], "velocities": v[first:], "accelerations": a[first:],
+                   "time_from_start": _make_time(t)} for t, p, v, a in rows if self.names[first:]]
+        base = [{"transforms": [{"translation": {"x": p[0], "y": p[1], "z": 0.0},
+                                 "rotation": {"x": 0.0, "y": 0.0, "z": math.sin(p[2] / 2), "w": math.cos(p[2] / 2)}}],
+                 "velocities": [_make_twist(v)], "accelerations": [_make_twist(a)], "time_from_start": _make_time(t)}
+                for t, p, v, a in rows if first]
+        return {"joint_trajectory": {"header": header, "joint_names": list(self.names[first:]), "points": joints},
+                "multi_dof_joint_trajectory": {"header": header, "joint_names": ["base"] if first else [],
+                                               "points": base}}
 
     def save(self, path: str | Path, rate: float = 50.0) -> None:
         """Write a file: `.json` with the knots, or `.csv` with one row a sample.
@@ -217,3 +228,14 @@ def _unwind(names: Sequence[str], knots: list[NDArray[np.float64]]) -> NDArray[n
                 knots[number][:, column] += round((last - float(part[0, column])) / math.tau) * math.tau
                 last = float(knots[number][-1, column])
     return np.concatenate(knots)
+
+
+def _make_time(seconds: float) -> dict[str, int]:
+    """A ROS `builtin_interfaces/Duration`."""
+    whole, rest = divmod(round(seconds * 1e9), 10**9)
+    return {"sec": whole, "nanosec": rest}
+
+
+def _make_twist(rates: Sequence[float]) -> dict[str, dict[str, float]]:
+    """A ROS `geometry_msgs/Twist` of rates along x and y and about z."""
+    return {"linear": {"x": rates[0], "y": rates[1], "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": rates[2]}}

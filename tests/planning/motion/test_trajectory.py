@@ -212,10 +212,22 @@ def test_sampling_and_files_hold_the_same_motion(tmp_path):
     assert saved["positions"] == trajectory.positions.tolist()
     assert [contact["target"] for contact in saved["contacts"]] == [c.target for c in trajectory.contacts]
     message = trajectory.to_ros(20)
-    assert message["joint_names"] == ["x", "y", "heading"] and len(message["points"]) == len(times)
-    last = message["points"][-1]["time_from_start"]
+    base = message["multi_dof_joint_trajectory"]
+    assert base["joint_names"] == ["base"] and len(base["points"]) == len(times)
+    assert message["joint_trajectory"]["joint_names"] == message["joint_trajectory"]["points"] == []
+    last = base["points"][-1]["time_from_start"]
     assert last["sec"] + 1e-9 * last["nanosec"] == pytest.approx(trajectory.duration)
+    point, at = base["points"][40], trajectory.evaluate([2.0], 0)[0]
+    turn = point["transforms"][0]["rotation"]
+    assert 2 * math.atan2(turn["z"], turn["w"]) == pytest.approx(at[2])
+    for order, kind in ((1, "velocities"), (2, "accelerations")):
+        twist = point[kind][0]
+        assert [twist["linear"]["x"], twist["linear"]["y"], twist["angular"]["z"]] == pytest.approx(
+            trajectory.evaluate(2.0, order).tolist())
     trajectory.draw(plan.instance, tmp_path / "way.png")
+    arm = make_trajectory(make_path([(0, 0), (1, 1)], ("a", "b"))).to_ros()
+    assert arm["joint_trajectory"]["joint_names"] == ["a", "b"] and not arm["multi_dof_joint_trajectory"]["points"]
+    assert len(arm["joint_trajectory"]["points"][3]["accelerations"]) == 2
 
 
 def test_wrong_arguments_are_named(tmp_path):
