@@ -222,6 +222,13 @@ class Plan:
         }
 
 
+def make_planned_room(instance: RoomInstance) -> RoomInstance:
+    """The room that plans are made in: where pressing takes force, under physics, nothing is touched by a margin."""
+    if instance.dynamics.kind != "physics":
+        return instance
+    return dataclasses.replace(instance, dynamics=dataclasses.replace(instance.dynamics, press_margin=0.0))
+
+
 def strip(state: RoomState) -> RoomState:
     """Reduce a state to the part on which the future of a room without noise depends."""
     return state._replace(primitives=0, noise_key=0, physics=None)

@@ -7,7 +7,6 @@ so remembering it saves time and changes nothing. `search/primitive_search.py` f
 from __future__ import annotations
 
 import copy
-import dataclasses
 import numbers
 import threading
 from collections import OrderedDict
@@ -37,6 +36,7 @@ from hrl_escape.planning.goals import (
     is_reached,
 )
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
+from hrl_escape.planning.plan import make_planned_room
 from hrl_escape.planning.props import get_prop_poses, list_obstacles, meets
 from hrl_escape.planning.route import PlanningReport, Pose, Route, SearchSettings, check_budget, get_pose
 from hrl_escape.planning.search.inner_doors import DoorKey, DoorSearches, find_move, is_way_open, list_places
@@ -78,10 +78,7 @@ class Routes:
         Clock(time_limit)  # raises for a value that is no limit
         self.instance = instance
         self.method, self.budget, self.time_limit = method, budget, time_limit
-        self._quiet = instance
-        if instance.dynamics.kind == "physics":  # pressing takes force: being within the margin is not enough
-            self._quiet = dataclasses.replace(
-                instance, dynamics=dataclasses.replace(instance.dynamics, press_margin=0.0))
+        self._quiet = make_planned_room(instance)
         self.rules = Kinematics(self._quiet, is_still=True)
         self._radius = instance.robot.outer_radius + CONTACT_SKIN
         self._open()

@@ -256,4 +256,11 @@ MUTATIONS = [
         "pass",
         "planning/arm/test_arm_planner.py::test_pairs_that_touch_at_home_count_where_the_srdf_does_not_allow_them",
     ),
+    Mutation(
+        "trajectories under physics count what is near as pressed",
+        "planning/motion/legs.py",
+        "plan, make_planned_room(plan.instance), clearance",
+        "plan, plan.instance, clearance",
+        "planning/motion/test_trajectory.py::test_under_physics_nothing_is_pressed_by_a_margin",
+    ),
 ]

@@ -28,7 +28,7 @@ from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.timing import TimedPath, time_path
 from hrl_escape.planning.motion_path import MotionPath
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, CheckerBudget, step_aside
-from hrl_escape.planning.plan import Plan
+from hrl_escape.planning.plan import Plan, make_planned_room
 
 ROUNDINGS = (0.3, 0.1, 0.03, 0.0)
 """Largest cuts of a corner, m; the first with which a piece does what it must is taken."""
@@ -97,8 +97,8 @@ class _Legs:
     """One plan's pieces."""
 
     def __init__(self, plan: Plan, limits: MotionLimits, clearance: float) -> None:
-        self._plan, self._room, self._clearance = plan, plan.instance, clearance
-        self._rules = rules = Kinematics(plan.instance, is_still=True)
+        self._plan, self._room, self._clearance = plan, make_planned_room(plan.instance), clearance
+        self._rules = rules = Kinematics(self._room, is_still=True)
         self._names = ("x", "y", "heading", *rules.robot.joint_names)
         self._rates = limits.stack(self._names, rules.robot)
         self._radius = plan.instance.robot.outer_radius + CONTACT_SKIN

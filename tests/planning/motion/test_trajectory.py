@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import itertools
 import json
 import math
@@ -10,7 +11,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.trajectories import check, list_faults, list_schematics, measure_peaks, solve
+from benchmarks.trajectories import check, list_faults, list_presses, list_schematics, measure_peaks, solve
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.presets import get_preset
@@ -80,6 +81,14 @@ def test_a_way_goes_round_targets_that_its_plan_does_not_press():
     pressed = [contact.target for contact in make_trajectory(plan).contacts]
     states = itertools.pairwise(plan.states)
     assert pressed == [k for a, b in states for k in range(8) if (b.touching & ~a.touching) >> k & 1]
+
+
+def test_under_physics_nothing_is_pressed_by_a_margin():
+    """The plan ends within the press margin of a second digit, which takes force."""
+    config = get_preset("code-lock")
+    room = generate(dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, kind="physics")), 1)
+    plan = solve(room)
+    assert [contact.target for contact in make_trajectory(plan).contacts] == [k for k, in list_presses(plan)]
 
 
 def test_the_base_rests_after_each_press():
