@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from hrl_escape.agents import evaluate, load_agent, load_env, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
@@ -245,7 +245,7 @@ def make_rooms(count=16):
     return EscapeRoomVectorEnv(count, "paper-one-button", observation="features", output="torch")
 
 
-class Interrupted(VectorEnv):
+class Interrupted:
     """Stops at the n-th step of its life."""
 
     left = 10**9

@@ -41,6 +41,7 @@ from tests.agents.algorithms.test_exact_smdps import (
 from tests.agents.running import interact
 from tests.agents.small_envs import solve
 from tests.agents.training.test_resuming import flatten
+from tests.agents.training.test_streams import Interrupted, InterruptedRooms
 from tests.covering import cover
 
 GIVEN = [kind for kind in READ if kind.__module__.startswith("hrl_escape.agents.algorithms.given")]
@@ -170,22 +171,6 @@ def test_trials_are_those_of_each_stream():
 
 def make_rooms(count=8):
     return EscapeRoomVectorEnv(count, "paper-one-button", observation="features", output="torch")
-
-
-class Interrupted:
-    """Stops at the n-th step of its life."""
-
-    left = 10**9
-
-    def step(self, actions):
-        self.left -= 1
-        if self.left < 0:
-            raise KeyboardInterrupt
-        return super().step(actions)
-
-
-class InterruptedRooms(Interrupted, EscapeRoomVectorEnv):
-    """Primitives, each of which ends with its step."""
 
 
 class InterruptedOptions(Interrupted, BatchedOptionsEnv):
