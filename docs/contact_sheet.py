@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from html import escape
 from pathlib import Path
 
@@ -60,18 +61,24 @@ def main(site: Path) -> None:
         return
     (folder := site / "contact").mkdir(exist_ok=True)
     pages = list_pages(site)
-    for size, (*_, count) in SIZES.items():
-        for first in range(0, len(pages), count):
-            path = folder / f"{size}-{first // count + 1}.png"
-            with tempfile.TemporaryDirectory() as profile:
-                sheet, height = write_sheet(site, pages[first : first + count], size)
-                (page := Path(profile, "sheet.html")).write_text(sheet, encoding="utf-8")
-                subprocess.run([browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-                                "--allow-file-access-from-files", f"--user-data-dir={profile}/user",
-                                f"--window-size={ACROSS},{height}", "--virtual-time-budget=8000",
-                                f"--screenshot={path}", page.as_uri()], check=True, timeout=300,
-                               capture_output=True)
-            print(f"{path}: {len(pages[first : first + count])} pages from {pages[first].relative_to(site)}")
+
+    def draw(sheet: tuple[str, int]) -> str:
+        size, first = sheet
+        shown = pages[first : first + SIZES[size][-1]]
+        path = folder / f"{size}-{first // SIZES[size][-1] + 1}.png"
+        with tempfile.TemporaryDirectory() as profile:
+            text, height = write_sheet(site, shown, size)
+            (page := Path(profile, "sheet.html")).write_text(text, encoding="utf-8")
+            subprocess.run([browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+                            "--allow-file-access-from-files", f"--user-data-dir={profile}/user",
+                            f"--window-size={ACROSS},{height}", "--virtual-time-budget=8000",
+                            f"--screenshot={path}", page.as_uri()], check=True, timeout=300, capture_output=True)
+        return f"{path}: {len(shown)} pages from {shown[0].relative_to(site)}"
+
+    with ThreadPoolExecutor(2) as pool:
+        for line in pool.map(draw, [(size, first) for size, (*_, count) in SIZES.items()
+                                    for first in range(0, len(pages), count)]):
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault(RUN, str(os.getpid()))  # xdist's workers inherit it
 
 # A busy machine is no failure, so no deadline; CI repeats the same examples, other runs look for new ones.
-settings.register_profile("hrl-escape", deadline=None, derandomize="CI" in os.environ)
+settings.register_profile("hrl-escape", deadline=None, derandomize="CI" in os.environ, max_examples=50)
 settings.load_profile("hrl-escape")
 
 KERNELS = (

@@ -201,23 +201,26 @@ def fit_growth(runs: Sequence[EscapeRun], rng: np.random.Generator) -> Growth | 
     if len(times) < LEAST_SIZES:
         return None
     sizes = np.array(list(times), float)
+    draws = [[rng.choice(values, len(values)) for values in times.values()] for _ in range(RESAMPLES)]
+    medians = np.array([[np.median(values) for values in times.values()],
+                        *np.transpose([np.median(each, axis=1) for each in zip(*draws, strict=True)])])
+    slopes, starts, errors = _fit_lines(np.log(sizes), medians)
+    factors, better = np.exp(starts), errors < _fit_lines(sizes, medians)[-1]
+    low, high = np.quantile(slopes[1:], [0.025, 0.975])
+    ends = np.quantile(factors[1:, None] * sizes ** slopes[1:, None], [0.025, 0.975], axis=0)
+    return Growth(float(slopes[0]), float(low), float(high), float(factors[0]), float(better[1:].mean()),
+                  int(sizes[-1]), tuple(zip(sizes.tolist(), *ends.tolist(), strict=True)))
 
-    def fit(draws: Sequence[NDArray[np.float64]]) -> tuple[float, float, bool]:
-        medians = np.array([np.median(values) for values in draws])
-        kept = np.isfinite(medians)
-        logs = np.log(medians[kept])
-        slope, start = np.polyfit(np.log(sizes[kept]), logs, 1)
-        rate, base = np.polyfit(sizes[kept], logs, 1)
-        power = np.sum((start + slope * np.log(sizes[kept]) - logs) ** 2)
-        return slope, math.exp(start), bool(power < np.sum((base + rate * sizes[kept] - logs) ** 2))
 
-    exponent, factor, _ = fit(list(times.values()))
-    resampled = [fit([rng.choice(values, len(values)) for values in times.values()]) for _ in range(RESAMPLES)]
-    low, high = np.quantile([slope for slope, *_ in resampled], [0.025, 0.975])
-    ends = np.quantile([start * sizes**slope for slope, start, _ in resampled], [0.025, 0.975], axis=0)
-    return Growth(float(exponent), float(low), float(high), float(factor),
-                  float(np.mean([better for *_, better in resampled])), int(sizes[-1]),
-                  tuple(zip(sizes.tolist(), *ends.tolist(), strict=True)))
+def _fit_lines(x: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Slopes, heights at 0 and squared errors (rows,) of the logarithms of each row's finite values (rows, sizes)."""
+    kept = np.isfinite(values)
+    y, count = np.log(np.where(kept, values, 1.0)), np.maximum(kept.sum(axis=1), 1)
+    middle = (kept @ x) / count
+    away = np.where(kept, x - middle[:, None], 0.0)
+    slope = (away * y).sum(axis=1) / np.maximum((away**2).sum(axis=1), 1e-12)
+    start = y.sum(axis=1) / count - slope * middle
+    return slope, start, (np.where(kept, start[:, None] + slope[:, None] * x - y, 0.0) ** 2).sum(axis=1)
 
 
 def tell_reach(largest: Mapping[str, int | None], words: Mapping[str, str], most: int) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.comparison.pairs import ALPHA, FEWEST_PAIRS, Finals, compare_agents, is_better
+from tests.covering import cover
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
 SHAPES: dict[str, Draw] = {
@@ -23,13 +24,11 @@ def make_finals(values: np.ndarray) -> Finals:
     return {(f"room {room}", seed): float(value) for (room, seed), value in np.ndenumerate(values)}
 
 
-@pytest.mark.parametrize(("agents", "rooms", "runs"), [(5, 1, FEWEST_PAIRS), (5, 1, 8), (6, 2, 8)])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_identical_agents_are_told_apart_in_one_comparison_of_twenty_at_most(shape: str, agents: int, rooms: int,
-                                                                             runs: int):
+@pytest.mark.parametrize(("shape", "sizes"), cover(list(SHAPES), [(5, 1, FEWEST_PAIRS), (5, 1, 8), (6, 2, 8)]))
+def test_identical_agents_are_told_apart_in_one_comparison_of_twenty_at_most(shape: str, sizes: tuple[int, int, int]):
     """300 comparisons: at a rate of 5 %, 23 or more come by chance in 2 % of tests. No interval is drawn, as verdicts
     look at none."""
-    rng, wrong = np.random.default_rng(3), 0
+    (agents, rooms, runs), rng, wrong = sizes, np.random.default_rng(3), 0
     for _ in range(300):
         finals = [make_finals(SHAPES[shape](rng, rooms * runs).reshape(rooms, runs)) for _ in range(agents)]
         pairs = compare_agents(finals, [True] * agents, rng, resamples=1)

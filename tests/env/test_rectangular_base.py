@@ -137,6 +137,7 @@ def test_rigid_rectangles_stop_at_walls_turn_as_far_as_they_can_and_states_can_b
     env.close()
 
 
+@pytest.mark.slow  # a disc under physics, and a rectangle without it, are quick
 def test_options_press_with_a_rectangle_under_physics():
     env = OptionsEnv(EscapeRoomEnv(instance=generate(with_physics(SMALL), 1)), include_primitives=False)
     _, info = env.reset(seed=1)

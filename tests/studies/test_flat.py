@@ -105,7 +105,7 @@ def test_a_decision_ends_with_its_episode_and_the_next_one_begins_anew():
     assert torch.equal([streams.step(torch.full((2,), 4)).next_observation for _ in range(3)][-1], after)
 
 
-@pytest.mark.parametrize("repeat", [1, 8])
+@pytest.mark.parametrize("repeat", [pytest.param(1, marks=pytest.mark.slow), 8])
 def test_a_run_measures_escapes_corners_and_entropy(repeat: int):
     room = generate(get_preset("paper-one-button"), 0)
     learner = FlatLearner("x", "ppo", {"rollout": 64, "epochs": 1}, streams=4, repeat=repeat)

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from studies.__main__ import main
-from studies.running import open_store
 from studies.study import find_study, list_studies
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
@@ -39,7 +38,6 @@ def test_numbers_to_quote_stand_on_their_pages():
 
 
 def test_the_readme_s_figure_is_told_in_the_words_of_its_study():
-    study = find_study("buttons")
-    headline = study.analysis.analyse(study, open_store(study, None).load()).values["headline"]
+    headline = re.search(r"\*\*(.+?)\*\*", (RESULTS / "buttons.md").read_text())[1]
     readme = (RESULTS.parents[1] / "README.md").read_text()
-    assert headline.removesuffix(".") in readme and f"docs/results/figures/{study.name}.svg" in readme
+    assert headline.removesuffix(".") in readme and "docs/results/figures/buttons.svg" in readme

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import socket
-import subprocess
-import sys
 
 import pytest
 
 from hrl_escape.cli import main
 from hrl_escape.errors import AddressError
 from hrl_escape.viewer.server import get_url, open_server
+from tests.forks import run_fork
 
 
 def test_it_listens_on_this_machine_only(server):
@@ -49,8 +48,7 @@ def test_without_the_extra_one_message_names_it_and_the_terminal_does_without():
             "print([main(line.split()) for line in sys.argv[1:]])")
     lines = ["play --no-open", "watch --no-open", "record",
              "play --text --preset paper-one-button"]
-    done = subprocess.run([sys.executable, "-c", code, *lines], capture_output=True, text=True, timeout=600,
-                          input="forward\n")
+    done = run_fork(code, *lines, input="forward\n", timeout=600)
     assert done.stdout.splitlines()[-1] == "[2, 2, 2, 0]", done.stderr
     assert "1 primitive in 1 call" in done.stdout
     hint = "pip install -c constraints.txt '.[viewer]' in a checkout of hrl-escape"

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[3]
 @pytest.mark.parametrize(("name", "primitives"), [("dqn", 10_000), ("ppo", 10_000)])
 def test_cartpoles_threshold_is_reached(name, primitives):
     env = gymnasium.make("CartPole-v1")
-    result = train(name, env, primitives=primitives, seed=2, eval_every=2_500, eval_episodes=20)
+    result = train(name, env, primitives=primitives, seed=2, eval_every=2_500, eval_episodes=5)
     assert max(evaluation.mean_return for evaluation in result.evaluations) >= 475
 
 
@@ -30,8 +30,8 @@ def test_the_benchmark_runs_and_goes_on_where_it_was_stopped(tmp_path):
     out = tmp_path / "runs.jsonl"
 
     def run(*contenders):
-        return run_module("benchmarks.classic_control", "--quick", "--tasks", "CartPole-v1", "--out", out,
-                          "--contenders", *contenders, cwd=ROOT, check=True).stdout
+        return run_module("benchmarks.classic_control", "--primitives", 400, "--seeds", 0, "--tasks", "CartPole-v1",
+                          "--out", out, "--contenders", *contenders, cwd=ROOT, check=True).stdout
 
     first = run("dqn")
     assert "| CartPole-v1 | dqn | 1 |" in first and "| ppo |" not in first

@@ -138,6 +138,6 @@ def test_options_are_learned_through_the_public_door(name: str):
     """Near the best known return of 66, which chance misses by 40; the same seed gives the same run."""
     env = OptionsEnv(gymnasium.make("hrl_escape/PaperTwoButton-v1"), include_primitives=False)
     results = [train(agent=f"smdp-{name}", env=env, primitives=length, seed=0, eval_episodes=1)
-               for length in (6_000, 600, 600)]
+               for length in (3_000, 300, 300)]
     assert results[0].evaluations[-1].mean_return > 55
     assert results[1] == results[2]

@@ -83,7 +83,7 @@ def read_everything(folder):
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_with_changed_bytes_is_read_or_refused_in_words(whole, tmp_path, name):
     chance = random.Random(name)
-    for round_ in range(60):
+    for round_ in range(25):
         folder = tmp_path / str(round_)
         shutil.copytree(whole, folder)
         (folder / name).write_bytes(change_bytes((whole / name).read_bytes(), chance))
@@ -95,7 +95,7 @@ def test_a_file_with_changed_bytes_is_read_or_refused_in_words(whole, tmp_path, 
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_with_values_of_another_kind_is_read_or_refused_in_words(whole, tmp_path, name):
     chance = random.Random(name)
-    for round_ in range(60):
+    for round_ in range(25):
         folder = tmp_path / str(round_)
         shutil.copytree(whole, folder)
         if name == "checkpoint.npz":

@@ -1,10 +1,10 @@
 """Freed memory: a block as large as one that was freed costs no fresh pages."""
 
 import platform
-import subprocess
-import sys
 
 import pytest
+
+from tests.forks import run_fork
 
 COUNT_FAULTS = """
 import resource, sys
@@ -23,6 +23,5 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's allocator is asked")
 def test_kept_memory_is_used_again():
-    given_back, kept = (int(subprocess.run([sys.executable, "-c", COUNT_FAULTS, how], check=True, capture_output=True,
-                                           text=True).stdout) for how in ("given back", "kept"))
+    given_back, kept = (int(run_fork(COUNT_FAULTS, how, check=True).stdout) for how in ("given back", "kept"))
     assert kept < given_back / 10

@@ -115,6 +115,7 @@ def test_stable_baselines3_learns_what_has_no_options():
     assert Contender("sb3-zoo", 8) in list_contenders(TASKS["CartPole-v1"])
 
 
+@pytest.mark.slow
 def test_the_benchmark_runs_and_goes_on_where_it_was_stopped(tmp_path):
     out = tmp_path / "runs.jsonl"
 

@@ -382,7 +382,7 @@ def test_an_unfinished_run_has_no_result_yet(tmp_path):
         load_result(tmp_path)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(decisions=st.integers(0, 60), seed=st.integers(0, 3), variant=st.sampled_from(VARIANTS))
 def test_a_state_dict_taken_at_any_decision_goes_on_to_the_same_bits(tmp_path_factory, decisions, seed, variant):
     """Also in the middle of an episode, where an environment that can be saved would let a run go on."""

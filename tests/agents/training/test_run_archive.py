@@ -93,13 +93,14 @@ def test_nothing_that_is_there_is_written_over(archive, tmp_path, there):
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_a_thousand_crafted_archives_write_nothing_outside_their_folder(folder, archive, tmp_path, monkeypatch):
+@pytest.mark.parametrize("count", [200, pytest.param(1_000, marks=pytest.mark.slow)])
+def test_crafted_archives_write_nothing_outside_their_folder(folder, archive, tmp_path, monkeypatch, count):
     chance, whole = random.Random(38), read_folder(folder)
     inner = tmp_path / "a" / "b"
     inner.mkdir(parents=True)
     monkeypatch.chdir(inner)
     unpacked = 0
-    for _ in range(1_000):
+    for _ in range(count):
         (inner / "it.zip").write_bytes(craft(whole, archive, chance))
         try:
             unpack_run("it.zip", "out")
@@ -118,7 +119,7 @@ def test_a_thousand_crafted_archives_write_nothing_outside_their_folder(folder, 
             (inner / "out").rmdir()
         assert [path.name for path in inner.iterdir()] == ["it.zip"]
     assert {path.name for path in tmp_path.rglob("*")} == {"a", "b", "it.zip"}
-    assert unpacked < 100
+    assert unpacked < count / 10
 
 
 def test_a_long_list_of_members_is_refused_before_it_is_read(archive, tmp_path):

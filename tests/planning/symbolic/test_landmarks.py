@@ -33,7 +33,7 @@ def can_reach(model, facts, goal, without=""):
 
 
 @given(MODELS, SOME, SOME)
-@settings(max_examples=300)
+@settings(max_examples=100)
 def test_they_are_those_without_which_the_goal_is_out_of_reach(model, facts, goal):
     found = find_landmarks(model, facts, goal)
     assert (found is not None) == can_reach(model, facts, goal)
@@ -46,7 +46,7 @@ def test_they_are_those_without_which_the_goal_is_out_of_reach(model, facts, goa
 
 
 @given(MODELS, SOME, st.sampled_from(FACTS))
-@settings(max_examples=200)
+@settings(max_examples=100)
 def test_the_fewest_operators_make_a_plan_as_long_as_the_distance(model, facts, wanted):
     front, met, distance = {facts}, {facts}, 0
     while front and not any(wanted in each for each in front):

@@ -150,7 +150,7 @@ def test_a_preview_does_not_disturb_the_option_that_runs(clutter):
     def note(step: PrimitiveStep | None) -> None:
         if step is not None:
             steps.append(step)
-            for name in asked.previewer.options:
+            for name in asked.previewer.options if len(steps) % 5 == 1 else ():
                 asked.previewer.preview(name, step.after)
 
     asked.on_change = note
