@@ -208,18 +208,11 @@ MUTATIONS = [
         "planning/motion/test_trajectory.py::test_motion_keeps_every_limit_at_every_moment_and_its_path",
     ),
     Mutation(
-        "shortcuts cross targets, and what they press is not looked at",
+        "what a trajectory presses is not looked at",
         "planning/motion/legs.py",
         "if contacts is not None and sorted(c.target for c in contacts) == list(list_touched(wanted)):",
         "if contacts is not None:",
-        "planning/motion/test_trajectory.py::test_trajectories_press_what_their_plans_press_and_keep_every_limit",
-    ),
-    Mutation(
-        "a target that is left and pressed again is not left",
-        "planning/motion/legs.py",
-        "if begun & touched[last] and k - 1 > last:",
-        "if False:",
-        "planning/motion/test_trajectory.py::test_trajectories_press_what_their_plans_press_and_keep_every_limit",
+        "planning/motion/test_trajectory.py::test_a_trajectory_that_would_press_more_than_its_plan_is_refused",
     ),
     Mutation(
         "the weight of the arm counts twice against its effort",

@@ -83,6 +83,15 @@ def test_a_way_goes_round_targets_that_its_plan_does_not_press():
     assert pressed == [k for a, b in states for k in range(8) if (b.touching & ~a.touching) >> k & 1]
 
 
+def test_a_trajectory_that_would_press_more_than_its_plan_is_refused():
+    """A differential drive follows the plan's own lines, which here cross a pad between the ends of two primitives."""
+    config = get_preset("pin-pad")
+    robot = dataclasses.replace(config.robot, drive="differential")
+    plan = solve(generate(dataclasses.replace(config, robot=robot), 0))
+    with pytest.raises(UnsupportedError, match="leg 'press-pad-1' .* presses pad-1 and nothing else"):
+        make_trajectory(plan)
+
+
 def test_under_physics_nothing_is_pressed_by_a_margin():
     """The plan ends within the press margin of a second digit, which takes force."""
     config = get_preset("code-lock")
