@@ -133,9 +133,9 @@ def train_peer(task_id: str, task: Task, seed: int, budget: int) -> Iterator[tup
     yield from scores
 
 
-CONTENDERS: dict[str, Trainer] = {name: train_agent(name) for name in ("dqn", "ppo", "dac", "ppoc")} | {
+CONTENDERS: dict[str, Trainer] = {name: train_agent(name) for name in ("dqn", "rainbow", "ppo", "dac", "ppoc")} | {
     "dqn-tuned": train_agent("dqn", is_tuned=True), "sb3-dqn": train_peer}
-PAIRS = (("dqn", "sb3-dqn"), ("dqn-tuned", "sb3-dqn"), ("dqn-tuned", "dqn"))
+PAIRS = (("dqn", "sb3-dqn"), ("rainbow", "sb3-dqn"), ("rainbow", "dqn"), ("dqn-tuned", "sb3-dqn"), ("dqn-tuned", "dqn"))
 """Contenders that are compared seed by seed."""
 
 

@@ -315,6 +315,17 @@ MUTATIONS = [
         "if False:",
         "agents/training/test_run_archive.py",
     ),
+    *(Mutation(bug, "agents/algorithms/rainbow.py", old, new, f"agents/algorithms/test_rainbow.py::test_{test}")
+      for bug, old, new, test in (
+        ("rainbow's support is that of clipped games", "low = -1 / max(1 - self.gamma, 1e-12) if", "low = -1.0 if",
+         "values_of_options_come_near_the_exact_ones_with_the_default_support"),
+        ("an option shrinks rainbow's support as one primitive does", "bootstrap[:, None] * support",
+         "(bootstrap[:, None] > 0) * support", "projection_is_that_of_brute_force_over_random_durations"),
+        ("noise stays in the weights that evaluation follows", "layer.draw(None)", "pass",
+         "noise_has_the_deviation_of_its_equation_and_none_is_left_in_evaluation"),
+        ("rainbow's target network chooses too", "self.choose_next(batch, shares @ layers.support)",
+         "(shares @ layers.support).argmax(dim=1, keepdim=True)",
+         "targets_are_projected_distributions_of_the_best_legal_action"))),
     Mutation(
         "options of exploration are valued too",
         "agents/algorithms/intra_option_q.py",
@@ -329,6 +340,13 @@ MUTATIONS = [
         'drawn = self._leave_out(action_mask, ("nothing",))',
         "options/test_four_rooms.py::"
         "test_options_of_one_use_leave_primitives_worth_what_they_are_and_act_by_them",
+    ),
+    Mutation(
+        "decisions that are new to replay are never drawn first",
+        "agents/components/replay.py",
+        "% ring.capacity] = self._largest",
+        "% ring.capacity] = 1e-6",
+        "agents/algorithms/test_rainbow.py::test_rows_are_drawn_by_their_powers_and_weights_undo_it",
     ),
     *(Mutation(bug, "agents/algorithms/options/fun.py", old, new, f"agents/algorithms/options/test_fun.py::test_{test}")
       for bug, old, new, test in (
