@@ -185,7 +185,7 @@ def test_a_commitment_binds_seeds_salt_and_version():
         (salt, [1, 2], "0.2"), (salt, [2, 1], "0.2"), (salt, [1, 2], "0.3"), (salt + ".", [1, 2], "0.2"))}
     assert len(commitments) == 4
     with pytest.raises(ConfigError, match="16 characters"):
-        compute_commitment("salt", [1], "0.2")
+        compute_commitment("fifteen letters", [1], "0.2")
 
 
 # --- the benchmark that comes with the package ---------------------------------------------
