@@ -165,6 +165,7 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     (["--set", "rom.width=30"], "unknown config section 'rom'; did you mean 'room'?"),
     (["--set", "puzzle.marcs.kind=rank"], "unknown puzzle section 'marcs'; did you mean 'marks'?"),
     (["--set", "room.width"], "name=value"),
+    (["--set", "=30"], "name=value"),
     (["--set", "horizon=" + "9" * 5_000], "--set horizon: this value cannot be read: it has a number of thousands"),
     (["--set", "horizon=" + "[" * 10_000 + "]" * 10_000], "nested more than 100 levels deep"),
     (["--seed", "-1"], "whole number from 0"),
