@@ -61,7 +61,8 @@ def test_check_finds_a_room_that_cannot_be_solved(capsys, tmp_path):
 def test_fields_presets_and_files_say_which_room(capsys, tmp_path):
     code, out, _ = call(capsys, "room", "--set", "room.width=30", "obstacles.count=7", "name=wide", "--json")
     report = json.loads(out)
-    assert code == 0 and report["size"] == [30, 20] and report["obstacles"] == 7 and report["name"] == "wide"
+    assert code == 0 and report["size"] == [30, 20] and report["name"] == "wide"
+    assert report["walls"] == 4 and report["obstacles"] == 7
     _, out, _ = call(capsys, "room", "--preset", "larg-2019", "--arguments", "size=4", "seed=3", "--json")
     assert json.loads(out)["id"] == generate(get_preset("larg-2019", size=4, seed=3), 0).id
     (tmp_path / "mine.toml").write_text('horizon = 50\n[room]\nwidth = 12\n[puzzle]\nkind = "buttons"\ncount = 3\n')
