@@ -1,9 +1,9 @@
 """Best return known with given options alone, without noise, slip and physics.
 
 A search over sequences of options, each run to its end by the room's kinematics. Of planned options only those are
-followed that change the puzzle. One that changes nothing may still be a better way to the next: in rooms of `pair` and
-`chain-3` it gains three primitives at most, in few of them. The difference from `hrl_escape.planning.best_known` is the
-option gap.
+followed that change the puzzle. One that changes nothing may still be a better way to the next: in 27 of 277 rooms of
+`pair` and 12 of 69 of `chain-3` it gains one to four primitives. The difference from `hrl_escape.planning.best_known`
+is the option gap.
 """
 
 from __future__ import annotations
