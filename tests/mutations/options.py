@@ -7,6 +7,13 @@ TESTS = "options/test_options_env.py"
 
 MUTATIONS = [
     Mutation(
+        "episodes of a batch begin only where all have ended",
+        "options/batched/stepping.py",
+        "not (looks and not has_ended.any())",
+        "not (looks and not has_ended.all())",
+        "options/batched/test_batched_env.py::test_an_episode_begins_wherever_one_has_ended",
+    ),
+    Mutation(
         "a room's memory outlives its episode in a batch",
         "options/memory.py",
         "            self._failures[episode] = {}\n",

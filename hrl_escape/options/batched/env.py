@@ -360,7 +360,7 @@ class BatchedOptionsEnv:
                 found = self._kernel(room.state, running, view, action)
             else:
                 found = step_decisions(room.layout, self._settings, room.tables, self._fields, room.state, running,
-                                       view, action)
+                                       view, action, looks=self.device.type == "cpu")
         room.state, self._running, self._view, transitions = found
         return transitions
 

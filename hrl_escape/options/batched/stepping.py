@@ -101,9 +101,13 @@ def make_view(layout: Layout, tables: Tables, state: TensorState, settings: Step
 
 
 def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, fields: CostFields,
-                   state: TensorState, running: OpenDecisions, view: AgentView, action: Tensor
+                   state: TensorState, running: OpenDecisions, view: AgentView, action: Tensor, looks: bool = False
                    ) -> tuple[TensorState, OpenDecisions, AgentView, Transitions]:
-    """Run one primitive in every room, and begin and end decisions; the function that is compiled."""
+    """Run one primitive in every room, and begin and end decisions; the function that is compiled.
+
+    With `looks` it begins episodes only where any has ended, to see which neither a compiled step nor an accelerator
+    stops.
+    """
     is_over = state.has_ended != 0
     running = begin_decisions(layout, settings, running, (running.action < 0) & ~is_over & (action >= 0), action,
                               view.observation)
@@ -166,7 +170,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
         running.discount, final.observation, final.mask, terminated & ~is_over, truncated & ~is_over,
         escaped & ~is_over, ended.to(torch.int8), running.pressed, after.primitives,
     )
-    if settings.autoreset:
+    if settings.autoreset and not (looks and not has_ended.any()):
         after = restart(layout, tables, after, has_ended)
         final = make_view(layout, tables, after, settings, running.option)
     return after, running._replace(action=torch.where(where, -1, running.action)), final, decisions

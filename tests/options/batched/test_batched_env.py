@@ -115,6 +115,17 @@ def test_no_room_waits_for_another():
     assert ends[:, 1].tolist() == [False] * 8 + [True], "button 1 is nine moves away"
 
 
+def test_an_episode_begins_wherever_one_has_ended():
+    env, alone, generator = BatchedOptionsEnv(8, "paper-one-button"), 0, torch.Generator().manual_seed(0)
+    env.reset(0)
+    for _ in range(150):
+        done = env.step(torch.multinomial(env.action_mask.float(), 1, generator=generator).squeeze(1))
+        over = done.where & (done.terminated | done.truncated)
+        alone += bool(over.any()) and not bool(over.all())
+        assert not env.is_over.any() and torch.equal(env.is_waiting[over], over[over])
+    assert alone > 3
+
+
 def test_an_action_for_a_room_that_is_busy_is_not_read():
     env = begin(make_env(config="paper-two-button"))
     env.step(torch.tensor([META_1]))
