@@ -1,4 +1,4 @@
-"""Tests in rooms that no training saw: an episode in each of the first test rooms of a rung."""
+"""Tests in rooms that no training saw: an episode in each."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ import numpy as np
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
+from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.env.instance import RoomInstance
@@ -21,7 +23,7 @@ from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 
-__all__ = ["UnseenRooms", "count_fewest", "get_unseen", "play_unseen"]
+__all__ = ["UnseenRooms", "count_fewest", "get_unseen", "make_unseen", "play_agent", "play_unseen"]
 
 
 class UnseenRooms(NamedTuple):
@@ -43,11 +45,32 @@ def count_fewest(room: RoomInstance) -> float:
     return float(found)
 
 
+def make_unseen(rooms: InstanceSet) -> UnseenRooms:
+    """Rooms to be tested in."""
+    return UnseenRooms(rooms, tuple(map(count_fewest, rooms)))
+
+
 @lru_cache(maxsize=8)
 def get_unseen(benchmark: str, rung: str, tested: int) -> UnseenRooms:
     """The first test rooms of a rung."""
-    rooms = load_benchmark(benchmark)[rung].test[:tested]
-    return UnseenRooms(rooms, tuple(map(count_fewest, rooms)))
+    return make_unseen(load_benchmark(benchmark)[rung].test[:tested])
+
+
+def play_agent(spec: AgentSpec, unseen: UnseenRooms, train_in: InstanceSet, seed: int = 0, primitives: int = 1
+               ) -> tuple[float, float]:
+    """Train an agent in some rooms and play the others; who does not learn is only tested. See `play_unseen`."""
+
+    def make_player(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
+        if spec.is_reference:
+            return make_reference(spec.name, env, recorder)
+        own, _ = make_env(spec, train_in, "objects")
+        player = train(spec.name, own, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
+                       progress=False).agent
+        own.close()
+        assert player is not None  # a run without a folder gives its agent back
+        return player
+
+    return play_unseen(spec, unseen, make_player)
 
 
 def play_unseen(view: AgentSpec, unseen: UnseenRooms, make_player: Callable[[gymnasium.Env, StateRecorder], Agent]

@@ -64,7 +64,7 @@ class RoomChoice:
         fields = config.to_dict()
         for text in self.set:
             path, value = split_assignment(text, "--set", "room.width=30")
-            _change(fields, path, value)
+            change_field(fields, path, value)
         _read_urdf(fields, Path())
         return RoomConfig.from_dict(fields)
 
@@ -113,7 +113,7 @@ def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
         raise
 
 
-def _change(fields: dict[str, Any], path: str, value: Any) -> None:
+def change_field(fields: dict[str, Any], path: str, value: Any) -> None:
     """Set one field of a nested table; the schematic itself refuses unknown fields and sections.
 
     Another kind of puzzle begins with that kind's defaults.

@@ -58,11 +58,12 @@ class LadderSettings(NamedTuple):
         train_sizes: with all protocols but `per-instance`: numbers of training rooms, each a set of its own; in a tower
             those of every floor.
         eval_episodes: episodes in an evaluation.
-        observation: of every agent; by default `features` with `per-instance`, where nothing need carry over to
-            another room, unless an agent's network reads objects; else `objects`.
+        observation: of every agent; by default that of the rung's axis; else `features` with `per-instance`, where
+            nothing need carry over to another room, unless an agent's network reads objects; else `objects`.
         source: with `transfer`: rung to train on.
         trials: with `few-shot`: in each room.
         first_seed: lowest training seed.
+        floors: of a tower of one rung, whose floors have one motif of marks in an episode.
     """
 
     runs: int = 10
@@ -74,6 +75,7 @@ class LadderSettings(NamedTuple):
     source: str | None = None
     trials: int = 8
     first_seed: int = 0
+    floors: int = 1
 
 
 def name_protocol(protocol: Protocol, source: str | None) -> str:
@@ -114,7 +116,8 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
         raise ConfigError("rooms", count, f"from 1 to {test}, the rooms of {name}/test")
     primitives = settings.primitives or get_budget(source)
     is_plain = protocol == "per-instance" and not any(agent.reads_objects for agent in agents)
-    observation = settings.observation or ("features" if is_plain else "objects")
+    given = next((axis.observation for axis in bench.manifest.axes if rung in axis.rungs), "")
+    observation = settings.observation or given or ("features" if is_plain else "objects")
     if protocol == "per-instance":
         return Grid(
             name=f"{bench.name}-{rung}-per-instance", description=f"Each of {count} rooms of {name} from nothing.",
@@ -156,30 +159,36 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
 
     Raises:
         UnknownNameError: no such rung.
-        ConfigError: fewer than two floors, one twice, more rooms than a rung has, or an agent that follows the numbers
-            of one room's options.
+        ConfigError: fewer than two floors, one twice but by `floors`, more rooms than a rung has, or an agent that
+            follows the numbers of one room's options.
     """
     name_protocol(TOWER, settings.source)
     records = [bench[rung].record for rung in rungs]
-    if len(rungs) < 2 or len(set(rungs)) < len(rungs):
-        raise ConfigError("rung", " ".join(rungs), "two or more with the protocol tower, each once")
+    repeats = settings.floors > 1
+    if len(rungs) != 1 if repeats else len(rungs) < 2 or len(set(rungs)) < len(rungs):
+        raise ConfigError("rung", " ".join(rungs), "one with several floors" if repeats else
+                          "two or more with the protocol tower, each once")
     followers = [agent.label for agent in agents if agent.name in (*BY_NUMBER, TOOLS)]
     if followers:
         raise ConfigError("agents", followers[0], "one that does not follow the options of one room, which the floors "
                           "of a tower have not in common")
-    count = settings.rooms or min(FLOOR_ROOMS, *(record.test.count for record in records))
+    most = min(record.test.count for record in records)
+    count = settings.rooms or (most if repeats else min(FLOOR_ROOMS, most))
     for field, role, number in (("rooms", "test", count), *(("train_sizes", "train", n) for n in settings.train_sizes)):
         most = min(getattr(record, role).count for record in records)
         if not 1 <= number <= most:
             raise ConfigError(field, number, f"from 1 to {most}, the rooms that {role} of every floor has")
 
     def name_rooms(role: str, number: int) -> str:
-        return join_floors(f"{bench.source}/{rung}/{role}[:{number}]" for rung in rungs)
+        text = join_floors(f"{bench.source}/{rung}/{role}[:{number}]" for rung in rungs)
+        return f"{text} x {settings.floors}" if repeats else text
 
     primitives = settings.primitives or max(map(get_budget, rungs))
+    rooms = (f"{settings.floors} rooms of {bench.name}/{rungs[0]} with one motif" if repeats else
+             f"A room of each of {len(rungs)} rungs of {bench.name}, from {rungs[0]} to {rungs[-1]},")
     return Grid(
-        name=f"{bench.name}-{TOWER}", description=f"A room of each of {len(rungs)} rungs of {bench.name} in an episode "
-        f"of {TOWER_HORIZON:,} primitives, from {rungs[0]} to {rungs[-1]}; tested in others than those trained in.",
+        name=f"{bench.name}-{TOWER}", description=f"{rooms} in an episode of {TOWER_HORIZON:,} primitives; "
+        "tested in others than those trained in.",
         agents=tuple(agents), train_rooms=tuple(name_rooms("train", size) for size in settings.train_sizes),
         test_rooms=(name_rooms("test", count),), runs=settings.runs, first_seed=settings.first_seed,
         primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),

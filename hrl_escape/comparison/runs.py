@@ -158,7 +158,7 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | RoomSets, observation: str,
             make_env(agent, floor, observation,
                      {str(compute_floor_seed(int(seed), level)): number for seed, number in schedule.items()}, common)
             for level, floor in enumerate(rooms.floors))
-        return SequenceEnv(first, then=[floor for floor, _ in above]), recorder
+        return SequenceEnv(first, then=[floor for floor, _ in above], paired=rooms.paired), recorder
     if isinstance(rooms, InstanceSet):
         flat = RoomSchedule(rooms.make_env(observation=observation),
                             {seed: number % len(rooms) for seed, number in schedule.items()})

@@ -70,6 +70,7 @@ class SeenLayouts:
         self._hashes: dict[str, int] = {}
         self._groups: dict[tuple[str, ...], list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]] = (
             defaultdict(list))  # by names: number, places, and the places sorted
+        self._stacks: dict[tuple[str, ...], NDArray[np.float64]] = {}  # all sorted places of a group, once asked for
         self.update(layouts)
 
     def update(self, layouts: Iterable[LayoutKey]) -> None:
@@ -79,6 +80,7 @@ class SeenLayouts:
                 self._hashes.setdefault(layout, self._count)
             else:
                 names, places = _split(layout)
+                self._stacks.pop(names, None)
                 self._groups[names].append((self._count, places, _sort_parts(places, _list_parts(names))))
             self._count += 1
 
@@ -94,9 +96,10 @@ class SeenLayouts:
         if group is None:
             return None
         near, parts, images = set(), _list_parts(names), list(_list_images(places))
-        known = np.array([each for _, _, each in group])
+        if names not in self._stacks:
+            self._stacks[names] = np.array([each for _, _, each in group])
         for image in images:  # pairs sorted coordinate by coordinate are nearest in each, so that few are left
-            gaps = np.abs(known - _sort_parts(image, parts))
+            gaps = np.abs(self._stacks[names] - _sort_parts(image, parts))
             near.update(np.flatnonzero((gaps <= ALIKE_WITHIN).all(axis=(1, 2))).tolist())
         for number in sorted(near):
             if any(_is_paired(group[number][1], image, parts) for image in images):

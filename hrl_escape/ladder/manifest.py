@@ -66,6 +66,19 @@ class RungRecord(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
+class AxisRecord(Settings):
+    """Record of one axis of a profile: an ability, and the rungs that ask more and more of it."""
+
+    _section = "axis"
+    name: str = "axis"
+    """Name of the ability."""
+    rungs: tuple[str, ...] = ()
+    """Names of the rungs, from easy to hard."""
+    observation: str = ""
+    """Observation of agents that are asked for none (empty: the protocol's)."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Manifest(Settings):
     """A benchmark: its name, the version that its roots belong to, and its rungs in order."""
 
@@ -78,6 +91,8 @@ class Manifest(Settings):
     """Schema version of the instances."""
     rungs: tuple[RungRecord, ...] = ()
     """Rungs from easy to hard."""
+    axes: tuple[AxisRecord, ...] = ()
+    """Axes of the profile that the benchmark gives, in place of one order; none by default."""
     layouts: Annotated[int, Range(1, LATEST_LAYOUTS)] = 1
     """Version by which rooms look alike: 1 by rounded places, 2 turned or mirrored and within a margin."""
     hidden_round: Annotated[int, Range(1, 2**63 - 1)] | None = None

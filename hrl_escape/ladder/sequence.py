@@ -39,6 +39,7 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
         env: a room or a set of rooms, or an `OptionsEnv` over one.
         trials: number of trials in its room.
         then: environments of the floors above, with the same spaces, or their descriptions.
+        paired: every floor has the room of the number, in its set, that the lowest floor's has; otherwise each draws.
 
     Attributes:
         floors: environments of all floors, the first one that of `env`.
@@ -49,14 +50,16 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
     """
 
     def __init__(
-        self, env: gymnasium.Env, trials: int = 1, then: Sequence[gymnasium.Env | Mapping[str, Any]] = ()
+        self, env: gymnasium.Env, trials: int = 1, then: Sequence[gymnasium.Env | Mapping[str, Any]] = (),
+        paired: bool = False,
     ) -> None:
         if trials < 1 or (then and trials > 1):
             raise ConfigError("trials", trials, "1 or more, and 1 where there are floors above")
         above = [make_described_env(floor) if isinstance(floor, Mapping) else floor for floor in then]
-        RecordConstructorArgs.__init__(self, trials=trials, then=[describe_env(floor) for floor in above])
+        RecordConstructorArgs.__init__(self, trials=trials, then=[describe_env(floor) for floor in above],
+                                       **({"paired": True} if paired else {}))
         super().__init__(env)
-        self.floors = (env, *above)
+        self.floors, self.paired = (env, *above), paired
         for number, floor in enumerate(above, 1):
             if (floor.observation_space, floor.action_space) != (env.observation_space, env.action_space):
                 raise UnsupportedError(f"floor {number} has other spaces than the one at the bottom; see join_spaces")
@@ -104,6 +107,8 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
         """Begin on the next floor, with the primitives of those below spent."""
         spent, seed = self.unwrapped.get_state().primitives, compute_floor_seed(self._seed, self._trial)
         self._present = self.floors[self._trial]
-        self._present.reset(seed=seed)
+        lowest: Any = self.floors[0].unwrapped
+        room = {"instance_index": lowest.instance_index} if self.paired else {}
+        self._present.reset(seed=seed, options=room or None)
         state = self.unwrapped.get_state()._replace(primitives=spent)
-        return self._present.reset(seed=seed, options={"state": state})
+        return self._present.reset(seed=seed, options={"state": state, **room})

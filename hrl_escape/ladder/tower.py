@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import re
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.errors import ConfigError
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.room_sets import parse_room_set
 
 TOWER_HORIZON = 20_000
 """Primitives of an episode, on all floors together."""
 _ABOVE = " + "
+_REPEATED = re.compile(r"(.+) x (\d+)")
 
 
 class Tower:
@@ -21,13 +27,15 @@ class Tower:
 
     Args:
         floors: two sets or more.
+        paired: rooms of one number belong together, and an episode is in these; sets have equally many.
 
     Attributes:
         floors: the same sets, with the tower's horizon.
         name: that of the lowest floor, and how many there are above.
     """
 
-    def __init__(self, floors: Sequence[InstanceSet]) -> None:
+    def __init__(self, floors: Sequence[InstanceSet], paired: bool = False) -> None:
+        self.paired = paired
         self.floors = tuple(InstanceSet(rooms.name, dataclasses.replace(rooms.config, horizon=TOWER_HORIZON),
                                         rooms.seeds) for rooms in floors)
         self.name = f"{self.floors[0].name} and {len(self.floors) - 1} floors above"
@@ -42,7 +50,35 @@ class Tower:
         """Return the tower as JSON values, as a set does; `load_rooms` makes it again from the content."""
         parts = [floor.describe() for floor in self.floors]
         digest = hashlib.sha256("".join(part["id"] for part in parts).encode()).hexdigest()
-        return {"id": digest[:16], "content": {"floors": [part["content"] for part in parts]}}
+        return {"id": digest[:16], "content": {"floors": [part["content"] for part in parts],
+                                               **({"paired": True} if self.paired else {})}}
+
+
+def repeat_floor(rooms: InstanceSet, floors: int) -> Tower:
+    """Make a tower whose floors have one motif of marks in an episode, and another room of the set each.
+
+    Rooms whose motif fewer rooms have than there are floors are left out.
+
+    Args:
+        rooms: a set whose marks have motifs.
+        floors: how many, two or more.
+
+    Raises:
+        ConfigError: marks without motifs, fewer floors, or a set of too few rooms.
+    """
+    puzzle, name = rooms.config.puzzle, f"{rooms.name} x {floors}"
+    if floors < 2 or not isinstance(puzzle, ButtonsConfig) or puzzle.marks.motifs < 2:
+        raise ConfigError("floors", name, "two or more floors, from rooms whose marks have motifs")
+    groups: dict[int, list[int]] = defaultdict(list)
+    for seed in rooms.seeds:
+        drawn: Any = sample_puzzle(rooms.config, seed)[1]
+        groups[puzzle.marks.find_motif(drawn.marks, drawn.edge_list, drawn.goal)].append(seed)
+    kept = [group for _, group in sorted(groups.items()) if len(group) >= floors]
+    if not kept:
+        raise ConfigError("floors", name, "a set with as many rooms of a motif as floors")
+    sets = [InstanceSet(name, rooms.config, [seed for group in kept
+                        for seed in (*group[floor:], *group[:floor])]) for floor in range(floors)]
+    return Tower(sets, paired=True)
 
 
 RoomSets: TypeAlias = "InstanceSet | Tower"
@@ -60,11 +96,13 @@ def join_floors(texts: Iterable[str]) -> str:
 
 
 def parse_rooms(text: str) -> RoomSets:
-    """Rooms of a short text: a set, or with ` + ` between several the floors of a tower.
+    """Rooms of a short text: a set, with ` + ` between several the floors of a tower, with ` x 3` one that repeats.
 
     Raises:
         EscapeError: see `parse_room_set`.
     """
+    if repeated := _REPEATED.fullmatch(text):
+        return repeat_floor(parse_room_set(repeated[1].strip()), int(repeated[2]))
     first, *above = (parse_room_set(part.strip()) for part in text.split(_ABOVE))
     return Tower((first, *above)) if above else first
 
@@ -72,5 +110,6 @@ def parse_rooms(text: str) -> RoomSets:
 def load_rooms(content: Mapping[str, Any]) -> RoomSets:
     """Make rooms from the content of their description."""
     if "floors" in content:
-        return Tower([InstanceSet.from_description(floor) for floor in content["floors"]])
+        return Tower([InstanceSet.from_description(floor) for floor in content["floors"]],
+                     bool(content.get("paired")))
     return InstanceSet.from_description(content)

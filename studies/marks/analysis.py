@@ -8,20 +8,14 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import NamedTuple
 
-import gymnasium
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.ladder_score import compute_learned_share
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.ladder.benchmark import load_benchmark
@@ -30,7 +24,7 @@ from studies.page import make_table
 from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Page, Study
-from studies.unseen import get_unseen, play_unseen
+from studies.unseen import get_unseen, play_agent
 
 __all__ = ["LINES", "Args", "Cells", "MarksRun", "analyse", "gather", "measure", "run_once", "tell", "tell_all"]
 
@@ -91,18 +85,8 @@ LINES = (MarksRun,)
 def run_once(agent: str, rung: str, rooms: int, seed: int, primitives: int, tested: int) -> MarksRun:
     """Train an agent in the first rooms of a rung, and test it in others; who does not learn is only tested."""
     spec, (benchmark, name) = AgentSpec.parse(agent), rung.split("/")
-
-    def make_player(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
-        if spec.is_reference:
-            return make_reference(spec.name, env, recorder)
-        own, _ = make_env(spec, load_benchmark(benchmark)[name].train[:rooms], "objects")
-        player = train(spec.name, own, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
-                       progress=False).agent
-        own.close()
-        assert player is not None  # a run without a folder gives its agent back
-        return player
-
-    efficiency, escapes = play_unseen(spec, get_unseen(benchmark, name, tested), make_player)
+    train_in = load_benchmark(benchmark)[name].train[:rooms]
+    efficiency, escapes = play_agent(spec, get_unseen(benchmark, name, tested), train_in, seed, primitives)
     if spec.is_reference:
         rooms = primitives = 0
     return MarksRun(agent, rung, rooms, seed, primitives, tested, efficiency, escapes)

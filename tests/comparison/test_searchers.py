@@ -18,10 +18,12 @@ from hrl_escape.comparison.references.belief_graph import BeliefGraph, Ways
 from hrl_escape.comparison.references.graph_family import (
     GraphFamily,
     condition_on_marks,
+    condition_on_room,
     find_schematic,
     iterate_outcomes,
     list_graphs,
     make_family,
+    measure_information,
 )
 from hrl_escape.comparison.references.graph_particles import GraphParticles
 from hrl_escape.comparison.references.registry import (
@@ -38,12 +40,14 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle, ViolationRule
-from hrl_escape.env.puzzles.graphs import GraphConfig, GraphKind, sample_graph, sample_relabelled
+from hrl_escape.env.puzzles.graphs import GraphConfig, GraphKind, mask_parents, sample_graph, sample_relabelled
 from hrl_escape.env.puzzles.marks import MarksConfig
+from hrl_escape.env.puzzles.sections import SectionsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.ranges import Between
 
@@ -291,6 +295,47 @@ def test_true_marks_leave_a_chain_its_buttons_or_the_rest_of_its_search(levels: 
     assert count_presses(told) == pytest.approx(presses)
     shuffled = dataclasses.replace(config.marks, shuffled=True)
     assert condition_on_marks(family, shuffled, puzzle.marks) is family
+
+
+def test_places_tell_a_whole_chain_and_of_other_graphs_what_their_depths_tell():
+    sections, shape = SectionsConfig(count=6, code=1), ShapeConfig(width=9, depth=9)
+    for kind, chances in (("chain", 1), ("tree", None)):
+        puzzle = ButtonsConfig(count=4, graph=GraphConfig(kind=kind), buttons=Panels(width=0.8), sections=sections)
+        config = RoomConfig(room=shape, robot=RobotConfig(body_radius=0.3), puzzle=puzzle)
+        rooms = InstanceSet("places", config, range(4))
+        for room in rooms:
+            family = condition_on_room(make_family(puzzle, 4), puzzle, room)
+            true = mask_parents(room.puzzle.edge_list, 4)
+            assert list(true) in family.parents.tolist() and len(family.weights) == (chances or len(family.weights))
+            assert kind == "tree" or count_presses(family) == pytest.approx(4)
+        told, hidden = measure_information(puzzle, rooms)
+        assert 0 < told <= hidden and (kind == "tree" or told == pytest.approx(hidden) == pytest.approx(np.log2(24)))
+        bare = dataclasses.replace(puzzle, sections=SectionsConfig())
+        assert measure_information(bare, rooms)[0] == pytest.approx(0)
+    with pytest.raises(UnsupportedError, match="do not know where buttons hang"):
+        GraphParticles(dataclasses.replace(puzzle, count=7), 7, np.random.default_rng(0))
+
+
+def test_the_bits_of_marks_follow_by_hand():
+    """Three in a chain have log2(6) bits: two orders leave one of them, truth 0 leaves all."""
+    every = np.log2(6)
+    for changes, left in (({}, 0.0), ({"motifs": 2}, 1.0), ({"truth": 0.0}, every), ({"shuffled": True}, every)):
+        config = dataclasses.replace(make_marked(3, levels=3, symbols=9), marks=MarksConfig(
+            "rank", levels=3, symbols=9, **changes))
+        rooms = InstanceSet("bits", RoomConfig(room=ShapeConfig(width=9, depth=9), puzzle=config), range(3))
+        assert measure_information(config, rooms) == pytest.approx((every - left, every))
+
+
+def test_two_buttons_touched_at_once_confuse_no_belief():
+    """Button 1 lights and lets button 3 light in one move: of two at once the lower number counts first."""
+    config = load_benchmark("marks-2")["motifs"].config
+    marks = dataclasses.replace(config.puzzle.marks, motifs=2)
+    rooms = InstanceSet("", dataclasses.replace(config, puzzle=dataclasses.replace(config.puzzle, marks=marks)),
+                        [699512341362768345])
+    env, recorder = make_env(AgentSpec.parse(f"{BAYES}+no-primitives"), rooms, "features", {"0": 0})
+    assert evaluate(make_reference(BAYES, env, recorder), env, 1).successes == (True,)
+    assert any((after.puzzle & ~before.puzzle).bit_count() > 1 for before, after in itertools.pairwise(recorder.states))
+    env.close()
 
 
 def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():

@@ -1,6 +1,7 @@
 """Sequences of rooms as one episode: trials in the same room, and the floors of a tower."""
 
 import dataclasses
+import json
 from collections.abc import Sequence
 
 import gymnasium
@@ -11,17 +12,20 @@ from hrl_escape.agents.algorithms.random import RandomAgent
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
-from hrl_escape.comparison.references.registry import ReferenceSettings
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.references.registry import ReferenceSettings, make_reference
+from hrl_escape.comparison.runs import make_env as make_view
 from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.ladder.common_spaces import CommonSpacesEnv, join_spaces
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
-from hrl_escape.ladder.tower import TOWER_HORIZON, Tower
+from hrl_escape.ladder.tower import TOWER_HORIZON, Tower, load_rooms, parse_rooms, repeat_floor
 from hrl_escape.options.memory import MEMORY_WORDS, DecisionMemory
 from hrl_escape.options.options_env import OptionsEnv
 
@@ -230,3 +234,64 @@ def test_floors_have_the_same_spaces():
         SequenceEnv(ROOMS.make_env(observation="objects"), then=[TOP.make_env(observation="objects")])
     with pytest.raises(ConfigError, match="floors above"):
         SequenceEnv(ROOMS.make_env(), 2, [ROOMS.make_env()])
+
+
+# --- towers that repeat one rule ---------------------------------------------------------
+
+RULES = MarksConfig("rank", levels=3, symbols=3, motifs=6)
+SAME = InstanceSet("same", RoomConfig(
+    name="same", room=ShapeConfig(width=7, depth=7), robot=RobotConfig(body_radius=0.3, turn_step_deg=90.0),
+    puzzle=ButtonsConfig(count=3, buttons=Panels(width=0.8), marks=RULES)), list(range(40)))
+
+
+def find_motif(room):
+    return RULES.find_motif(room.puzzle.marks, room.puzzle.edge_list, room.puzzle.goal)
+
+
+def test_floors_that_repeat_have_one_motif_and_other_rooms():
+    tower = repeat_floor(SAME, 3)
+    assert tower.paired and len({len(floor) for floor in tower.floors}) == 1 and len(tower.floors[0]) > 30
+    seeds = np.array([floor.seeds for floor in tower.floors])
+    assert all(len(set(rooms)) == 3 for rooms in seeds.T.tolist())
+    assert [find_motif(room) for room in tower.floors[1]] == [find_motif(room) for room in tower.floors[0]]
+    assert len({find_motif(room) for room in tower.floors[0]}) > 3
+    assert load_rooms(json.loads(json.dumps(tower.describe()["content"]))).describe() == tower.describe()
+    first, *above = (floor.make_env(options=True, observation="objects") for floor in tower.floors)
+    env = make_described_env(json.loads(json.dumps(describe_env(SequenceEnv(first, then=above, paired=True)))))
+    for seed in range(3):  # without a schedule, as in training
+        env.reset(seed=seed)
+        rooms = [env.unwrapped.instance]
+        env.env.unwrapped.set_state(env.unwrapped.get_state()._replace(puzzle=7))
+        while len(rooms) < 3:
+            info = env.step(env.action_space.n - 1)[4]
+            if info["trial_ended"]:
+                rooms.append(env.unwrapped.instance)
+                env.unwrapped.set_state(env.unwrapped.get_state()._replace(puzzle=7))
+        assert len({find_motif(room) for room in rooms}) == 1 and len({room.id for room in rooms}) == 3
+
+
+def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_nothing_repeats():
+    spec, tower = AgentSpec.parse("smdp-bayes+no-primitives"), repeat_floor(SAME, 2)
+    presses = {}
+    for paired in (True, False):
+        env, recorder = make_view(spec, Tower(tower.floors, paired), "objects", {str(n): n for n in range(12)})
+        player = make_reference("smdp-bayes", env, recorder)
+        counts = np.zeros(2)
+        for seed in range(12):
+            observation, info = env.reset(seed=seed)
+            done = False
+            while not done:
+                observation, _, ended, cut, info = env.step(player.act(observation, info["action_mask"]))
+                counts[info["trial"]] += 1
+                done = ended or cut
+        presses[paired] = counts / 12 - 1  # one decision is to leave
+    assert presses[True][1] == 3, "three in a chain, whose order the first floor has shown"
+    assert presses[True][0] == presses[False][0] > 3.5 and presses[False][1] > 3.5
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("marks-2/words/test[:8] x 2", "whose marks have motifs"), ("marks-2/motifs/test[:8] x 1", "two or more floors"),
+    ("marks-2/motifs/test[:2] x 5", "as many rooms of a motif")])
+def test_sets_that_cannot_repeat_are_refused(text, words):
+    with pytest.raises(ConfigError, match=words):
+        parse_rooms(text)

@@ -27,6 +27,20 @@ MUTATIONS = [
         "comparison/test_searchers.py::test_marks_are_worth_what_follows_by_hand",
     ),
     Mutation(
+        "the ceiling does not know where buttons may hang",
+        "comparison/references/graph_family.py",
+        "    if not rules.count:\n        return family",
+        "    if True:\n        return family",
+        "comparison/test_searchers.py::test_places_tell_a_whole_chain_and_of_other_graphs_what_their_depths_tell",
+    ),
+    Mutation(
+        "the ceiling takes two presses at once for independent ones",
+        "comparison/references/bayes.py",
+        " | _get_bits(after) & touched & ((1 << target) - 1)",
+        "",
+        "comparison/test_searchers.py::test_two_buttons_touched_at_once_confuse_no_belief",
+    ),
+    Mutation(
         "the ceiling is told which motif a room has",
         "env/puzzles/marks.py",
         "axis=2).mean(axis=0)",

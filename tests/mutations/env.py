@@ -318,4 +318,18 @@ MUTATIONS = [
         "pass",
         "env/test_continuous.py::test_the_rules_of_a_step",
     ),
+    Mutation(
+        "buttons that are equally deep are dealt in the order of their numbers",
+        "env/puzzles/sections.py",
+        "np.lexsort((rng.random(len(depths)), np.array(depths)))",
+        "np.lexsort((np.arange(len(depths)), np.array(depths)))",
+        "ladder/test_leaks.py::test_nothing_tells_of_the_graph_before_the_first_press",
+    ),
+    Mutation(
+        "sections come in their geometric order",
+        "env/puzzles/sections.py",
+        "self.ranks[np.minimum(turns.astype(np.int64), self.count - 1)]",
+        "np.minimum(turns.astype(np.int64), self.count - 1)",
+        "env/puzzles/test_sections.py",
+    ),
 ]

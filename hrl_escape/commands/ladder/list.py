@@ -2,6 +2,8 @@
 
 Core hours are those of smdp-dqn by published rates, with ten seeds in each of ten test rooms (protocol per-instance);
 the other protocols take a tenth for each number of training rooms. `hrl-escape ladder run --dry-run` tells any other.
+Where references were measured they follow: efficiency of random choices, of the best searcher that learns nothing and
+of smdp-bayes, and how many bits of the hidden graph marks and places tell.
 
 Examples:
     hrl-escape ladder list
@@ -22,6 +24,7 @@ from hrl_escape.comparison.protocols import get_budget
 from hrl_escape.env.presets import describe_schematic
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.manifest import ROLES
+from hrl_escape.ladder.references import RungReferences, load_references
 from hrl_escape.ladder.rung import Rung
 
 
@@ -37,7 +40,7 @@ class LadderListArgs:
 
 def run(args: LadderListArgs) -> None:
     """Print one row a rung."""
-    bench = load_benchmark(args.benchmark)
+    bench, known = load_benchmark(args.benchmark), load_references(args.benchmark)
     rows = [{
         "rung": rung.name,
         "isolates": rung.isolates,
@@ -47,16 +50,25 @@ def run(args: LadderListArgs) -> None:
         "skipped": sum(len(record.skipped) for role in ROLES if (record := rung.record.get_record(role))),
         "task_overlap": rung.record.task_overlap,
         "core_hours": _estimate(rung),
+        "references": dataclasses.asdict(known[rung.name]) if rung.name in known else None,
     } for rung in bench]
     if args.json:
         print(json.dumps({"benchmark": bench.name, "rungs": rows}, indent=2))
         return
-    table = Table("rung", "rooms", "/".join(ROLES), "task overlap", "core hours", box=None, pad_edge=False)
+    table = Table("rung", "rooms", "/".join(ROLES), "task overlap", "core hours",
+                  *(("chance", "searcher", "ceiling", "bits told") if known else ()), box=None, pad_edge=False)
     for row in rows:
         counts = "/".join(str(row["sets"].get(role, "-")) for role in ROLES)
         table.add_row(row["rung"], row["rooms"], counts, f"{row['task_overlap']:.0%}",
-                      f"{row['core_hours']:.1f}")
+                      f"{row['core_hours']:.1f}", *(_describe(known.get(row["rung"])) if known else ()))
     Console(width=120).print(table)
+
+
+def _describe(own: RungReferences | None) -> list[str]:
+    if own is None:
+        return []
+    told = "" if own.told is None else f"{own.told:.1f} of {own.hidden:.1f}"
+    return [*("" if value is None else f"{value:.2f}" for value in (own.chance, own.searcher, own.ceiling)), told]
 
 
 def _estimate(rung: Rung) -> float:

@@ -5,11 +5,15 @@ score is the mean over rungs of the interquartile mean of efficiency, over the r
 The learned share is 0 for the best searcher that learns nothing, such as smdp-untried-nearest, and 1 for smdp-bayes,
 which knows how rooms are drawn: run both beside the learners.
 
+A benchmark with axes, such as ladder-2, gives a profile besides: a table of efficiency by axis, with its references,
+and a radar, profile.svg in the protocol's folder.
+
 Examples:
     hrl-escape ladder report
     hrl-escape ladder report runs/ladder --protocol generalise --json
     hrl-escape ladder report runs/ladder --protocol transfer --from chain
     hrl-escape ladder report runs/ladder --protocol tower
+    hrl-escape ladder report runs/ladder --benchmark ladder-2
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.comparison.comparison import read_comparison
+from hrl_escape.comparison.profile import AxisScore, list_references, make_profiles
 from hrl_escape.comparison.protocols import (
     TOWER,
     Protocol,
@@ -35,7 +40,9 @@ from hrl_escape.comparison.protocols import (
 )
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import FileReadError
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.figures import save_figure
+from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
+from hrl_escape.ladder.references import load_references
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +63,8 @@ class ReportArgs:
 
 def run(args: ReportArgs) -> None:
     """Print a table with a row an agent and rung, the highest rung that each agent passed, and its ladder score."""
-    rungs = [TOWER] if args.protocol == TOWER else [rung.name for rung in load_benchmark(args.benchmark)]
+    bench = load_benchmark(args.benchmark)
+    rungs = [TOWER] if args.protocol == TOWER else [rung.name for rung in bench]
     base = args.folder / name_protocol(args.protocol, args.source)
     folders = {rung: base / rung for rung in rungs}
     found = {rung: folder for rung, folder in folders.items() if (folder / "grid.json").exists()}
@@ -67,9 +75,10 @@ def run(args: ReportArgs) -> None:
     highest = {standing.agent.label: "none" for standing in standings}
     highest |= {standing.agent.label: standing.rung for standing in standings if standing.is_passed}
     common, scores = score_standings(standings)
+    profiles = _make_profiles(bench, standings)
     if args.json:
         print(json.dumps({"protocol": args.protocol, "highest": highest, "rungs": list(map(_to_json, standings)),
-                          "score_rungs": common,
+                          "score_rungs": common, **_profiles_to_json(profiles),
                           "scores": {label: score._asdict() for label, score in scores.items()}}, indent=2))
         return
     console = Console(width=120, highlight=False)
@@ -88,12 +97,41 @@ def run(args: ReportArgs) -> None:
     console.print(table)
     if any(standing.agent.trials for standing in standings):
         console.print(_make_trial_table(standings))
+    if profiles:
+        _tell_profiles(console, bench, profiles, base / "profile.svg")
     for label, rung in highest.items():
         console.print(f"Highest rung that {label} passed: {rung}", markup=False)
     over = f"over {', '.join(common)}:" if common else "over no rung: none has runs of every agent"
     console.print(f"Ladder score {over}")
     for label, score in scores.items():
         console.print(f"{label}: {score.value:.3f} ({score.low:.3f} to {score.high:.3f})", markup=False)
+
+
+def _make_profiles(bench: Benchmark, standings: Sequence[RungStanding]) -> dict[str, dict[str, AxisScore]]:
+    """Profiles of the agents, then of the benchmark's references; empty where it has no axes."""
+    found: dict[str, dict[str, float]] = {}
+    for standing in standings:
+        found.setdefault(standing.agent.label, {})[standing.rung] = standing.agent.efficiency.value
+    known = list_references(load_references(bench.name))
+    return make_profiles(bench.manifest.axes, found | known) if bench.manifest.axes else {}
+
+
+def _tell_profiles(console: Console, bench: Benchmark, profiles: dict[str, dict[str, AxisScore]], path: Path) -> None:
+    """Print a row an axis, each rung in parentheses, and draw the radar."""
+    from hrl_escape.comparison.reporting.radar import draw_radar  # loads matplotlib
+
+    axes = bench.manifest.axes
+    table = Table("axis", *profiles, box=None, pad_edge=False)
+    for axis in axes:
+        table.add_row(axis.name, *(str(profile.get(axis.name, "")) for profile in profiles.values()))
+    console.print(table)
+    save_figure(path, draw_radar(profiles, axes))
+    console.print(f"wrote {path}", markup=False)
+
+
+def _profiles_to_json(profiles: dict[str, dict[str, AxisScore]]) -> dict[str, object]:
+    return {"profiles": {agent: {axis: score.levels for axis, score in profile.items()}
+                         for agent, profile in profiles.items()}} if profiles else {}
 
 
 def _count_hours(standing: RungStanding) -> float:

@@ -70,6 +70,8 @@ class RunArgs(LaunchArgs):
     """Numbers of training rooms, with all protocols but per-instance."""
     trials: int = LadderSettings().trials
     """Trials in each room with few-shot."""
+    floors: int = LadderSettings().floors
+    """Floors of a tower of one rung, whose marks follow one motif in an episode, so that the first floor teaches it."""
     eval_episodes: int | None = None
     """Episodes in an evaluation; by default 20 with per-instance, otherwise one in each test room."""
     observation: str | None = None
@@ -87,7 +89,7 @@ def run(args: RunArgs) -> int:
     """Run rung by rung; the exit code is 1 if runs failed."""
     bench = load_benchmark(args.benchmark)
     settings = LadderSettings(args.runs, args.primitives, args.rooms, args.train_sizes, args.eval_episodes,
-                              args.observation, args.source, args.trials, args.first_seed)
+                              args.observation, args.source, args.trials, args.first_seed, args.floors)
     agents = tuple(map(AgentSpec.parse, args.agents))
     console, failed = Console(soft_wrap=True, highlight=False), 0
     rungs = args.rung or tuple(rung.name for rung in bench)

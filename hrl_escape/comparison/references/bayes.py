@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import cast
 
 import gymnasium
 import numpy as np
@@ -22,12 +22,16 @@ from hrl_escape.comparison.references.belief_graph import BeliefGraph, Ways, mak
 from hrl_escape.comparison.references.by_lights import Searcher
 from hrl_escape.comparison.references.graph_family import (
     MOST_BUTTONS,
+    GraphFamily,
     can_light,
-    condition_on_marks,
+    condition_on_room,
     find_schematic,
+    infer_motif,
     make_family,
 )
 from hrl_escape.comparison.references.graph_particles import GraphParticles
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
 from hrl_escape.errors import PlanningFailed, UnsupportedError
@@ -51,17 +55,29 @@ class BayesSearcher(Searcher):
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
         self._mind: _Mind | None = None  # of the present room alone: a hundred megabytes with six buttons
+        self._odds: NDArray[np.float64] | None = None
+
+    def expect(self, odds: NDArray[np.float64] | None) -> None:
+        """Set the odds of the motifs of marks for rooms to come, (motifs,); None for the schematic's."""
+        self._odds, self._mind = odds, None
+
+    def infer_motif(self) -> NDArray[np.float64] | None:
+        """Odds of the motifs after the presses in this room, (motifs,); None where marks have no motifs."""
+        return None if self._mind is None else self._mind.infer_motif()
 
     def _begin(self, is_new: bool) -> None:
         if self._mind is None or self._mind.room.id != self._room.instance.id:
-            self._mind = _Mind(self._room.instance)
+            rooms = getattr(self._room, "rooms", None)
+            self._mind = _Mind(self._room.instance,
+                               find_schematic(self._room.instance) if rooms is None else rooms.config, self._odds)
         if is_new:
             self._mind.forget()
 
     def _note(self, action: int, before: RoomState, after: RoomState) -> None:
         target, = self._options[action].targets
-        lit = _get_bits(before)
-        if (after.touching & ~before.touching) >> target & 1 and not lit >> target & 1:
+        touched = after.touching & ~before.touching
+        lit = _get_bits(before) | _get_bits(after) & touched & ((1 << target) - 1)  # of two at once the lower is first
+        if touched >> target & 1 and not lit >> target & 1:
             assert self._mind is not None
             self._mind.learn(target, lit, bool(_get_bits(after) >> target & 1), self._puzzle.is_solved(after.puzzle))
 
@@ -78,20 +94,19 @@ class BayesSearcher(Searcher):
 class _Mind:
     """Knowledge of one room: its ways, and the graphs that agree with the presses."""
 
-    def __init__(self, room: Any) -> None:
-        puzzle = room.puzzle
+    def __init__(self, room: RoomInstance, schematic: RoomConfig, odds: NDArray[np.float64] | None) -> None:
+        puzzle, config = room.puzzle, schematic.puzzle
         if not isinstance(puzzle, ButtonsPuzzle) or puzzle.allow_off or puzzle.locks:
             raise UnsupportedError(f"smdp-bayes knows rooms of buttons that stay on and do not lock each other; in "
                                    f"{room.name} take smdp-retrace")
         self.room, self._puzzle, self._planner = room, puzzle, get_planner(room)
-        config = find_schematic(room).puzzle
         assert isinstance(config, ButtonsConfig)
-        self._config = config
+        self._config, self._odds = config, odds
         self._graph: BeliefGraph | None = None
         has_doubtful_marks = bool(puzzle.marks) and 0 < config.marks.truth < 1
         if puzzle.count <= MOST_BUTTONS - (puzzle.on_violation == "reset") - has_doubtful_marks:
             family = make_family(self._config, puzzle.count)
-            self._family = condition_on_marks(family, config.marks, puzzle.marks)
+            self._family = condition_on_room(family, config, room, odds)
             make = make_belief_graph if self._family is family else BeliefGraph  # one for all rooms, or the room's own
             self._graph = make(self._family, puzzle.on_violation)
             self._ways = measure_ways(self._planner)
@@ -134,6 +149,15 @@ class _Mind:
         odds = self.compute_odds(lit)[list(targets)]
         unlit = np.array([not lit >> target & 1 for target in targets])
         return targets[int(np.argmax(unlit * (odds + 1e-9) / (legs + 1.0)))]
+
+    def infer_motif(self) -> NDArray[np.float64] | None:
+        """Odds of the motifs of marks by the graphs that are left, (motifs,); None without, or in a sample."""
+        if self._graph is None or self._config.marks.motifs == 1:
+            return None
+        weights = self._family.weights[self._graphs]
+        left = GraphFamily(self._family.parents[self._graphs], self._family.goals[self._graphs],
+                           weights / weights.sum())
+        return infer_motif(left, self._config.marks, self._puzzle.marks, self._odds)
 
     def compute_odds(self, lit: int) -> NDArray[np.float64]:
         """Probability that a press lights each button, shape (buttons,), `lit` being the bits now."""

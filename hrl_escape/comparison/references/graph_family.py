@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.presets import PRESETS
-from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
 from hrl_escape.env.puzzles.graphs import Edges, GraphConfig, compute_order, mask_parents, sample_graph
-from hrl_escape.env.puzzles.marks import MarksConfig
+from hrl_escape.env.puzzles.marks import MarksConfig, compute_depths
+from hrl_escape.env.puzzles.sections import SectionsConfig
 from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from hrl_escape.ranges import Between
@@ -51,6 +52,11 @@ class GraphFamily:
     def count(self) -> int:
         """Number of buttons."""
         return self.parents.shape[1]
+
+    @property
+    def entropy(self) -> float:
+        """Uncertainty about the graph, bits."""
+        return float(-(self.weights * np.log2(self.weights)).sum())
 
 
 def can_light(parents: NDArray[np.uint64], lit: int) -> NDArray[np.bool_]:
@@ -150,25 +156,97 @@ def make_family(config: ButtonsConfig, count: int) -> GraphFamily:
                        np.array([found[graph] for graph in graphs]))
 
 
+def _list_edges(family: GraphFamily) -> list[Edges]:
+    pairs = list(itertools.product(range(family.count), repeat=2))
+    return [tuple((a, b) for a, b in pairs if masks[b] >> a & 1) for masks in family.parents.tolist()]
+
+
 @lru_cache(maxsize=16)
 def _classify(family: GraphFamily, rules: MarksConfig) -> NDArray[np.int64]:
     """Class of each button under each graph, (graphs, buttons)."""
-    pairs = list(itertools.product(range(family.count), repeat=2))
-    return np.array([rules.classify(family.count, tuple((a, b) for a, b in pairs if masks[b] >> a & 1), goal)
-                     for masks, goal in zip(family.parents.tolist(), family.goals.tolist(), strict=True)])
+    return np.array([rules.classify(family.count, edges, goal)
+                     for edges, goal in zip(_list_edges(family), family.goals.tolist(), strict=True)])
 
 
-def condition_on_marks(family: GraphFamily, rules: MarksConfig, marks: tuple[int, ...]) -> GraphFamily:
+@lru_cache(maxsize=16)
+def _measure_depths(family: GraphFamily) -> NDArray[np.int64]:
+    """Depth of each button under each graph, (graphs, buttons)."""
+    return np.array([compute_depths(family.count, edges) for edges in _list_edges(family)])
+
+
+def condition_on_room(family: GraphFamily, config: ButtonsConfig, room: RoomInstance,
+                      odds: NDArray[np.float64] | None = None) -> GraphFamily:
+    """The graphs that may be a room's before its first press, by its marks and by where its buttons hang.
+
+    Args:
+        family: every graph of the schematic.
+        config: its puzzle.
+        room: one of its rooms.
+        odds: probability of each motif of marks, (motifs,); all alike by default.
+    """
+    assert isinstance(room.puzzle, ButtonsPuzzle)
+    return condition_on_places(condition_on_marks(family, config.marks, room.puzzle.marks, odds), config.sections,
+                               room.targets)
+
+
+def measure_information(config: ButtonsConfig, rooms: Sequence[RoomInstance]) -> tuple[float, float]:
+    """Bits that marks and places of rooms tell of the hidden graph, and bits that there are to tell; means over rooms.
+
+    Raises:
+        UnsupportedError: the graphs cannot be listed, see `make_family`.
+    """
+    families = [make_family(config, len(room.targets)) for room in rooms]
+    told = [family.entropy - condition_on_room(family, config, room).entropy
+            for family, room in zip(families, rooms, strict=True)]
+    return float(np.mean(told)), float(np.mean([family.entropy for family in families]))
+
+
+def infer_motif(family: GraphFamily, rules: MarksConfig, marks: tuple[int, ...],
+                odds: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+    """Probability of each motif of marks, (motifs,), by the graphs that are still possible in a room.
+
+    Args:
+        family: these graphs, as likely as `condition_on_marks` and all presses since made them.
+        rules: the schematic's marks.
+        marks: of the room's buttons.
+        odds: those before the room; all alike by default.
+    """
+    by_motif = rules.compute_motif_likelihood(marks, _classify(family, rules))
+    by_motif *= 1.0 if odds is None else odds[:, None]
+    return by_motif / by_motif.sum(axis=0) @ family.weights
+
+
+def condition_on_marks(family: GraphFamily, rules: MarksConfig, marks: tuple[int, ...],
+                       odds: NDArray[np.float64] | None = None) -> GraphFamily:
     """The graphs that the marks of a room allow, as likely as these make them; the same family where they say nothing.
 
     Args:
         family: every graph of the schematic.
         rules: the schematic's marks, whose code is known.
         marks: of the room's buttons; none without marks.
+        odds: probability of each motif, (motifs,); all alike by default.
     """
     if not marks or rules.shuffled:
         return family
-    weights = family.weights * rules.compute_likelihood(marks, _classify(family, rules))
+    return _reweigh(family, rules.compute_likelihood(marks, _classify(family, rules), odds))
+
+
+def condition_on_places(family: GraphFamily, rules: SectionsConfig, targets: Sequence[Target]) -> GraphFamily:
+    """The graphs that the places of a room's buttons allow, likewise.
+
+    Args:
+        family: every graph of the schematic.
+        rules: the schematic's sections, whose ranking is known.
+        targets: the room's buttons.
+    """
+    if not rules.count:
+        return family
+    places = [(target.x, target.y) for target in targets]
+    return _reweigh(family, rules.compute_likelihood(places, _measure_depths(family)))
+
+
+def _reweigh(family: GraphFamily, likelihood: NDArray[np.float64]) -> GraphFamily:
+    weights = family.weights * likelihood
     kept = np.flatnonzero(weights)
     return GraphFamily(family.parents[kept], family.goals[kept], weights[kept] / weights.sum())
 

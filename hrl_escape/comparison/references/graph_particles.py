@@ -35,7 +35,7 @@ class GraphParticles:
         marks: of the room's buttons; none without marks.
 
     Raises:
-        UnsupportedError: marks of several motifs.
+        UnsupportedError: marks of several motifs, or sections.
 
     Attributes:
         parents: uint64 (particles, buttons), the bits of each button's parents.
@@ -47,6 +47,9 @@ class GraphParticles:
         if marks and config.marks.motifs > 1:
             raise UnsupportedError(f"marks of {config.marks.motifs} motifs on {count} buttons: smdp-bayes lists the "
                                    "graphs of fewer, and its samples of more know one motif")
+        if config.sections.count:
+            raise UnsupportedError(f"sections with {count} buttons: smdp-bayes lists the graphs of fewer, and its "
+                                   "samples of more do not know where buttons hang")
         self._rng, self._presses = rng, list[tuple[int, int, bool, bool]]()
         self.parents = np.zeros((PARTICLES, count), np.uint64)
         self.goals = np.zeros(PARTICLES, np.int64)

@@ -67,14 +67,24 @@ class Climber(FixedPolicy):
         self._tower = tower
         self._players = {id(floor.unwrapped): make_reference(name, floor, find_recorder(floor))
                          for floor in tower.floors}
+        self._last: FixedPolicy | None = None
 
     def act(self, observation: object, action_mask: NDArray[np.bool_]) -> int:
         """Action of the reference on the present floor."""
-        return self._players[id(self._tower.unwrapped)].act(observation, action_mask)
+        return self._find_player().act(observation, action_mask)
 
     def act_greedy(self, observation: object, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """Action of the reference on the present floor."""
-        return self._players[id(self._tower.unwrapped)].act_greedy(observation, action_mask, rng)
+        return self._find_player().act_greedy(observation, action_mask, rng)
+
+    def _find_player(self) -> FixedPolicy:
+        """The present floor's; where floors have one rule, it is told what the floor below has taught of it."""
+        player, last = self._players[id(self._tower.unwrapped)], self._last
+        if self._tower.paired and player is not last and isinstance(player, BayesSearcher):
+            is_first = self._tower.unwrapped is self._tower.floors[0].unwrapped
+            player.expect(last.infer_motif() if isinstance(last, BayesSearcher) and not is_first else None)
+        self._last = player
+        return player
 
 
 def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> FixedPolicy:

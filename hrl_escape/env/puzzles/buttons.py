@@ -25,6 +25,7 @@ from hrl_escape.env.puzzles.graphs import (
     sample_relabelled,
 )
 from hrl_escape.env.puzzles.marks import Mark, MarksConfig
+from hrl_escape.env.puzzles.sections import SectionsConfig
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.puzzles.traits import Doored, Marked
 from hrl_escape.errors import ConfigError
@@ -60,6 +61,8 @@ class ButtonsConfig(PuzzleConfig):
     """Number of doorways with a door; each opens once a button of its own is on."""
     marks: MarksConfig = MarksConfig()
     """Symbols on the buttons that say something of the graph."""
+    sections: SectionsConfig = SectionsConfig()
+    """Directions from the room's middle whose ranking says something of the graph."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -74,6 +77,9 @@ class ButtonsConfig(PuzzleConfig):
         if self.doors and (self.allow_off or self.on_violation == "reset" or self.dead_ends):
             raise ConfigError("puzzle.doors", self.doors,
                               "0 where buttons can be turned off again or locked, for a door might never open again")
+        if self.sections.count and (self.doors or self.buttons.places != "random"):
+            raise ConfigError("puzzle.sections.count", self.sections.count, "0 where doors or fixed places decide "
+                              "where buttons hang")
         super().check()
 
     def make_puzzle(self, rng: np.random.Generator) -> ButtonsPuzzle:

@@ -120,18 +120,28 @@ class MarksConfig(Schematic):
         return tuple(int(rng.choice(np.flatnonzero(meanings == own) if rng.random() < self.truth else self.symbols))
                      for own in self.classify(count, edges, goal))
 
-    def compute_likelihood(self, marks: tuple[int, ...], classes: NDArray[np.int64]) -> NDArray[np.float64]:
+    def compute_likelihood(self, marks: tuple[int, ...], classes: NDArray[np.int64],
+                           odds: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
         """Probability of the marks of a room under each of several graphs.
 
         Args:
             marks: of its targets.
             classes: class of each target under each graph, (graphs, targets).
+            odds: probability of each motif, (motifs,); all alike by default.
 
         Returns:
             float64 (graphs,); all alike where marks say nothing.
         """
         if self.kind == "none" or self.shuffled:
             return np.ones(len(classes))
+        return np.average(self.compute_motif_likelihood(marks, classes), axis=0, weights=odds)
+
+    def compute_motif_likelihood(self, marks: tuple[int, ...], classes: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Probability of marks that say something under each motif and graph, (motifs, graphs)."""
         read = self.meanings[list(marks)]
         own = (self.orders[:, None, read] == classes) / np.bincount(self.meanings, minlength=self.classes)[read]
-        return np.prod(self.truth * own + (1 - self.truth) / self.symbols, axis=2).mean(axis=0)
+        return np.prod(self.truth * own + (1 - self.truth) / self.symbols, axis=2)
+
+    def find_motif(self, marks: tuple[int, ...], edges: Edges, goal: int) -> int:
+        """Number of the motif that the marks of a room follow best."""
+        return int(self.compute_motif_likelihood(marks, self.classify(len(marks), edges, goal)[None]).argmax())

@@ -33,8 +33,10 @@ from hrl_escape.env.geometry import (
 )
 from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, Start, Target, does_base_fit
 from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.maps import GridMap
-from hrl_escape.env.puzzles.traits import Doored, Mapped, Propped, get_trait
+from hrl_escape.env.puzzles.marks import compute_depths
+from hrl_escape.env.puzzles.traits import Doored, Graphed, Mapped, Propped, get_trait
 from hrl_escape.env.sampling.certificate import Floors, find_unmet, has_arm_free, make_floors
 from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, compute_cell, is_whole_floor, sample_floorplan
 from hrl_escape.env.sampling.free_space import FreeSpace, OutOfWork, Work
@@ -142,6 +144,10 @@ def _place_targets(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, doors: D
                      for name, cell in zip(puzzle.target_names, cells, strict=True))
     names = tuple(name for name in puzzle.target_names if name not in puzzle.pad_names)
     hung = _hang_panels(config, names, plan, doors, rng)
+    if isinstance(config.puzzle, ButtonsConfig) and config.puzzle.sections.count:
+        depths = compute_depths(len(hung), get_trait(puzzle, Graphed).edges)
+        dealt = config.puzzle.sections.deal([(target.x, target.y) for target in hung], depths, rng)
+        return tuple(dataclasses.replace(hung[place], name=name) for place, name in zip(dealt, names, strict=True))
     if not puzzle.pad_names:
         return hung
     placed = {target.name: target for target in (*hung, *_lay_pads(config, puzzle.pad_names, plan, doors, hung, rng))}

@@ -1,11 +1,13 @@
 """`hrl-escape ladder`: lists, shows and verifies rungs; the maintainers' commands calibrate and freeze them."""
 
+import dataclasses
 import json
 
 from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
+from hrl_escape.ladder.manifest import AxisRecord
 from hrl_escape.ladder.tower import TOWER_HORIZON
 from tests.command_line import call_script
 from tests.ladder.small import make_config, make_manifest
@@ -104,6 +106,20 @@ def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
     assert {len(room.targets) for room in place.split.test} == {2}
     code, _, err = call(capsys, "run", "smdp-dqn", *options, *budget)
     assert code == 2 and "smdp-dqn+objects" in err and err.count("\n") == 1
+
+
+def test_a_benchmark_with_axes_gives_a_profile(capsys, tmp_path):
+    axes = (AxisRecord("size", ("one",), "objects"), AxisRecord("depth", ("five",)))
+    dataclasses.replace(make_manifest(), axes=axes).save(tmp_path / "mine.json")
+    benchmark, out = ["--benchmark", str(tmp_path / "mine.json")], tmp_path / "out"
+    code, _, err = call(capsys, "run", "planner", "--rung", "one", "--rooms", "1", "--runs", "1", "--primitives", "10",
+                        "--eval-episodes", "1", "--out", str(out), "--workers", "1", *benchmark)
+    assert code == 0, err
+    assert read_comparison(out / "per-instance/one").grid.observation == "objects"
+    code, told, _ = call(capsys, "report", str(out), *benchmark, "--json")
+    assert code == 0 and json.loads(told)["profiles"] == {"planner": {"size": [1.0]}}
+    code, told, _ = call(capsys, "report", str(out), *benchmark)
+    assert code == 0 and "1.00 (1.00)" in told and (out / "per-instance/profile.svg").stat().st_size > 5_000
 
 
 def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):

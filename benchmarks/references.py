@@ -1,0 +1,186 @@
+"""References of a benchmark's rungs, and the choice of the rungs of a profile.
+
+    python -m benchmarks.references measure marks-3
+    python -m benchmarks.references measure ladder-2 --rung depth-1 depth-2
+    python -m benchmarks.references choose benchmarks/ladder-2.toml
+
+To measure is to play an episode in each of the first test rooms: random choices, the searchers that learn nothing, the
+planner, and `smdp-bayes` where it has beliefs. What was measured before is kept.
+
+To choose is to go along each axis of a profile, whose candidates stand from easy to hard, and to measure its yardstick
+in rooms that are in no set: the best of the searchers, random moves, or nothing where all candidates are taken. Rung by
+rung the candidate is taken whose efficiency is nearest to the next of the targets. No learner is looked at. Measured
+efficiencies stay in `NAME-calibration.json` beside the file; the manifest is `python -m benchmarks.ladder freeze`'s.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from hrl_escape.cli import run_script
+from hrl_escape.commands.room_choice import change_field, split_assignment
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.references.graph_family import measure_information
+from hrl_escape.comparison.references.registry import BAYES, FLOORS, PLANNER
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.files import read_json, read_toml, write_json
+from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.hidden import derive_seed
+from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.ladder.manifest import AxisRecord, Manifest, RungRecord, SetRecord
+from hrl_escape.ladder.references import RungReferences
+from hrl_escape.ladder.rung import Rung
+from studies.unseen import make_unseen, play_agent
+
+_FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/references"
+CHANCE, MOVES = "smdp-random", "random"
+YARDSTICKS: Mapping[str, tuple[str, ...]] = {"searchers": FLOORS, "moves": (MOVES,), "none": ()}
+"""Agents of which the best is an axis's yardstick."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Measure:
+    """Options of the measurement of references."""
+
+    benchmark: Annotated[str, tyro.conf.Positional]
+    """Benchmark that comes with the package."""
+    rung: tuple[str, ...] = ()
+    """Names of rungs; all that are missing by default."""
+    rooms: int = 64
+    """Test rooms, from the first."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Choose:
+    """Options of the choice of rungs."""
+
+    profile: Annotated[Path, tyro.conf.Positional]
+    """File of the axes and their candidates."""
+    axis: tuple[str, ...] = ()
+    """Axes to measure; all by default. The manifest is written once all are known."""
+
+
+def play(agent: str, rooms: InstanceSet) -> float | None:
+    """Mean efficiency of who does not learn; None where the puzzle is not for it."""
+    spec = AgentSpec.parse(agent if agent in (PLANNER, MOVES) else f"{agent}+no-primitives")
+    try:
+        return play_agent(spec, make_unseen(rooms), rooms[:1])[0]
+    except UnsupportedError:
+        return None
+
+
+def measure_rung(rung: Rung, rooms: int) -> RungReferences:
+    """References in the first test rooms."""
+    tested, puzzle = rung.test[:rooms], rung.config.puzzle
+    found = {agent: play(agent, tested) for agent in (CHANCE, *FLOORS, PLANNER, BAYES)}
+    searcher, by = max((value, name) for name in FLOORS if (value := found[name]) is not None)
+    told = hidden = None
+    if isinstance(puzzle, ButtonsConfig) and found[BAYES] is not None:
+        try:
+            told, hidden = (round(bits, 3) for bits in measure_information(puzzle, tested))
+        except UnsupportedError:
+            pass  # too many graphs
+    return RungReferences(found[CHANCE] or 0.0, searcher, by, found[PLANNER] or 0.0, found[BAYES], told, hidden)
+
+
+def measure(args: Measure) -> int:
+    """Write the references of a benchmark, rung by rung."""
+    bench, path = load_benchmark(args.benchmark), _FOLDER / f"{args.benchmark}.json"
+    known = _read(path)
+    for rung in [bench[name] for name in args.rung] or [rung for rung in bench if rung.name not in known]:
+        found = measure_rung(rung, args.rooms)
+        known[rung.name] = {name: value for name, value in dataclasses.asdict(found).items() if value is not None}
+        write_json(path, {own.name: known[own.name] for own in bench if own.name in known}, indent=1)
+        print(f"{rung.name}: {found}", flush=True)
+    return 0
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return read_json(path, "measurements") if path.exists() else {}
+
+
+def choose_levels(curve: Sequence[float], targets: Sequence[float]) -> list[int]:
+    """Numbers of the candidates to take, ascending: for each target the nearest of those that leave some for the rest.
+
+    Args:
+        curve: efficiency of the yardstick at each candidate, from easy to hard.
+        targets: efficiencies, as many as rungs.
+    """
+    chosen: list[int] = []
+    for left, target in zip(range(len(targets) - 1, -1, -1), targets, strict=True):
+        open_ = range(chosen[-1] + 1 if chosen else 0, len(curve) - left)
+        chosen.append(min(open_, key=lambda number: abs(curve[number] - target)))
+    return chosen
+
+
+def make_config(name: str, changes: str) -> RoomConfig:
+    """Schematic of a name with fields changed, written as for `--set`."""
+    fields = RoomConfig().to_dict() | {"name": name}
+    for text in changes.split():
+        change_field(fields, *split_assignment(text, "set", "puzzle.count=3"))
+    return RoomConfig.from_dict(fields)
+
+
+def measure_candidates(data: Mapping[str, Any], axis: Mapping[str, Any], known: dict[str, dict[str, float]]
+                       ) -> Iterable[str]:
+    """Fill in what the yardstick reaches with each candidate of an axis; yields a line for each."""
+    for value in axis["values"]:
+        place = f"{axis['name']}: {value}"
+        if place in known:
+            continue
+        config = make_config(axis["name"], f"{data['set']} {axis['set']} {value}")
+        rooms = InstanceSet(place, config, [derive_seed(data["name"], place, "calibration", index)
+                                            for index in range(data["rooms"])])
+        found = {agent: play(agent, rooms) for agent in YARDSTICKS[axis["yardstick"]]}
+        known[place] = {agent: value for agent, value in found.items() if value is not None}
+        yield f"{place}: {known[place]}"
+
+
+def choose(args: Choose) -> int:
+    """Measure candidates and write the manifest, without roots."""
+    data = read_toml(args.profile, "profile")
+    path = args.profile.with_name(f"{args.profile.stem}-calibration.json")
+    known = _read(path)
+    for axis in data["axis"]:
+        if not args.axis or axis["name"] in args.axis:
+            for line in measure_candidates(data, axis, known):
+                known |= _read(path)  # another process may measure other axes
+                write_json(path, known, indent=1)
+                print(line, flush=True)
+    records: list[RungRecord] = []
+    axes: list[AxisRecord] = []
+    for axis in data["axis"]:
+        places = [f"{axis['name']}: {value}" for value in axis["values"]]
+        if any(place not in known for place in places):
+            print(f"{axis['name']} is missing, so no manifest is written")
+            return 0
+        numbers = range(len(places)) if axis["yardstick"] == "none" else choose_levels(
+            [max(known[place].values()) for place in places], axis.get("targets", data["targets"]))
+        for level, number in enumerate(numbers, 1):
+            name = f"{axis['name']}-{level}"
+            config = make_config(name, f"{data['set']} {axis['set']} {axis['values'][number]}")
+            counts = {role: SetRecord(count=data[role]) for role in ("train", "valid", "test")}
+            records.append(RungRecord(name, axis["isolates"], config, **counts))
+        axes.append(AxisRecord(axis["name"], tuple(record.name for record in records[-len(numbers):]),
+                               axis.get("observation", "")))
+    target = args.profile.with_suffix(".json")
+    Manifest(data["name"], rungs=tuple(records), axes=tuple(axes)).save(target)
+    print(f"wrote {target}: {len(records)} rungs")
+    return 0
+
+
+def run(args: Measure | Choose) -> int:
+    """Measure references, or choose the rungs of a profile."""
+    return measure(args) if isinstance(args, Measure) else choose(args)
+
+
+if __name__ == "__main__":
+    sys.exit(run_script(run))
