@@ -27,6 +27,13 @@ MUTATIONS = [
         "comparison/test_searchers.py::test_marks_are_worth_what_follows_by_hand",
     ),
     Mutation(
+        "the ceiling forgets on the next floor which motif holds",
+        "comparison/references/registry.py",
+        "last.infer_motif() if isinstance(last, BayesSearcher) and not is_first else None",
+        "None",
+        "ladder/test_sequence.py::test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_nothing_repeats",
+    ),
+    Mutation(
         "the ceiling does not know where buttons may hang",
         "comparison/references/graph_family.py",
         "    if not rules.count:\n        return family",
@@ -43,8 +50,8 @@ MUTATIONS = [
     Mutation(
         "the ceiling is told which motif a room has",
         "env/puzzles/marks.py",
-        "axis=2).mean(axis=0)",
-        "axis=2)[0]",
+        "np.average(self.compute_motif_likelihood(marks, classes), axis=0, weights=odds)",
+        "self.compute_motif_likelihood(marks, classes)[0]",
         "comparison/test_searchers.py::test_motifs_cost_the_presses_that_find_out_which_holds",
     ),
     Mutation(
