@@ -1,6 +1,14 @@
 """Recovery of a graph: edges that matter, precision and recall, and the longest chain."""
 
-from hrl_escape.comparison.solved_probe import compare_graphs, find_edges_that_matter
+from hrl_escape.agents.training.results import EpisodeRecord
+from hrl_escape.agents.training.train import train
+from hrl_escape.comparison.grid import AgentSpec, SolvedRule
+from hrl_escape.comparison.score_range import ScoreRange
+from hrl_escape.comparison.solved_probe import SolvedProbe, compare_graphs, find_edges_that_matter
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.options.options_env import OptionsEnv
 from studies.scaling.results import compute_edge_depth
 
 
@@ -29,3 +37,17 @@ def test_precision_and_recall_of_edges():
 def test_depth_counts_the_edges_in_a_row_that_lead_to_a_goal():
     assert compute_edge_depth([(0, 1), (1, 2), (3, 2), (2, 4), (5, 6)], goals=[4]) == 3
     assert compute_edge_depth([(0, 1)], goals=[0]) == 0
+
+
+def test_a_policy_near_the_best_counts_from_the_first_of_two_checks_after_an_escape():
+    room = generate(get_preset("paper-one-button"), 0)
+    env = OptionsEnv(EscapeRoomEnv(instance=room, observation="features"), include_primitives=False)
+    agent = train("smdp-q-learning", env, primitives=300, eval_episodes=0).agent
+    known = ScoreRange(-200.0, ((0.0,),), (91.0,), (91.0,), (9.0,), (9.0,), "planner")
+    probes = [SolvedProbe(SolvedRule(0.99, check_every=100), env, room, AgentSpec(name), known)
+              for name in ("smdp-q-learning", "smdp-random")]
+    for at, success in ((100, False), (250, False), (400, True), (450, False), (600, False)):
+        for probe in probes:
+            probe.after_episode(agent, EpisodeRecord(at, at, 0.0, 10, success, "terminated", 0.0))
+    assert [probe.solution.near_best for probe in probes] == [400, None]
+    assert [probe.is_done for probe in probes] == [True, True]
