@@ -331,15 +331,15 @@ MUTATIONS = [
         "agents/algorithms/intra_option_q.py",
         'np.asarray(mask) != 0, ("exploration", "nothing"))',
         'np.asarray(mask) != 0, ("nothing",))',
-        "options/test_four_rooms.py::test_credit_crosses_a_room_in_one_backup_and_exploration_alone_does_not",
+        "options/test_four_rooms.py::test_values_of_options_count_in_backups_where_options_serve_all_and_nowhere_else",
     ),
     Mutation(
-        "options of credit are chosen",
+        "options that serve nothing are chosen",
         "agents/algorithms/intra_option_q.py",
-        'drawn = self._leave_out(action_mask, ("credit", "nothing"))',
         'drawn = self._leave_out(action_mask, ("nothing",))',
+        "drawn = action_mask",
         "options/test_four_rooms.py::"
-        "test_options_of_one_use_leave_primitives_worth_what_they_are_and_act_by_them",
+        "test_options_for_exploration_leave_primitives_worth_what_they_are_and_act_by_them",
     ),
     Mutation(
         "decisions that are new to replay are never drawn first",

@@ -147,9 +147,9 @@ def read_primitives(agent):
     return np.array([agent.compute_values(cell)[:4] for cell in range(CELLS) if cell != EAST_HALLWAY])
 
 
-@pytest.mark.parametrize("options_serve", ["exploration", "credit", "nothing"])
-def test_options_of_one_use_leave_primitives_worth_what_they_are_and_act_by_them(options_serve):
-    """From random choices: exploration runs options all the time, the others each once at most."""
+@pytest.mark.parametrize("options_serve", ["exploration", "nothing"])
+def test_options_for_exploration_leave_primitives_worth_what_they_are_and_act_by_them(options_serve):
+    """From random choices: exploration runs options all the time, `nothing` each once at most."""
     agent, made = serve(options_serve, 8_000 if options_serve == "exploration" else 16_000)
     flat = make_model(FourRooms(slip="none").make_tables(), GAMMA)
     exact = np.delete(compute_choice_values(flat, find_values(flat)), EAST_HALLWAY, axis=0)
@@ -162,23 +162,20 @@ def test_options_of_one_use_leave_primitives_worth_what_they_are_and_act_by_them
     assert all(agent.act_greedy(cell, np.ones(12, np.bool_), rng) < 4 for cell in range(CELLS))
 
 
-def test_credit_crosses_a_room_in_one_backup_and_exploration_alone_does_not():
-    """The same primitives, told of the same options: what a cell is worth after the goal's neighbour learned of it."""
+def test_values_of_options_count_in_backups_where_options_serve_all_and_nowhere_else():
     told = {}
-    for options_serve in ("credit", "exploration"):
+    for options_serve in ("all", "exploration", "nothing"):
         agent, _ = serve(options_serve, 600, seed=1)
-        before = GRID.numbers[8, 9]  # one step below the goal's hallway
-        agent.table.update(agent._discretise(before), 4 + 7, 0.5)  # an option's value
+        there, below = GRID.numbers[8, 9], GRID.numbers[9, 9]
+        for action in range(12):
+            agent.table.update(agent._discretise(there), action, 0.5 if action == 11 else 0.0)
         env = make_env(trace=True)
         env.reset(seed=0)
-        env.unwrapped.set_state(State(GRID.numbers[9, 9]))
-        env.resume(GRID.numbers[9, 9])
-        mask, below = np.ones(12, np.bool_), GRID.numbers[9, 9]
-        for action in range(12):
-            agent.table.update(agent._discretise(before), action, 0.5 if action == 11 else 0.0)
-        agent.observe(make_transition(below, 0, mask, env.step(0), GAMMA))
+        env.unwrapped.set_state(State(below))
+        env.resume(below)
+        agent.observe(make_transition(below, 0, np.ones(12, np.bool_), env.step(0), GAMMA))
         told[options_serve] = agent.compute_values(below)[0]
-    assert told == pytest.approx({"credit": GAMMA * 0.5, "exploration": 0.0})
+    assert told == pytest.approx({"all": GAMMA * 0.5, "exploration": 0.0, "nothing": 0.0})
 
 
 def test_random_choices_are_repeated_for_the_lengths_that_are_given():

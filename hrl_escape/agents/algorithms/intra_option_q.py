@@ -25,15 +25,14 @@ from hrl_escape.settings import Range
 class IntraOptionQSettings(TabularAgentSettings):
     """What options are for, beside the settings of every agent with a table.
 
-    Given to one use alone, they show by which way they help; repeated primitives are the control, temporal extension
-    without goals.
+    Given to exploration alone, they show how much of their help that is; repeated primitives are the control, temporal
+    extension without goals.
     """
 
-    options_serve: Literal["all", "exploration", "credit", "nothing"] = "all"
+    options_serve: Literal["all", "exploration", "nothing"] = "all"
     """`all`: they are chosen and valued. `exploration`: random choices may be options; values are backed up over
-    primitives alone, which alone are greedy. `credit`: values are backed up over options too; primitives alone are
-    chosen. `nothing`: as if there were none. For environments with primitives beside options; an option is known by
-    its first run, so it is run once in any case."""
+    primitives alone, which alone are greedy. `nothing`: as if there were none. For environments with primitives beside
+    options; an option is known by its first run, so it is run once in any case."""
     repeats: tuple[Annotated[int, Range(1)], ...] = ()
     """Decisions for which a random choice is repeated, one of these drawn each time; empty for one."""
 
@@ -74,7 +73,7 @@ class IntraOptionQ(TabularAgent):
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Explore as the settings say, with the actions that they allow."""
         settings, (choice, left) = self.settings, self._repeated
-        drawn = self._leave_out(action_mask, ("credit", "nothing"))
+        drawn = self._leave_out(action_mask, ("nothing",))
         if left and drawn[choice]:
             self._repeated = choice, left - 1
             return choice
@@ -87,8 +86,8 @@ class IntraOptionQ(TabularAgent):
         return choice
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The legal action of highest value, drawn among equals; a primitive where options serve one use alone."""
-        return super().act_greedy(observation, self._leave_out(action_mask, ("exploration", "credit", "nothing")), rng)
+        """The legal action of highest value, drawn among equals; a primitive where options do not serve `all`."""
+        return super().act_greedy(observation, self._leave_out(action_mask, ("exploration", "nothing")), rng)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn from the primitives inside the decision, and from the decision where they do not cover it.
