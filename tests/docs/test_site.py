@@ -35,11 +35,11 @@ def read(page: Path) -> str:
 
 
 def test_a_page_that_is_wrong_fails_the_build(tmp_path: Path):
-    """The strictness is real: an unknown agent, an unknown page."""
+    """The strictness is real; pages alone, without what the package says."""
     (tmp_path / "conf.py").write_text((ROOT / "docs/conf.py").read_text().replace(
         "Path(__file__).parent", f"Path({str(ROOT / 'docs')!r})").replace('"_static"', ""))
     (tmp_path / "index.md").write_text("# Page\n\n[gone](nowhere.md)\n")
-    done = run_module("sphinx", "-W", "-q", tmp_path, tmp_path / "out")
+    done = run_module("sphinx", "-W", "-q", "-D", "extensions=myst_parser,mathematics", tmp_path, tmp_path / "out")
     assert done.returncode != 0 and "nowhere.md" in done.stderr
 
 
