@@ -38,7 +38,7 @@ test-slow: $(STAMP) ## the other slow tests, some 40 minutes on two idle cores; 
 	python -m pytest tests --ignore tests/test_mutations.py -n $(JOBS) --dist loadfile -m slow --shard $(SHARD)
 
 docs: $(STAMP) ## the site, into build/docs, read once more by its tests
-	sphinx-build -W --keep-going -q docs build/docs
+	sphinx-build -j $(JOBS) -W --keep-going -q docs build/docs
 	python -m pytest -q tests/docs/test_site.py --site build/docs
 	python docs/contact_sheet.py build/docs
 	@echo "Read it: $(CURDIR)/build/docs/index.html"
