@@ -29,7 +29,7 @@ watch: $(STAMP) ## open the viewer in the browser: the planner escapes from a cl
 	$(WATCH)
 
 test: $(STAMP) ## every test but those marked slow or gpu
-	python -m pytest tests -n $(JOBS) --dist loadfile -m "not slow and not gpu"
+	python -m pytest tests -n $(JOBS) --dist worksteal -m "not slow and not gpu"
 
 test-planted: $(STAMP) ## every planted bug is seen by a test
 	python -m pytest tests/test_mutations.py -n $(JOBS) -m slow
