@@ -222,9 +222,9 @@ class RowStreamAgent(StreamAgent):
         return stream.new_tensor(chosen)
 
     def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
-        """Learn from each row; returns the means of what is logged."""
+        """Learn from each row; returns the means of what rows log."""
         assert self._open_masks is not None, "begin_streams comes first"
-        sums: dict[str, float] = {}
+        logged: dict[str, list[float]] = {}
         for stream, seen, action, reward, summed, k, reached, mask, terminated, truncated in zip(
                 *(field.cpu().numpy() for field in decisions), strict=True):
             self._enter(stream)
@@ -233,8 +233,9 @@ class RowStreamAgent(StreamAgent):
                 self.gamma ** int(k), reached, mask, bool(terminated), bool(truncated),
                 cut=bool(truncated and not terminated and k > 1)))
             self._leave(stream)
-            sums = {name: sums.get(name, 0.0) + value for name, value in metrics.items()}
-        return {name: total / len(decisions.stream) for name, total in sums.items()}
+            for name, value in metrics.items():
+                logged.setdefault(name, []).append(value)
+        return {name: sum(values) / len(values) for name, values in logged.items()}
 
     def _enter(self, stream: int) -> None:
         """Put a stream's episode in its place."""

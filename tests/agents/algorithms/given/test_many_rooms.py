@@ -12,6 +12,7 @@ from hrl_escape.agents import evaluate, load_agent, make_agent, train
 from hrl_escape.agents.algorithms.given.h_dqn import HDqn
 from hrl_escape.agents.algorithms.given.hdg import Hdg
 from hrl_escape.agents.algorithms.given.hq_learning import HqLearning
+from hrl_escape.agents.algorithms.given.maxq_q import MaxqQ
 from hrl_escape.agents.algorithms.intra_option_q import IntraOptionQ
 from hrl_escape.agents.algorithms.sarsa import Sarsa
 from hrl_escape.agents.hierarchy.goals import GoalSet
@@ -209,6 +210,22 @@ def test_all_of_them_learn_from_many_environments_and_calls_of_streams_are_no_si
     agent = make_agent("maxq-q", env.single_observation_space, env.single_action_space, 0)
     train(agent, env, primitives=100, eval_episodes=0)
     assert agent.stack == () and agent.moment is None
+
+
+def test_what_only_some_streams_log_is_a_mean_over_these():
+    class Telling(MaxqQ):
+        def learn(self, step, returns):
+            return {"always": 1.0} | ({"seldom": 6.0} if self._stream == 2 else {})
+
+    env = make_env(0)
+    agent = make(Telling, env)
+    agent.begin_streams(4, torch.device("cpu"))
+    rows, mask = torch.arange(4), torch.ones((4, 3), dtype=torch.bool)
+    action, zeros = agent.act_streams(rows, mask, rows), torch.zeros(4)
+    flags = torch.zeros(4, dtype=torch.bool)
+    told = agent.observe_streams(StreamTransitions(rows, rows, action, zeros, zeros, torch.ones(4, dtype=torch.int64),
+                                                   rows, mask, flags, flags))
+    assert told == {"always": 1.0, "seldom": 6.0}
 
 
 def test_tasks_that_share_a_learner_keep_their_open_decisions_apart():
