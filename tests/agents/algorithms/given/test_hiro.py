@@ -160,7 +160,7 @@ def test_it_keeps_the_contract_of_agents_with_and_without_a_space(agent_class):
         return agent_class(observation_space, action_space, seed, settings, space)
 
     construct.__name__ = agent_class.__name__
-    check_agent(construct, Hiro.Settings(window=3, replay_capacity=20), decisions=200)
+    check_agent(construct, Hiro.Settings(window=3, replay_capacity=20, batch_size=2), decisions=100)
 
 
 def test_goals_of_a_space_are_its_bounds_and_components_that_do_not_matter_are_nan():

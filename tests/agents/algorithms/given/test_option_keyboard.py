@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from gymnasium import spaces
@@ -28,6 +30,7 @@ def make(env, cells, **settings):
                           make_space(cells))
 
 
+@cache
 def learn_room():
     env = GoalGrid(ROOM, None, horizon=100)
     agent = make(env, BUTTONS)
