@@ -347,7 +347,7 @@ def test_fine_joint_steps_that_no_list_can_hold_are_still_reached():
     THREE, dataclasses.replace(THREE, joints=4), dataclasses.replace(THREE, joints=6, link_length=0.3),
     dataclasses.replace(THREE, joints=7, link_length=0.3),
     pytest.param(RobotConfig(kind="kuka-iiwa", joints=7, body_radius=0.4, body_height=0.5), marks=pytest.mark.slow),
-    RobotConfig(kind="franka-panda", joints=7, body_radius=0.4, body_height=0.5),
+    pytest.param(RobotConfig(kind="franka-panda", joints=7, body_radius=0.4, body_height=0.5), marks=pytest.mark.slow),
 ], ids=lambda robot: f"{robot.kind}, {robot.joints} joints")
 @pytest.mark.parametrize("rooms", [1, pytest.param(8, marks=pytest.mark.slow)])
 def test_targets_of_generated_rooms_are_reached_on_the_lattice(robot: RobotConfig, rooms: int):
