@@ -22,8 +22,6 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.comparison.profile import list_references, make_profiles
-from hrl_escape.comparison.reporting.radar import draw_radar
 from hrl_escape.data.card import save_card
 from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.tape import load_tape
@@ -34,8 +32,6 @@ from hrl_escape.env.engine import film
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.figures import save_figure
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.references import load_references
 from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.planner import get_planner
 
@@ -100,18 +96,6 @@ class Room(Picture):
         return self.show(path, " ".join(self.content), command)
 
 
-class Radar(Picture):
-    """`{radar} ladder-2`: the profiles of a benchmark's references."""
-
-    def run(self) -> list[nodes.Node]:
-        """Draw what was measured."""
-        name = self.arguments[0]
-        axes = load_benchmark(name).manifest.axes
-        path = self.choose_path(f"radar {name}")
-        save_figure(path, draw_radar(make_profiles(axes, list_references(load_references(name))), axes))
-        return self.show(path, " ".join(self.content), f"hrl-escape ladder list --benchmark {name}")
-
-
 class Curve(Picture):
     """`{curve} dqn`: the agent flat and over options, mean and range over runs."""
 
@@ -157,5 +141,4 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("data-card", DataCard)
     app.add_directive("room", Room)
     app.add_directive("curve", Curve)
-    app.add_directive("radar", Radar)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -18,7 +18,7 @@ class RungReferences:
         searcher: of the best searcher that learns nothing.
         by: its name.
         oracle: of the planner, which knows the graph; below 1 only where presses fail by chance.
-        ceiling: of `smdp-bayes`, which knows how rooms are drawn; None where it has no beliefs.
+        ceiling: of `smdp-bayes`, which knows how rooms are drawn; None where graphs cannot be listed.
         told: bits of the hidden graph that marks and places tell; None where graphs cannot be listed.
         hidden: bits of the hidden graph.
     """

@@ -192,7 +192,7 @@ def test_a_commitment_binds_seeds_salt_and_version():
 
 
 def test_the_first_ladder_has_its_rungs_in_a_few_kilobytes():
-    assert list_benchmarks() == ("ladder-1", "marks-1", "marks-2", "marks-3")
+    assert list_benchmarks() == ("ladder-1", "ladder-2", "marks-1", "marks-2", "marks-3")
     bench = load_benchmark("ladder-1")
     assert [rung.name for rung in bench] == [
         "doormat", "pair", "reach", "chain-3", "chain-4", "doors", "chain", "lattice-5", "drift", "code", "freight",
@@ -234,6 +234,15 @@ def test_rungs_of_every_kind_verify():
     load_benchmark("ladder-1").verify(["reach", "doors", "freight", "lattice"])
     load_benchmark("marks-1").verify()
     load_benchmark("marks-2").verify()
+    load_benchmark("marks-3").verify(["storeys"])
+    load_benchmark("ladder-2").verify()
+
+
+def test_axes_are_series_of_rungs_of_their_benchmark_each_in_one():
+    bench = load_benchmark("ladder-2")
+    rungs = [name for axis in bench.manifest.axes for name in axis.rungs]
+    assert rungs == [rung.name for rung in bench] and all(3 <= len(axis.rungs) <= 4 for axis in bench.manifest.axes)
+    assert not load_benchmark("ladder-1").manifest.axes
 
 
 SCRIPT = """
