@@ -62,8 +62,8 @@ def make_notebook(script: Path) -> Any:
     notebook = nbformat.v4.new_notebook(cells=cells)
     with tempfile.TemporaryDirectory() as folder:
         try:
-            NotebookClient(notebook, timeout=900, record_timing=False, resources={"metadata": {"path": folder}},
-                           log=QUIET).execute(stderr=subprocess.DEVNULL)  # a kernel's chatter
+            NotebookClient(notebook, timeout=900, record_timing=False, coalesce_streams=True, log=QUIET,
+                           resources={"metadata": {"path": folder}}).execute(stderr=subprocess.DEVNULL)  # its chatter
         except CellExecutionError as error:
             raise ExtensionError(f"{script.name} failed:\n{error}") from error
     for cell in notebook["cells"]:
