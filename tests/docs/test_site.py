@@ -53,6 +53,14 @@ def list_public_names() -> list[str]:
     return [f"{package.__name__}.{name}" for package in packages for name in package.__all__]
 
 
+def test_every_source_has_its_page(site: Path):
+    """A page that one of several writers fails to write is not a warning."""
+    docs = ROOT / "docs"
+    sources = [path.relative_to(docs) for path in docs.rglob("*.md")
+               if not path.relative_to(docs).parts[0].startswith("_")]
+    assert not [str(path) for path in sources if not (site / path.with_suffix(".html")).is_file()]
+
+
 def test_every_public_name_is_in_the_reference(site: Path):
     """By its anchor, so that links to it work."""
     anchors = "".join(page.read_text() for page in (site / "api").glob("*.html"))
