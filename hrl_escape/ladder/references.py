@@ -1,4 +1,4 @@
-"""What the rungs of a benchmark ask for: the efficiencies that learners are held against, measured once."""
+"""Demands of the rungs of a benchmark: the efficiencies that learners are held against, measured once."""
 
 from __future__ import annotations
 

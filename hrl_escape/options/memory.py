@@ -27,7 +27,7 @@ MEMORY_WORDS = ("failed", "recent", "rank")
 
 
 class _Memories:
-    """What several episodes have met, and the rule by which it is noted.
+    """Outcomes that several episodes have met, and the rule by which they are noted.
 
     Args:
         space: of observations without memory.

@@ -19,7 +19,7 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Contacts, Puzzle
 from hrl_escape.errors import ConfigError, FileReadError
 
-WALL = 0.1
+RIM = 0.1
 """Thickness of the walls that stand round a world, m."""
 
 
@@ -90,9 +90,9 @@ class World:
             raise ConfigError("floor", floor, "x_min < x_max and y_min < y_max")
         half_x, half_y, x, y = (x_max - x_min) / 2, (y_max - y_min) / 2, (x_min + x_max) / 2, (y_min + y_max) / 2
         placed = [dataclasses.replace(solid, x=solid.x - x, y=solid.y - y) for solid in solids]
-        walls = [Solid("box", side * (half_x + WALL), 0.0, WALL, half_y + 2 * WALL, height=wall_height, role="wall")
+        walls = [Solid("box", side * (half_x + RIM), 0.0, RIM, half_y + 2 * RIM, height=wall_height, role="wall")
                  for side in (-1.0, 1.0)]
-        walls += [Solid("box", 0.0, side * (half_y + WALL), half_x + 2 * WALL, WALL, height=wall_height, role="wall")
+        walls += [Solid("box", 0.0, side * (half_y + RIM), half_x + 2 * RIM, RIM, height=wall_height, role="wall")
                   for side in (-1.0, 1.0)]
         instance = RoomInstance(name="world", half_width=half_x, half_depth=half_y, wall_height=wall_height,
                                 solids=(*walls, *placed), robot=robot,

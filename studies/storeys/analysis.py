@@ -1,4 +1,4 @@
-"""What one floor of a tower teaches for the next, where all floors have one order of symbols."""
+"""Lessons of one floor of a tower for the next, where all floors have one order of symbols."""
 
 from __future__ import annotations
 

@@ -266,7 +266,8 @@ def test_a_folder_deleted_meanwhile_is_told_with_its_reason(tmp_path: Path):
         process.kill()
         process.wait()
     assert process.returncode == 2 and "Traceback" not in output, output
-    told = output.splitlines()
+    about, *told = output.splitlines()
+    assert about == "nothing learns, so nothing is trained"
     assert len(told) == 3 and all("was deleted or moved while its run was writing it" in line for line in told), output
     assert told[2].startswith("hrl-escape: ") and "no run has finished, so there is nothing to report" in told[2]
 

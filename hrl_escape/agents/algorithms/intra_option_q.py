@@ -23,7 +23,7 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True)
 class IntraOptionQSettings(TabularAgentSettings):
-    """What options are for, beside the settings of every agent with a table.
+    """Use of the options, beside the settings of every agent with a table.
 
     Given to exploration alone, they show how much of their help that is; repeated primitives are the control, temporal
     extension without goals.

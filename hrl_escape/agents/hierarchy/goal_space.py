@@ -19,11 +19,11 @@ from hrl_escape.agents.hierarchy.goals import GoalSet, GoalView
 from hrl_escape.agents.hierarchy.task import BaseTask, Seen, Stack
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 
-Point = NDArray[np.float64]
+GoalPoint = NDArray[np.float64]
 """(dimensions,), in the units of the projection; or points, (..., dimensions)."""
 
 
-def measure_straight(start: Point, end: Point) -> NDArray[np.float64]:
+def measure_straight(start: GoalPoint, end: GoalPoint) -> NDArray[np.float64]:
     """Euclidean distance over the components that matter, (...)."""
     return np.sqrt(np.nansum((end - start) ** 2, axis=-1))
 
@@ -44,10 +44,10 @@ class GoalSpace:
         privileges: what the space tells an agent that the observation does not.
     """
 
-    project: Callable[[Any], Point]
+    project: Callable[[Any], GoalPoint]
     goals: NDArray[np.float64]
     is_relative: bool = False
-    distance: Callable[[Point, Point], NDArray[np.float64]] = measure_straight
+    distance: Callable[[GoalPoint, GoalPoint], NDArray[np.float64]] = measure_straight
     tolerance: float = 1e-6
     find_desired: Callable[[Any], int] | None = None
     view: GoalView | None = None
@@ -58,29 +58,29 @@ class GoalSpace:
             raise AgentSettingsError("GoalSpace.goals", f"an array of shape {self.goals.shape}",
                                      "(count, dimensions), at least one goal")
 
-    def locate(self, goal: Point, observation: Any) -> Point:
+    def locate(self, goal: GoalPoint, observation: Any) -> GoalPoint:
         """Point that a goal named at an observation means."""
         return self.project(observation) + goal if self.is_relative else goal
 
-    def advance(self, goal: Point, observation: Any, next_observation: Any) -> Point:
+    def advance(self, goal: GoalPoint, observation: Any, next_observation: Any) -> GoalPoint:
         """h(s, g, s'): the same goal as told at s'; s + g - s' where goals are relative, else g."""
         if not self.is_relative:
             return goal
         return goal + self.project(observation) - self.project(next_observation)
 
-    def measure(self, goal: Point, observation: Any) -> NDArray[np.float64]:
+    def measure(self, goal: GoalPoint, observation: Any) -> NDArray[np.float64]:
         """Distance that is left to a goal, or to each of several, as told at an observation; (...)."""
         return self.distance(self.project(observation), self.locate(goal, observation))
 
-    def is_reached(self, goal: Point, observation: Any) -> bool:
+    def is_reached(self, goal: GoalPoint, observation: Any) -> bool:
         """A goal as told at an observation is reached there."""
         return bool(self.measure(goal, observation) <= self.tolerance)
 
     def list_reached(self, observation: Any) -> NDArray[np.bool_]:
-        """Which of the goals, named at an observation, are reached there, bool (count,)."""
+        """Mask of the goals that, named at an observation, are reached there, bool (count,)."""
         return self.measure(self.goals, observation) <= self.tolerance
 
-    def find_nearest(self, point: Point) -> int:
+    def find_nearest(self, point: GoalPoint) -> int:
         """Number of the goal nearest to a point, or to a displacement where goals are relative."""
         return int(measure_straight(point, self.goals).argmin())
 

@@ -53,6 +53,7 @@ OWN = frozenset({
     "hrl_escape.env.config:RoomConfig",
     "hrl_escape.env.config:ShapeConfig",
     "hrl_escape.env.config:StartConfig",
+    "hrl_escape.env.continuous:EscapeRoomContinuousEnv",
     "hrl_escape.env.escape_room:EscapeRoomEnv",
     "hrl_escape.env.instance:RoomInstance",
     "hrl_escape.ladder.common_spaces:CommonSpacesEnv",

@@ -16,9 +16,9 @@ from hrl_escape.env.poses import list_touched
 from hrl_escape.errors import EscapeError
 from hrl_escape.planning.motion.trajectory import TimedTrajectory
 
-PUSH = 0.05
+SHOVE = 0.05
 """Distance, m or rad, by which a target is pushed that should be touched and is not, as under physics."""
-PATIENCE = 2.0
+LONGEST_WAIT = 2.0
 """Longest wait for a press, s."""
 APPROACH = 0.05
 """Time before a touch whose direction is that of the push, s."""
@@ -84,11 +84,11 @@ class Tracker:
     def choose(self) -> NDArray[np.float64]:
         """Choose the velocities of the next step, as the environment takes them."""
         self._push = np.zeros(len(self._at))
-        if self._due and self._due[0].time < self._now and self._waited < PATIENCE:
+        if self._due and self._due[0].time < self._now and self._waited < LONGEST_WAIT:
             self._waited += self._step
             touch = self._due[0].time
             way = self._trajectory.evaluate(touch) - self._trajectory.evaluate(touch - APPROACH)
-            self._push = way * PUSH / max(float(np.abs(way).max()), 1e-9)
+            self._push = way * SHOVE / max(float(np.abs(way).max()), 1e-9)
         else:
             self._due, self._waited = self._due[1:] if self._waited else self._due, 0.0
             self._now = min(self._now + self._step, self._trajectory.duration)

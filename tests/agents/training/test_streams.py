@@ -388,7 +388,7 @@ def test_options_discounted_by_another_gamma_than_the_agents_are_refused():
 
 
 def test_what_cannot_train_in_many_environments_says_so():
-    with pytest.raises(AgentSettingsError, match="from many environments at once: a2oc, dac, ddpg, diayn, dqn, "):
+    with pytest.raises(AgentSettingsError, match="from many environments at once: a2oc, dac, ddpg, "):
         train("intra-option-q", make_rooms(), primitives=10)
     for name, setting in (("sarsa", {"replay_capacity": 0}), ("ddpg", {"relaxation": "linear"}),
                           ("ddpg", {"exploration": "ornstein-uhlenbeck"}), ("dqn", {"hindsight_goals": 1})):

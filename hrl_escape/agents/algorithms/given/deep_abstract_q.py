@@ -34,7 +34,7 @@ class DeepAbstractQSettings(StackSettings):
     """Settings of `deep-abstract-q`; workers are otherwise `dqn` or `q-learning` at their defaults."""
 
     worker: Literal["network", "table"] = "network"
-    """What learns a step: `dqn`, or `q-learning`."""
+    """Learner of a step: `dqn`, or `q-learning`."""
     most_states: Annotated[int, Range(2)] = 64
     """Most abstract states; those met later count as the last."""
     visits: Annotated[int, Range(1)] = 30

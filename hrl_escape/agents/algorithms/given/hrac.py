@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.algorithms.given.hiro import Hiro, HiroSettings
 from hrl_escape.agents.hierarchy.call_stack import Return
-from hrl_escape.agents.hierarchy.goal_space import GoalSpace, Point
+from hrl_escape.agents.hierarchy.goal_space import GoalPoint, GoalSpace
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.state import Kept
 
-CountSteps = Callable[[Point, Point], NDArray[np.float64]]
+CountSteps = Callable[[GoalPoint, GoalPoint], NDArray[np.float64]]
 """Fewest primitives from a point to points (..., dimensions), (...)."""
 
 
@@ -51,8 +51,8 @@ class Hrac(Hiro):
         """Those of the goal space, and exact adjacency where it is given."""
         return super().privileges + ("adjacency",) * (self._count_steps is not None)
 
-    def find_adjacent(self, point: Point, targets: Point) -> NDArray[np.bool_]:
-        """Which points (count, dimensions) are held to be within a window of a point, (count,)."""
+    def find_adjacent(self, point: GoalPoint, targets: GoalPoint) -> NDArray[np.bool_]:
+        """Mask of the points (count, dimensions) that are held to be within a window of a point, (count,)."""
         if self._count_steps is not None:
             return self._count_steps(point, targets) <= self.settings.window
         return np.array([_make_pair(point, target) in self._adjacent for target in targets])
@@ -71,5 +71,5 @@ class Hrac(Hiro):
                            for after in points[index + 1 :]}
 
 
-def _make_pair(before: Point, after: Point) -> bytes:
+def _make_pair(before: GoalPoint, after: GoalPoint) -> bytes:
     return np.round(np.concatenate([before, after]), 6).tobytes()

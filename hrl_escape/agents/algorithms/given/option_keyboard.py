@@ -104,7 +104,7 @@ class _Chord(GoalTask):
         return {f"chord {number}": number for number in range(self._chords)}
 
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """Whether a goal is reached that was not where the chord was struck; one left and reached again is none."""
+        """True once a goal is reached that was not where the chord was struck; one left and reached again is none."""
         before, now = (self.goal_space.list_reached(each.observation) for each in (frame.start, seen))
         return float(frame.primitives >= self._patience or bool((now & ~before).any()))
 
