@@ -1,8 +1,8 @@
 """Compiled kernels: one decorator, one cache on disk, one clock that leaves compilation out.
 
-The cache is keyed by the package's version and by the sources of all kernels, so that an upgrade
-never meets what an older version compiled. Compilation is announced on stderr. `read_clock` stands
-still while numba compiles or loads a kernel: no measured or limited time contains that. Importing this
+The cache is keyed by the package's version and by the sources of all kernels: an upgrade never meets what an older
+version compiled, and all checkouts of the same sources share it. Compilation is announced on stderr. `read_clock`
+stands still while numba compiles or loads a kernel: no measured or limited time contains that. Importing this
 module imports numba.
 """
 
@@ -20,13 +20,16 @@ from typing import Any
 
 import numba
 from numba.core import config, event
+from numba.core.caching import UserProvidedCacheLocator
 
 from hrl_escape.version import __version__
 
-SOURCES = ("agents/factored/search.py", "env/bases/disc.py", "env/bases/rectangle.py", "env/geometry.py",
-           "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py", "planning/arm/search.py",
-           "planning/arm/tables.py", "planning/search/a_star.py", "planning/search/joint_a_star.py")
-"""Files, relative to the package, that compiled code is made of."""
+SOURCES = ("agents/factored/compiled_model.py", "agents/factored/search.py", "env/bases/__init__.py",
+           "env/bases/base.py", "env/bases/disc.py", "env/bases/rectangle.py", "env/floor_grid.py", "env/geometry.py",
+           "floor/clearance.py", "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py",
+           "planning/arm/joint_lattice.py", "planning/arm/search.py", "planning/arm/tables.py",
+           "planning/search/a_star.py", "planning/search/joint_a_star.py")
+"""Files, relative to the package, that compiled code is made of: functions, constants and the tuples it is given."""
 
 _PARTS = {"agents": "learners of structure", "env": "the room's geometry", "floor": "ways over the floor",
           "options": "options in batches", "planning.arm": "the arm", "planning": "the planner's search"}
@@ -50,13 +53,26 @@ def kernel_in_place(function: Callable[..., Any]) -> Any:
     return _compile(function, _UNCOUNTED)
 
 
+class SourceLocator(UserProvidedCacheLocator):
+    """Where a kernel's compiled code lies: by its place in the package, wherever the package is."""
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        """The module's folder within the package; a hash of the whole path for other files."""
+        folder = Path(py_file).resolve().parent
+        package = Path(__file__).resolve().parent
+        if not folder.is_relative_to(package):
+            return super().get_suitable_cache_subpath(py_file)
+        return "-".join(folder.relative_to(package.parent).parts)
+
+
 def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    before = _CONFIG.CACHE_DIR
-    try:
-        _CONFIG.CACHE_DIR = str(_FOLDER)  # read by the decorator only
+    before = _CONFIG.CACHE_DIR, getattr(_CONFIG, "CACHE_LOCATOR_CLASSES", "")
+    try:  # both are read by the decorator only; numba before 0.62 knows one locator
+        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(_FOLDER), f"{__name__}.{SourceLocator.__name__}"
         compiled = numba.njit(cache=True, **options)(function)
     finally:
-        _CONFIG.CACHE_DIR = before
+        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = before
     _USES[function.__qualname__] = next(
         (use for part, use in _PARTS.items() if f"hrl_escape.{part}" in function.__module__), "your own code")
     return compiled

@@ -11,6 +11,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import fcntl
+import gc
 import importlib
 import json
 import os
@@ -121,6 +122,7 @@ def serve(address: str, run: int) -> None:
     for name in LIBRARIES:
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
+    gc.freeze()  # no fork walks through what all of them share, which would copy its pages too
     with contextlib.suppress(FileNotFoundError):
         os.unlink(address)
     server = socket.socket(socket.AF_UNIX)

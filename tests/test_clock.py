@@ -120,4 +120,17 @@ def test_every_module_with_kernels_is_a_source_of_the_caches_key():
     pattern = re.compile(r"^(import numba$|from numba import|from hrl_escape\.kernels import kernel)", re.MULTILINE)
     users = {str(path.relative_to(package)) for path in package.rglob("*.py") if pattern.search(path.read_text())}
     assert users - {"kernels.py"} <= set(kernels.SOURCES)
-    assert all((package / name).is_file() for name in kernels.SOURCES)
+    found = {name for source in kernels.SOURCES
+             for name in re.findall(r"^from hrl_escape\.([\w.]+) import", (package / source).read_text(), re.MULTILINE)}
+    files = {file for name in found for stem in (package / name.replace(".", "/"),)
+             for file in (stem.with_suffix(".py"), stem / "__init__.py") if file.is_file()}
+    beside = {"env/bases/link.py", "env/schema.py", "errors.py", "kernels.py", "settings.py"}  # no kernel's constants
+    assert {str(file.relative_to(package)) for file in files} - beside <= set(kernels.SOURCES)
+    assert len(files) > 10 and all((package / name).is_file() for name in kernels.SOURCES)
+
+
+def test_kernels_lie_by_their_place_in_the_package_and_those_of_others_by_their_path(tmp_path):
+    """tests/test_planting.py sees a checkout load what another has compiled."""
+    place = kernels.SourceLocator.get_suitable_cache_subpath
+    assert place(str(Path(hrl_escape.__file__).parent / "floor/sweeps.py")) == "hrl_escape-floor"
+    assert len({place(str(tmp_path / name / "base.py")) for name in "ab"}) == 2
