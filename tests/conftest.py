@@ -44,16 +44,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the tests of one shard, and give slow ones two hours, which they do not take where cores are idle."""
+    """Keep the tests of one shard, and of the site if one is given; slow ones have two hours."""
     for item in items:
         if item.get_closest_marker("slow"):
             item.add_marker(pytest.mark.timeout(7200))
     number, count = map(int, config.getoption("shard").split("/"))
     assert 1 <= number <= count, "--shard takes a number and a count, as 2/6"
-    others = [item for place, item in enumerate(items) if place % count != number - 1]
-    if others:
-        config.hook.pytest_deselected(items=others)
-        items[:] = items[number - 1 :: count]
+    kept = items[number - 1 :: count]
+    if config.getoption("site"):  # the others are for `make test`
+        kept = [item for item in kept if "site" in getattr(item, "fixturenames", ())]
+    if len(kept) < len(items):
+        config.hook.pytest_deselected(items=list({*items} - {*kept}))
+        items[:] = kept
 
 
 @pytest.hookimpl(wrapper=True)
@@ -65,6 +67,11 @@ def pytest_collection() -> Iterator[None]:
     finally:
         gc.freeze()
         gc.enable()
+
+
+def pytest_unconfigure() -> None:
+    """Let the interpreter take all apart at its end."""
+    gc.unfreeze()
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -101,8 +101,9 @@ def test_a_replacement_that_fits_nothing_is_found(tmp_path: Path):
         read_blocks(page)
 
 
+@pytest.mark.slow  # `make docs` draws the whole
 def test_the_strip_of_the_first_page_is_what_the_planner_does(monkeypatch: pytest.MonkeyPatch):
-    """Its four cards by the planner, drawn anew; `make docs` draws the whole."""
+    """Its four cards by the planner, drawn anew."""
     monkeypatch.syspath_prepend(ROOT / "docs/_ext")
     strip = importlib.import_module("strip")
     kept = strip.KEPT.read_text(encoding="utf-8")
@@ -112,6 +113,9 @@ def test_the_strip_of_the_first_page_is_what_the_planner_does(monkeypatch: pytes
     places = [(2, 0), (0, 1), (1, 1), (2, 1)]  # column, row
     for scene, (column, row) in zip([planner, *strip.make_others()], places, strict=True):
         assert strip.draw_card(scene, column, row, longest) in kept, scene.title
+
+
+def test_the_first_page_shows_the_strip_and_one_table_and_loads_fast():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert "docs/images/strip.svg" in readme and readme.count("\n|---|") == 1, "one table"
     shown = [ROOT / path for path in re.findall(r"!\[[^\]]*\]\((docs/\S+)\)", readme)]
