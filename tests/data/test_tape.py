@@ -45,6 +45,11 @@ def change(**arrays) -> Tape:
     return dataclasses.replace(make_tape(), **arrays)
 
 
+def empty_one(counts: np.ndarray) -> np.ndarray:
+    """The same sum, with nothing left in the second."""
+    return np.array([counts[0] + counts[1], 0, *counts[2:]], counts.dtype)
+
+
 @pytest.mark.parametrize(("tape", "words"), [
     (lambda: change(about={**make_tape().about, "engine": "mujoco"}), "its engine is 'mujoco'.*replays 'bullet'"),
     (lambda: change(about={**make_tape().about, "dynamics": "EscapeRoom-v0"}), "EscapeRoom-v0.*EscapeRoom-v1"),
@@ -54,6 +59,8 @@ def change(**arrays) -> Tape:
     (lambda: change(option=make_tape().option + np.int16(9)), "option has numbers outside 0 to 2"),
     (lambda: change(decisions=make_tape().decisions + np.int32(1)), "decisions stand for"),
     (lambda: change(legal=make_tape().legal[:-1]), "legal stand for"),
+    (lambda: change(duration=empty_one(make_tape().duration)), "a decision without primitives"),
+    (lambda: change(decisions=empty_one(make_tape().decisions)), "an episode without decisions"),
 ])
 def test_a_tape_of_another_engine_or_that_contradicts_itself_is_refused_by_name(tmp_path, tape, words):
     save_tape(tmp_path / "wrong.npz", tape())

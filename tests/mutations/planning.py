@@ -256,4 +256,25 @@ MUTATIONS = [
         "plan, plan.instance, clearance",
         "planning/motion/test_trajectory.py::test_under_physics_nothing_is_pressed_by_a_margin",
     ),
+    Mutation(
+        "fields outlive an edit that moves links only",
+        "floor/cost_to_go.py",
+        "is_same = not (moved.any() or links.any())",
+        "is_same = not moved.any()",
+        "floor/test_dijkstra.py::test_what_an_edit_leaves_is_equal_to_what_is_made_anew",
+    ),
+    Mutation(
+        "a corridor lies round the beginnings of the legs",
+        "floor/cost_to_go.py",
+        "zip((path[:-1] + legs / 2).tolist(), legs.tolist(), strict=True)",
+        "zip(path[:-1].tolist(), legs.tolist(), strict=True)",
+        "floor/test_dijkstra.py::test_a_corridor_holds_the_cells_within_its_width_of_a_path",
+    ),
+    Mutation(
+        "a tape may have a decision of no primitive",
+        "data/tape.py",
+        "(int(tape.duration.min()) < 1 or int(tape.decisions.min()) < 1)",
+        "int(tape.decisions.min()) < 1",
+        "data/test_tape.py",
+    ),
 ]

@@ -235,6 +235,8 @@ def test_a_held_object_is_a_link_in_every_library_and_goes_where_the_hand_goes()
     assert held.planner.rules.get_hand(state) == hand, "the hand itself is as before"
     model = ArmKinematics(held.planner.rules.robot).model
     assert model.existFrame("held-crate")
+    masses = [sum(part.mass for part in each.inertias) for each in (model, ArmKinematics(rules.robot).model)]
+    assert masses[0] - masses[1] == pytest.approx(100.0 * 0.2 * 0.2 * 0.5), "kg, of a box of 0.2 x 0.2 x 0.5 m"
 
     turned = state._replace(heading_steps=(state.heading_steps + 9) % 36)  # a quarter turn to the left
     put = held.detach(turned).things["crate"]

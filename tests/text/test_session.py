@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+import re
 from typing import Any
 
 import numpy as np
@@ -82,6 +84,7 @@ def test_looking_is_free_ten_times_between_two_moves():
 
 def test_a_game_that_is_over_answers_and_costs_nothing():
     session = make_session(get_room("pair", 3))
+    assert session.score().efficiency == 0.0
     for name in ("press button-1", "press button-2", "press button-1", "leave"):
         session.call("run_option", {"option": name})
     score = session.score()
@@ -102,6 +105,22 @@ def test_levels_tell_more_and_more():
     assert "at (" in texts["places"] and texts["places"] in texts["model"] and "(define (domain" in texts["model"]
     with pytest.raises(UnknownNameError, match="everything"):
         make_session(get_room("chain-3"), "everything")
+
+
+def test_places_and_headings_are_told_to_half_a_metre_and_a_degree():
+    session = make_session(get_room("chain-3"), "places")
+    for name, times in (("turn-left", 7), ("forward", 2), ("turn-right", 12), ("forward", 3)):
+        session.call("move", {"primitive": name, "times": times})
+        text, state = session.call("look").text, session.env.state
+        told = re.search(r"^You are at \((.+), (.+)\), facing (\d+) degrees", text)
+        assert told is not None
+        x, y, degrees = map(float, told.groups())
+        turned = state.heading_steps * 10 + math.degrees(state.heading_offset) - degrees
+        assert abs(math.remainder(turned, 360)) <= 0.5 and 0 <= degrees < 360
+        assert [abs(x - state.x), abs(y - state.y)] == pytest.approx([0.125] * 2, abs=0.126) and 2 * x % 1 == 0
+        for target in session.env.instance.targets:
+            at = re.search(rf'"{target.name}" at \((.+?), (.+?)\)', text)
+            assert at is not None and math.dist(map(float, at.groups()), (target.x, target.y)) <= 0.36
 
 
 def test_what_is_no_room_is_refused():

@@ -149,8 +149,12 @@ def test_motions_are_the_same_again_and_failures_have_reasons():
     planner, state = make_planner("arm", 3)
     one, two = (planner.plan(state, (0.9, 0.5, -0.8), seed=3).points for _ in range(2))
     assert np.array_equal(one, two)
-    with pytest.raises(ConfigError, match="3 joints"):
-        planner.plan(state, (0.1, 0.2))
+    for wrong in ((0.1, 0.2), (0.1, 0.2, 99.0), (0.1, -99.0, 0.2), (0.1, 0.2, math.nan)):
+        with pytest.raises(ConfigError, match="3 joints"):
+            planner.plan(state, wrong)
+    for wrong in ((state.x, state.y), (state.x, state.y, math.nan), (99.0, state.y, 0.0)):
+        with pytest.raises(ConfigError, match="place"):
+            planner.plan_whole_body(state, wrong, (0.1, 0.2, 0.3))
     with pytest.raises(UnknownNameError):
         planner.plan(state, (0.1, 0.2, 0.3), planner="nobody")
     heading = planner.rules.get_heading(state)
