@@ -9,6 +9,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 
@@ -58,8 +59,8 @@ def run_python(script: str, *arguments: str) -> subprocess.CompletedProcess[str]
     return subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True)
 
 
-def run_here(script: str) -> str:
+def run_here(script: str, *arguments: str) -> str:
     """What a script prints in this process, to hold against what it prints in another."""
-    with contextlib.redirect_stdout(io.StringIO()) as out:
+    with patch.object(sys, "argv", ["-c", *arguments]), contextlib.redirect_stdout(io.StringIO()) as out:
         exec(script, {})
     return out.getvalue()

@@ -2,13 +2,13 @@
 
 import errno
 import fcntl
-import subprocess
-import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from hrl_escape.processes import take_lock, taking_turns
+from tests.forks import run_fork
 
 
 def test_a_lock_has_one_holder_and_is_free_again_once_it_is_closed(tmp_path: Path):
@@ -45,8 +45,9 @@ for _ in range(50):
 
 def test_processes_that_take_turns_lose_nothing_of_each_other(tmp_path: Path):
     folder = tmp_path / "new"
-    both = [subprocess.Popen([sys.executable, "-c", COUNT, str(folder)]) for _ in range(2)]
-    assert [each.wait(timeout=600) for each in both] == [0, 0]
+    with ThreadPoolExecutor() as pool:
+        both = [pool.submit(run_fork, COUNT, folder) for _ in range(2)]
+    assert [each.result().returncode for each in both] == [0, 0]
     assert (folder / "count").read_text() == "100" and [path.name for path in folder.iterdir()] == ["count"]
 
 

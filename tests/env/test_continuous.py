@@ -45,8 +45,9 @@ def test_the_action_space_is_the_robot_s():
     assert other.action_space.shape == (2,)
 
 
-@pytest.mark.parametrize(("preset", "seed"), [("paper-random", 1), ("potions", 0), ("arm-two-button", 0),
-                                              ("lights-out", 0), ("door-free", 0)])
+@pytest.mark.parametrize(("preset", "seed"), [
+    ("paper-random", 1), ("arm-two-button", 0), ("door-free", 0),
+    *(pytest.param(preset, 0, marks=pytest.mark.slow) for preset in ("potions", "lights-out"))])
 def test_a_plan_of_primitives_played_as_velocities_reaches_the_same_states(preset, seed):
     config = change("clutter", {"drive": "differential"}) if preset == "door-free" else get_preset(preset)
     planner = RoomPlanner(generate(config, seed))

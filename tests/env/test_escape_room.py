@@ -26,6 +26,7 @@ from hrl_escape.errors import (
     ResetNeededError,
     UnknownNameError,
 )
+from tests.command_line import run_here
 from tests.covering import cover, thin
 from tests.env.rooms import EXTREMES
 from tests.forks import run_fork
@@ -142,9 +143,8 @@ print(digest.hexdigest())
     ],
 )
 def test_ten_resets_of_a_once_seeded_environment_repeat_in_another_process(name, arguments):
-    first, second = (run_fork(TRAJECTORY, name, json.dumps(arguments)) for _ in range(2))
-    assert first.returncode == 0, first.stderr
-    assert first.stdout == second.stdout
+    assert run_here(TRAJECTORY, name, json.dumps(arguments)) == run_fork(TRAJECTORY, name, json.dumps(arguments),
+                                                                         check=True).stdout
 
 
 def test_resampling_draws_new_instances_from_the_episode_stream():

@@ -1,17 +1,16 @@
 """A new field of a schematic, with a default that means what was so before, leaves the ids of rooms as they are."""
 
 import json
-import subprocess
-import sys
 
 from hrl_escape.env.config import RobotConfig, RoomConfig
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.sampling.generation import generate
+from tests.forks import run_fork
 
 PRESETS = ("paper-one-button", "paper-two-button", "ten-button", "bit-flip", "hanoi", "code-lock", "four-rooms", "taxi",
            "key-chest", "dead-ends")
-SEEDS = range(5)
+SEEDS = range(2)
 
 PLANT = r"""
 import importlib.machinery, json, re, sys
@@ -55,10 +54,10 @@ print(json.dumps({"ids": [room.id for room in rooms], "other": other.id, "robot"
 
 def test_new_fields_change_no_id_until_they_say_something():
     script = PLANT.replace("PRESETS", repr(PRESETS)).replace("SEEDS", f"range({len(SEEDS)})")
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    done = run_fork(script)
     assert done.returncode == 0, done.stderr
     said, ids = json.loads(done.stdout), [generate(get_preset(name), seed).id for name in PRESETS for seed in SEEDS]
-    assert said["ids"] == ids and len(ids) == 50 and len(set(ids)) >= 30  # some presets have one room
+    assert said["ids"] == ids and len(ids) == 20 and len(set(ids)) >= 14  # some presets have one room
     assert said["schematics"] == json.loads(json.dumps([get_preset(name).to_dict() for name in PRESETS]))
     assert said["robot"] == 2 and said["other"] not in ids
 

@@ -218,7 +218,7 @@ def test_it_is_the_mean_over_the_starts():
 
 
 def test_what_no_one_can_do_is_worth_the_horizon():
-    instance = generate(get_preset("four-button-chain"), 0)
+    instance = generate(get_preset("paper-two-button"), 0)
     fewest = find_best_known(instance, make_start(instance)).primitives
     assert fewest is not None
     for horizon, value in ((10, -10), (fewest - 1, 1 - fewest), (fewest, 100 - fewest)):
@@ -226,7 +226,7 @@ def test_what_no_one_can_do_is_worth_the_horizon():
 
 
 def test_a_better_return_is_taken_over_and_said(tmp_path):
-    instance, path = generate(get_preset("four-button-chain"), 0), tmp_path / "best.json"
+    instance, path = generate(get_preset("paper-two-button"), 0), tmp_path / "best.json"
     start = make_start(instance)
     before = best_known_return(instance)
     with warnings.catch_warnings():

@@ -119,9 +119,9 @@ def test_a_run_measures_escapes_corners_and_entropy(repeat: int):
 def test_a_run_ends_once_it_is_efficient_or_has_escaped():
     room = generate(get_preset("paper-one-button"), 0)
     learner = FlatLearner("x", ARCHIVE, {"cell": 1.0, "headings": 1}, streams=0)
-    whole, efficient, escaped = (run_flat(learner, room, 0, 20_000, 500, until) for until in (None, 0.4, 0.0))
+    whole, efficient, escaped = (run_flat(learner, room, 0, 10_000, 500, until) for until in (None, 0.4, 0.0))
     at = whole.find_threshold(0.4)
-    assert whole.spent >= 20_000 > efficient.spent and at is not None and efficient.find_threshold(0.4) == at
+    assert whole.spent >= 10_000 > efficient.spent and at is not None and efficient.find_threshold(0.4) == at
     assert efficient.curve == whole.curve[: len(efficient.curve)] and efficient.curve[-2][1] >= 0.4
     assert escaped.first_escape == escaped.spent == whole.first_escape
     assert len({whole.key, efficient.key, escaped.key}) == 3

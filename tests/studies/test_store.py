@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ from hrl_escape.processes import taking_turns
 from studies.baseline import BaselineRun
 from studies.learned.dial import DialLine
 from studies.store import Store
+from tests.forks import run_fork
 
 LINE = BaselineRun("per-instance", "low", "x/low/test[0]", "dqn", 0, 1000, 0.8, None, 1.0, 5, 1.0, 70, "abc")
 DIAL = DialLine("room", "planned", 0, 0.5, 0, 0.25)
@@ -66,8 +66,9 @@ for seed in range(1, 41):
 def test_processes_that_add_at_once_lose_no_line_of_each_other(tmp_path: Path):
     store = Store(tmp_path / "raw.jsonl", (BaselineRun,))
     store.add([LINE])
-    both = [subprocess.Popen([sys.executable, "-c", ADD, str(store.path), agent]) for agent in ("dqn", "ppo")]
-    assert [each.wait(timeout=600) for each in both] == [0, 0]
+    with ThreadPoolExecutor() as pool:
+        both = [pool.submit(run_fork, ADD, store.path, agent) for agent in ("dqn", "ppo")]
+    assert [each.result().returncode for each in both] == [0, 0]
     assert {(line.agent, line.seed) for line in store.load()} == {
         ("dqn", 0), *((agent, seed) for agent in ("dqn", "ppo") for seed in range(1, 41))}
 

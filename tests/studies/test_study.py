@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -69,27 +69,27 @@ def call(*arguments: str) -> subprocess.CompletedProcess[str]:
     return run_module("studies", *arguments, cwd=ROOT.parent)
 
 
-def test_a_new_study_is_a_folder_of_fewer_than_60_lines_besides_its_template(planted: Path):
+def test_a_new_study_is_a_folder_of_fewer_than_60_lines_besides_its_template(
+        planted: Path, capsys: pytest.CaptureFixture[str]):
     assert sum(len((planted / name).read_text().splitlines()) for name in ("study.toml", "analysis.py")) < 60
     docs = planted.parent / "docs"
-    done = call(str(planted), "--docs", str(docs), "--out", str(planted.parent / "runs"), "--workers", "1")
-    assert done.returncode == 0, done.stderr
-    assert "`planner` escapes most often." in done.stdout and f"Page: {docs / 'one-button.md'}" in done.stdout
+    assert main([str(planted), "--docs", str(docs), "--out", str(planted.parent / "runs"), "--workers", "1"]) == 0
+    printed = capsys.readouterr().out
+    assert "`planner` escapes most often." in printed and f"Page: {docs / 'one-button.md'}" in printed
     page, raw = (docs / "one-button.md").read_text(), docs / "raw" / "one-button.jsonl"
     assert "| planner | 2 | 1.00 |" in page and f"python -m studies {planted} --runs 2" in page
     assert raw.read_text().count("\n") == 4
     raw.write_text(raw.read_text().replace('"escapes":1.0', '"escapes":0.0'))
-    assert call(str(planted), "--docs", str(docs), "--from-raw").returncode == 0
+    assert main([str(planted), "--docs", str(docs), "--from-raw"]) == 0
     assert "All agents escape as often." in (docs / "one-button.md").read_text()
 
 
 def test_two_processes_of_one_study_that_share_a_folder_keep_all_lines(planted: Path):
     docs = planted.parent / "docs"
-    command = [sys.executable, "-m", "studies", str(planted), "--docs", str(docs), "--workers", "1"]
-    both = [subprocess.Popen([*command, "--out", str(planted.parent / f"runs-{seed}"), "--first-seed", str(seed)],
-                             cwd=ROOT.parent)
-            for seed in (0, 100)]
-    assert [each.wait(timeout=600) for each in both] == [0, 0]
+    with ThreadPoolExecutor() as pool:
+        both = [pool.submit(call, str(planted), "--docs", str(docs), "--workers", "1", "--out",
+                            str(planted.parent / f"runs-{seed}"), "--first-seed", str(seed)) for seed in (0, 100)]
+    assert [each.result().returncode for each in both] == [0, 0]
     assert "| random | 4 | " in (docs / "one-button.md").read_text()
 
 

@@ -129,6 +129,7 @@ def test_values_of_all_goals_come_out_exact():
             assert values == pytest.approx(exact, abs=0.3), (state, goal)
 
 
+@pytest.mark.slow
 def test_bits_that_chance_never_sets_right_are_learned_in_hindsight_and_only_so():
     """Andrychowicz et al. (2017), figure 1, in small: 256 goals, episodes of eight flips."""
     reached = {goals: train("dqn", BitFlip(8), primitives=2_500, settings=QUICK | {"hindsight_goals": goals},

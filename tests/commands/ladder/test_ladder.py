@@ -175,7 +175,7 @@ def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
 def test_a_tower_is_climbed_by_the_planner_and_not_by_chance(capsys, tmp_path):
     make_manifest().save(tmp_path / "mine.json")
     agents = ["smdp-dqn+objects+memory+no-primitives", "smdp-random", "planner"]
-    options = ["--protocol", "tower", "--benchmark", str(tmp_path / "mine.json"), "--rooms", "2", "--train-sizes", "3",
+    options = ["--protocol", "tower", "--benchmark", str(tmp_path / "mine.json"), "--rooms", "1", "--train-sizes", "1",
                "--runs", "1", "--primitives", "10", "--workers", "1", "--out", str(tmp_path)]
     code, out, err = call(capsys, "run", *agents, *options)
     assert code == 0 and "tower: 3 runs finished, 0 failed" in out, err
@@ -187,7 +187,7 @@ def test_a_tower_is_climbed_by_the_planner_and_not_by_chance(capsys, tmp_path):
     out = call(capsys, "report", str(tmp_path), *options[:4])[1]
     assert "2.00 of 2" in out and "Ladder score over tower:" in out
     (place,) = read_comparison(tmp_path / "tower" / "tower").places
-    assert [len(rooms) for rooms in place.split.train.floors] == [3, 3] and len(place.split.test) == 4
+    assert [len(rooms) for rooms in place.split.train.floors] == [1, 1] and len(place.split.test) == 1
     assert place.split.room_overlap == 0 and place.instance.horizon == TOWER_HORIZON
     command = (tmp_path / "tower" / "tower" / "summary.md").read_text()
     assert f"hrl-escape ladder run {' '.join(agents)} --rung one five --workers 1 --protocol tower" in command
@@ -208,6 +208,7 @@ def test_a_tower_that_cannot_be_climbed_is_refused_in_one_line(capsys, tmp_path)
 
 
 def test_a_tower_has_the_rungs_whose_robots_have_the_same_primitives(capsys, tmp_path):
-    code, out, _ = call(capsys, "run", "planner", "--protocol", "tower", "--dry-run", "--out", str(tmp_path))
+    code, out, _ = call(capsys, "run", "planner", "--protocol", "tower", "--dry-run", "--out", str(tmp_path),
+                        "--rooms", "1", "--train-sizes", "1")
     assert code == 0 and out.startswith("Left out of the tower, as their robots have other primitives: reach")
     assert "tower: 10 runs, 10 to be made" in out

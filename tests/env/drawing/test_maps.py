@@ -4,6 +4,7 @@ import itertools
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.graphs import GraphConfig, compute_order, sample_graph
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import FileWriteError, UnsupportedError
+from tests.command_line import run_here
 from tests.covering import thin
 from tests.env.rooms import all_schematics
 
@@ -149,13 +151,11 @@ for path in sys.argv[1:]:
 
 
 def test_the_same_map_gives_the_same_bytes_in_any_process(tmp_path):
-    contents = []
-    for seed in ("1", "2"):
-        paths = [tmp_path / f"{seed}.{ending}" for ending in ("svg", "png", "pdf")]
-        subprocess.run([sys.executable, "-c", DRAW, *map(str, paths)], check=True,
-                       env=os.environ | {"PYTHONHASHSEED": seed})
-        contents.append([path.read_bytes() for path in paths])
-    assert contents[0] == contents[1]
+    here, there = ([str(tmp_path / f"{place}.{ending}") for ending in ("svg", "png", "pdf")]
+                   for place in ("here", "there"))
+    run_here(DRAW, *here)
+    subprocess.run([sys.executable, "-c", DRAW, *there], check=True, env=os.environ | {"PYTHONHASHSEED": "1"})
+    assert [Path(path).read_bytes() for path in here] == [Path(path).read_bytes() for path in there]
 
 
 def test_map_images_are_pixels():

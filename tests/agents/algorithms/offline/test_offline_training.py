@@ -11,6 +11,7 @@ from hrl_escape.agents.registry import get_agent_class, list_agents, list_offlin
 from hrl_escape.agents.training.train import load_agent, train
 from hrl_escape.data.materialise import load_data
 from hrl_escape.errors import AgentSettingsError, UnsupportedError
+from tests.covering import thin
 from tests.data.small import make_tape, save_small
 
 NETWORKS = {"values": "network", "hidden": [8], "batch_size": 16}
@@ -21,7 +22,7 @@ def list_names():
     return [name if get_agent_class(name).reads_both else f"smdp-{name}" for name in list_offline_agents()]
 
 
-@pytest.mark.parametrize("name", list_names())
+@pytest.mark.parametrize("name", thin(list_names(), step=3, first=1))
 def test_each_agent_learns_goes_on_to_the_same_bits_and_is_loaded_from_its_folder(name, tmp_path, monkeypatch):
     settings = SMALL.get(name.removeprefix("smdp-"), NETWORKS)
     data = load_data(make_tape(), observation="objects", rooms="own")
