@@ -158,7 +158,7 @@ def test_a_name_that_no_file_can_have_and_what_is_no_file_are_one_line(capsys, t
 
 def test_an_animation_needs_no_viewer(tmp_path):
     script = ("import sys; sys.modules['viser'] = sys.modules['trimesh'] = None; from hrl_escape.cli import main\n"
-              "sys.exit(main(['record', '--out', sys.argv[1]]))")
+              "sys.exit(main(['record', '--preset', 'paper-one-button', '--out', sys.argv[1]]))")
     done = run_fork(script, str(tmp_path / "x.gif"))
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "x.gif").read_bytes()[:3] == b"GIF"

@@ -32,7 +32,7 @@ def walk_everywhere(agent_class, **settings):
     env = FourRooms(HOME, "none", horizon=60)
     agent = agent_class(env.observation_space, env.action_space, 0, agent_class.Settings(**EXACT | settings),
                         make_walks())
-    learn(agent, env, 25_000)
+    learn(agent, env, 45_000)
     agent = restart(agent, env, agent_class)
     rng = np.random.default_rng(0)
     for cell in range(1, env.states):
