@@ -105,7 +105,7 @@ def test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_o
 
     settings, error, compute = EXACT[name]
     many = SyncVectorEnv([make] * 16, autoreset_mode=AutoresetMode.SAME_STEP)
-    agent = train(name, many, primitives=10_000, eval_env=make(), eval_episodes=0, settings=settings | {"gamma": 0.9}
+    agent = train(name, many, primitives=16_000, eval_env=make(), eval_episodes=0, settings=settings | {"gamma": 0.9}
                   ).agent
     exact = compute(CHAIN, 0.9)
     for state in range(4):

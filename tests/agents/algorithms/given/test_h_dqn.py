@@ -151,13 +151,14 @@ def test_goals_that_are_given_are_a_privilege():
     assert agent.privileges == ("goals",) and make(env).privileges == ()
 
 
+@pytest.mark.slow
 def test_networks_value_the_way_to_a_goal_near_its_probability():
     """Goal 11 is the last position: right all the way, reached from position p with probability p / 5."""
     env = Chain()
     settings = HDqn.Settings(gamma=1.0, hidden=(32,), worker_warmup=10_000, patience=0, reward_scale=1.0,
                              learning_rate=2e-3, target_rate=0.02, worker_epsilon_end=0.2)  # fmt: skip
     agent = HDqn(env.observation_space, env.action_space, 0, settings)
-    learn(agent, env, 3_000)
+    learn(agent, env, 5_000)
     values = np.array([agent.worker.compute(position, 11) for position in range(1, 5)])
     assert (values.argmax(axis=1) == 1).all()
     assert values.max(axis=1) == pytest.approx([0.2, 0.4, 0.6, 0.8], abs=0.2)
