@@ -36,7 +36,7 @@ def main(primitives: int = 5_000, runs: int = 4, out: Path = Path("runs/own-comp
         rooms=(RoomSpec("paper-two-button"), RoomSpec("four-button-chain")),
         runs=runs,
         primitives=primitives,
-        eval_every=primitives // 4,
+        eval_every=primitives // 2,
         eval_episodes=2,
     )
     summary = write_report(run_grid(grid, out), f"python examples/own_comparison.py --primitives {primitives}")

@@ -39,7 +39,7 @@ LESSONS = [
     ("tools_trl.py", [], [r"You drive a robot", r"over: escaped", r"reward (0\.[5-9]\d|1\.00)"]),
     ("tools_balrog.py", [], [r"The puzzle: ", r"over: escaped", r"'progression': 1\.0, 'failed_candidates': \['ask"]),
     ("tools_openenv.py", [], [r"OpenEnv is not installed|escaped\. \d+\.0 True"]),
-    ("own_comparison.py", ["--primitives", "8", "--runs", "1", "--out", "out"],
+    ("own_comparison.py", ["--primitives", "2", "--runs", "1", "--out", "out"],
      [r"headline: ", r"caution: One run a room", r"report: out/report.html"]),
 ]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
+from collections.abc import Iterable
 from importlib.metadata import distributions
 from pathlib import Path
 
@@ -97,13 +98,13 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
 ]
 
 
-def write_house(folder: Path, imports: dict[str, str]) -> Path:
-    """Writes a package with every planned module, empty but for the import given for it."""
-    package = folder / "hrl_escape"
-    for module in {*HOUSE, *imports}:
+def write_house(folder: Path, imports: Iterable[tuple[str, str]]) -> Path:
+    """Writes a package with every planned module, empty but for the imports given, (importer, imported)."""
+    package, imports = folder / "hrl_escape", list(imports)
+    for module in {*HOUSE, *(importer for importer, _ in imports)}:
         path = package.joinpath(*module.split(".")).with_suffix(".py")
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(f"import {imports[module]}\n" if module in imports else "")
+        path.write_text("".join(f"import {imported}\n" for importer, imported in imports if importer == module))
         for parent in path.relative_to(folder).parents[:-1]:
             (folder / parent / "__init__.py").touch()
     return folder
@@ -115,7 +116,7 @@ def lint_imports(house: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_import_contracts_allow_what_the_house_plan_allows(tmp_path: Path):
-    done = lint_imports(write_house(tmp_path, ALLOWED_IMPORTS))
+    done = lint_imports(write_house(tmp_path, ALLOWED_IMPORTS.items()))
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -123,24 +124,30 @@ def test_import_contracts_allow_what_the_house_plan_allows(tmp_path: Path):
     ("env.robot", "env.primitives"), ("agents.algorithms.dqn", "agents.algorithms.sarsa"),
     ("agents.algorithms.given.hamq", "agents.algorithms.dqn")])
 def test_import_contracts_find_a_cycle(tmp_path: Path, one: str, other: str):
-    imports = {one: f"hrl_escape.{other}", other: f"hrl_escape.{one}"}
+    imports = ((one, f"hrl_escape.{other}"), (other, f"hrl_escape.{one}"))
     assert "no cycles BROKEN" in lint_imports(write_house(tmp_path, imports)).stdout
 
 
 def test_import_contracts_find_a_cycle_of_types(tmp_path: Path):
-    house = write_house(tmp_path, {"planning.goals": "hrl_escape.planning.planner"})
+    house = write_house(tmp_path, [("planning.goals", "hrl_escape.planning.planner")])
     (house / "hrl_escape/planning/planner.py").write_text(
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import hrl_escape.planning.goals\n")
     assert "no cycles BROKEN" in lint_imports(house).stdout
 
 
-@pytest.mark.parametrize(("importer", "imported", "contract"), FORBIDDEN_IMPORTS)
-def test_import_contracts_find_a_planted_violation(
-    tmp_path: Path, importer: str, imported: str, contract: str
-):
-    report = lint_imports(write_house(tmp_path, {importer: imported})).stdout
-    broken = [line for line in report.splitlines() if line.endswith(" BROKEN")]
-    assert len(broken) == 1 and broken[0].startswith(contract), report
+def test_import_contracts_find_planted_violations(tmp_path: Path):
+    """All at once; each is told below the contract that it breaks."""
+    report = lint_imports(write_house(tmp_path, (pair[:2] for pair in FORBIDDEN_IMPORTS))).stdout
+    contracts = re.findall(r"^(.+) (?:BROKEN|KEPT)$", report, re.MULTILINE)
+    assert len(contracts) == 13
+    told = report.partition("Broken contracts")[2]
+    places = sorted((told.index(f"\n{name}\n---"), name) for name in contracts)
+    ends = [*(place for place, _ in places[1:]), len(told)]
+    below = {name: " ".join(told[place:end].split()) for (place, name), end in zip(places, ends, strict=True)}
+    for importer, imported, contract in FORBIDDEN_IMPORTS:
+        (name,) = (name for name in contracts if name.startswith(contract))
+        package = imported if imported.startswith("hrl_escape") else imported.partition(".")[0]
+        assert f"- hrl_escape.{importer} -> {package} (" in below[name], (importer, imported, below[name])
 
 
 # --- names -----------------------------------------------------------------------------

@@ -91,6 +91,7 @@ def test_play_escapes_by_key_presses_alone_and_undo_returns_the_exact_state(one_
         assert game.episode.state == start
 
 
+@pytest.mark.slow
 def test_meta_keys_press_buttons_and_buttons_on_the_page_do_the_same(two_buttons, browser, tmp_path: Path):
     with playing(two_buttons, browser, tmp_path) as (game, page):
         page.press("m")
@@ -120,6 +121,7 @@ def test_meta_keys_press_buttons_and_buttons_on_the_page_do_the_same(two_buttons
         page.wait("document.body.innerText.includes('Started again')")
 
 
+@pytest.mark.slow
 def test_driving_keys_leave_the_camera_alone_and_cameras_follow_when_asked(one_button, browser, tmp_path: Path):
     with playing(one_button, browser, tmp_path) as (game, page):
         (client,) = game.server.get_clients().values()
@@ -134,6 +136,7 @@ def test_driving_keys_leave_the_camera_alone_and_cameras_follow_when_asked(one_b
         wait_until(lambda: np.hypot(*(client.camera.position[:2] - (state.x, state.y))) < 7.0)
 
 
+@pytest.mark.slow
 def test_a_client_that_vanishes_mid_episode_harms_nothing(two_buttons, browser, tmp_path: Path):
     with playing(two_buttons, browser, tmp_path) as (game, page):
         other = browser.open(get_url(game.server))
