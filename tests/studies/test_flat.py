@@ -125,9 +125,14 @@ def test_a_run_ends_once_it_is_efficient_or_has_escaped():
     assert efficient.curve == whole.curve[: len(efficient.curve)] and efficient.curve[-2][1] >= 0.4
     assert escaped.first_escape == escaped.spent == whole.first_escape
     assert len({whole.key, efficient.key, escaped.key}) == 3
+
+
+@pytest.mark.slow
+def test_a_run_in_many_rooms_ends_with_the_first_evaluation_after_its_escape():
+    room = generate(get_preset("paper-one-button"), 0)
     streams = FlatLearner("x", "ppo", {"rollout": 64, "epochs": 1}, streams=4)
     run = run_flat(streams, room, 0, 60_000, 500, 0.0)
-    assert run.first_escape is not None and run.spent < 60_000, "with the first evaluation after it"
+    assert run.first_escape is not None and run.spent < 60_000
 
 
 def test_advantages_as_they_are_make_the_loss_their_mean():

@@ -210,7 +210,7 @@ def count_rows(folder):
 def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path):
     pieces, whole = tmp_path / "pieces", tmp_path / "whole"
     chance = random.Random(0)
-    for target in (1, 9, 40):  # rows of the log after which to kill, a random moment later
+    for target in (1, 40):  # rows of the log after which to kill, a random moment later
         process = start(pieces, pause=0.002)
         while count_rows(pieces) < target:
             assert process.poll() is None, "it finished before it could be killed"

@@ -61,7 +61,7 @@ def test_a_room_of_the_small_benchmark_can_be_shown(capsys, tmp_path):
 
 
 def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
-    options = ["--rung", "doormat", "--protocol", "generalise", "--rooms", "2", "--train-sizes", "2", "--runs", "1",
+    options = ["--rung", "doormat", "--protocol", "generalise", "--rooms", "1", "--train-sizes", "1", "--runs", "1",
                "--primitives", "10", "--workers", "1", "--out", str(tmp_path)]
     code, out, err = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
     assert code == 0 and "doormat: 2 runs finished, 0 failed" in out
@@ -92,7 +92,7 @@ def test_a_benchmark_of_one_s_own_is_run_from_its_file(capsys, tmp_path):
 
 def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
     options = ["--from", "doormat", "--protocol", "transfer"]
-    budget = ["--rung", "pair", "--rooms", "2", "--train-sizes", "2", "--runs", "1", "--primitives", "10",
+    budget = ["--rung", "pair", "--rooms", "1", "--train-sizes", "1", "--runs", "1", "--primitives", "10",
               "--workers", "1", "--out", str(tmp_path)]
     agents = ["smdp-dqn+objects+memory+no-primitives", "planner"]
     code, out, err = call(capsys, "run", *agents, *options, *budget)
@@ -208,7 +208,12 @@ def test_a_tower_that_cannot_be_climbed_is_refused_in_one_line(capsys, tmp_path)
 
 
 def test_a_tower_has_the_rungs_whose_robots_have_the_same_primitives(capsys, tmp_path):
+    manifest = make_manifest()
+    config = manifest.rungs[0].config
+    other = dataclasses.replace(config, robot=dataclasses.replace(config.robot, drive="differential"))
+    rungs = (*manifest.rungs, dataclasses.replace(manifest.rungs[0], name="driven", config=other))
+    dataclasses.replace(manifest, rungs=rungs).save(tmp_path / "mine.json")
     code, out, _ = call(capsys, "run", "planner", "--protocol", "tower", "--dry-run", "--out", str(tmp_path),
-                        "--rooms", "1", "--train-sizes", "1")
-    assert code == 0 and out.startswith("Left out of the tower, as their robots have other primitives: reach")
+                        "--benchmark", str(tmp_path / "mine.json"), "--rooms", "1", "--train-sizes", "1")
+    assert code == 0 and out.startswith("Left out of the tower, as their robots have other primitives: driven\n")
     assert "tower: 10 runs, 10 to be made" in out

@@ -21,7 +21,7 @@ SMALL = {"h-dqn": {"hidden": (8,), "batch_size": 8, "worker_warmup": 20}, "h-uct
 @pytest.mark.parametrize("name", NAMES)
 def test_it_keeps_the_contract_of_agents(name):
     agent_class = get_agent_class(name)
-    check_agent(agent_class, agent_class.Settings(**SMALL.get(name, {})), decisions=150)
+    check_agent(agent_class, agent_class.Settings(**SMALL.get(name, {})), decisions=100)
 
 
 @pytest.mark.parametrize("name", NAMES)
