@@ -7,6 +7,7 @@ room i of a set follows from the names of benchmark, rung and role and from i.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
@@ -137,5 +138,10 @@ def load_manifest(name: str | Path) -> Manifest:
         return Manifest.from_dict(read_json(name, "manifest"))
     if name not in list_manifests():
         raise UnknownNameError("benchmark", name, list_manifests())
+    return _load_own(name)
+
+
+@functools.cache
+def _load_own(name: str) -> Manifest:
     entry = _DATA / f"{name}.json"
     return Manifest.from_dict(parse_json(entry.read_text(encoding="utf-8"), str(entry), "manifest"))

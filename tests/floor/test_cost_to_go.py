@@ -95,7 +95,7 @@ def test_representative_places_are_free_and_doorways_are_not_lost():
 @pytest.mark.parametrize("floor", ["empty", "40 obstacles", "interior walls"])
 def test_prices_are_near_the_fewest_primitives(floor):
     errors = []
-    for query in make_queries(floor, range(1), 6):
+    for query in make_queries(floor, range(1), 12):
         maker = query.search.get_maker(True)
         field = maker.make_field(maker.find_seeds(*compute_goal_area(query.goal, query.search.instance)))
         price = maker.get_cost(field, query.state)

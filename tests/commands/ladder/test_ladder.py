@@ -187,7 +187,7 @@ def test_a_tower_is_climbed_by_the_planner_and_not_by_chance(capsys, tmp_path):
     out = call(capsys, "report", str(tmp_path), *options[:4])[1]
     assert "2.00 of 2" in out and "Ladder score over tower:" in out
     (place,) = read_comparison(tmp_path / "tower" / "tower").places
-    assert [len(rooms) for rooms in place.split.train.floors] == [1, 1] and len(place.split.test) == 1
+    assert [len(rooms) for rooms in place.split.train.floors] == [1, 1] and len(place.split.test) == 2
     assert place.split.room_overlap == 0 and place.instance.horizon == TOWER_HORIZON
     command = (tmp_path / "tower" / "tower" / "summary.md").read_text()
     assert f"hrl-escape ladder run {' '.join(agents)} --rung one five --workers 1 --protocol tower" in command
