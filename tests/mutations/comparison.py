@@ -201,7 +201,7 @@ MUTATIONS = [
         "comparison/reporting/templates/report.html",
         "<title>{{ grid.name }}:",
         "<title>{{ grid.name | safe }}:",
-        "comparison/reporting/test_report.py",
+        "comparison/reporting/test_report.py::test_labels_are_text_never_markup",
     ),
     Mutation(
         "the best known is raised only by who is better in both",

@@ -59,7 +59,7 @@ MUTATIONS = [
         "data/materialise.py",
         "range(int(duration.max()) + 1)])",
         "range(-1, int(duration.max()))])",
-        "data/test_materialise.py",
+        "data/test_materialise.py::test_a_run_of_options_and_its_replay_agree_to_the_bit",
     ),
     Mutation(
         "the reward of the last primitive comes first",

@@ -71,14 +71,14 @@ MUTATIONS = [
         "ladder/merkle.py",
         "return pairs + list(level[-1:]) * (len(level) % 2)",
         "return pairs or list(level[-1:])",
-        "ladder/test_merkle.py",
+        "ladder/test_merkle.py::test_every_leaf_is_proved_and_no_other_is",
     ),
     Mutation(
         "a proof's sides do not matter",
         "ladder/merkle.py",
         'if side == "left" else _join(leaf, other)',
         "if side else _join(leaf, other)",
-        "ladder/test_merkle.py",
+        "ladder/test_merkle.py::test_every_leaf_is_proved_and_no_other_is",
     ),
     Mutation(
         "every key splits a set alike",
@@ -99,7 +99,7 @@ MUTATIONS = [
         "ladder/keys.py",
         "colours = [int(button == puzzle.goal) for button in range(puzzle.count)]",
         "colours = [int(button == puzzle.count - 1) for button in range(puzzle.count)]",
-        "ladder/test_keys.py",
+        "ladder/test_keys.py::test_names_of_buttons_are_no_part_of_the_task",
     ),
     Mutation(
         "a range of rooms has one too few",

@@ -109,7 +109,7 @@ MUTATIONS = [
         "options/degraded.py",
         "return to if self._wasted % 2 else fro",
         "return to",
-        "options/test_degraded.py",
+        "options/test_degraded.py::test_a_detour_costs_what_it_is_set_to",
     ),
     Mutation(
         "latency is not counted as planning",

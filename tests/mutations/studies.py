@@ -29,14 +29,14 @@ MUTATIONS = [
         "studies/price/ratios.py",
         "outside = int((1 - level) / 2 * (len(below) + 1))",
         "outside = int((1 - level) / 2 * (len(below) + 1)) + 1",
-        "studies/test_price.py",
+        "studies/test_price.py::test_interval_and_p_value_are_those_of_flipped_signs",
     ),
     Mutation(
         "new results of a study take the place of all others",
         "studies/store.py",
         "text = read_text(self.path) if self.path.exists() else \"\"",
         "text = \"\"",
-        "studies/test_store.py studies/test_scaling.py",
+        "studies/test_store.py::test_lines_of_several_kinds_come_back_in_the_order_in_which_they_were_added",
     ),
     Mutation(
         "being told otherwise is tested on one side",
@@ -113,7 +113,7 @@ MUTATIONS = [
         "studies/factorial/words.py",
         "effects = compute_effects(screening, measure_change)\n    shown",
         "effects = compute_effects(screening, measure_area)\n    shown",
-        "studies/test_factorial.py",
+        "studies/test_factorial.py::test_the_slope_decides_and_the_level_stands_beside_it",
     ),
     Mutation(
         "a decision of repeated actions discounts every primitive alike",
