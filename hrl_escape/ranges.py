@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar
 
@@ -71,12 +72,17 @@ def list_ranges(settings: Any) -> dict[str, Between]:
 
 
 def _find_ranges(settings: Any, path: str) -> Iterator[tuple[str, Between]]:
-    for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name)
+    for name in _list_names(type(settings)):
+        value = getattr(settings, name)
         if isinstance(value, Between):
-            yield path + field.name, value
+            yield path + name, value
         elif dataclasses.is_dataclass(value):
-            yield from _find_ranges(value, f"{path}{field.name}.")
+            yield from _find_ranges(value, f"{path}{name}.")
+
+
+@functools.cache
+def _list_names(kind: type) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 def fill_ranges(settings: Dataclass, values: Mapping[str, Any]) -> Dataclass:
