@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import pytest
 
+from hrl_escape.kernels import find_cache_folder
 from tests.forks import run_fork
 
 __all__ = ["ROOT", "Mutation", "PackageCopy", "find_source"]
@@ -54,6 +55,8 @@ def find_source(root: Path, file: str) -> Path:
 class PackageCopy:
     """A copy of the package and its tests, in which one file at a time is broken.
 
+    It begins with the kernels that the package has compiled, and keeps its own: what is broken is compiled anew.
+
     Args:
         folder: where it is made; one that stands there is refreshed, its compiled kernels stay.
     """
@@ -66,6 +69,8 @@ class PackageCopy:
         for path in ROOT.glob("*.*"):
             if path.is_file():
                 shutil.copy2(path, folder)
+        kernels = find_cache_folder()
+        shutil.copytree(kernels, folder / "kernels" / "hrl_escape" / kernels.name, dirs_exist_ok=True)
 
     def is_seen(self, mutation: Mutation, seconds: int = 300) -> bool:
         """Plant a bug, run its tests, mend it; say whether one of them failed, or ran for so many processor seconds.
