@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import zlib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -36,6 +37,15 @@ make_queries("empty", range(1), 1)
 BatchedOptionsEnv(1, "clutter")
 """)
 """Scripts that compile most kernels; each compiles others, for twenty seconds of an idle core."""
+ONCE = """
+import sys
+from hrl_escape.kernels import find_cache_folder
+done = find_cache_folder() / f"compiled-{sys.argv[1]}"
+if not done.exists():
+    exec(sys.argv[2])
+    done.touch()
+"""
+"""Runs one of them, unless it has run since the sources of kernels changed."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -78,5 +88,5 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile kernels before xdist starts its workers, each of which would compile them itself."""
     if session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput"):
         with ThreadPoolExecutor() as pool:
-            for done in pool.map(run_fork, KERNELS):
+            for done in pool.map(lambda script: run_fork(ONCE, zlib.crc32(script.encode()), script), KERNELS):
                 assert done.returncode == 0, done.stderr

@@ -141,6 +141,7 @@ def serve(address: str, run: int) -> None:
             connection.close()
     for name in (address, f"{address}.lock"):
         os.unlink(name)
+    os._exit(0)  # libraries that are taken apart while frozen tell of leaks
 
 
 def _is_alive(pid: int) -> bool:
