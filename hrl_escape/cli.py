@@ -23,7 +23,6 @@ from importlib import import_module
 from pathlib import Path
 
 from hrl_escape import __version__
-from hrl_escape.commands.tree import find_commands
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError
 
 _PROGRAM = "hrl-escape"
@@ -165,6 +164,21 @@ def _run_command(run: Callable[..., int | None], arguments: list[str], words: li
     args = tyro.cli(args_type, prog=" ".join(words), args=arguments, description=document,
                     config=(tyro.conf.FlagCreatePairsOff,))
     return run(args) or 0
+
+
+def find_commands(folder: Path) -> dict[str, Path]:
+    """Names of the commands and groups in a folder, and where they are."""
+    found = {}
+    for path in sorted(folder.iterdir()):
+        is_group = (path / "__init__.py").is_file()
+        if is_group or (path.suffix == ".py" and _has_run(path)):
+            found[path.stem.replace("_", "-")] = path
+    return found
+
+
+def _has_run(path: Path) -> bool:
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    return any(isinstance(part, ast.FunctionDef) and part.name == "run" for part in body)
 
 
 def _get_document(path: Path) -> str:

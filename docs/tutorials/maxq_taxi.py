@@ -15,7 +15,7 @@ import gymnasium
 
 from hrl_escape import generate, get_preset, make_agent, train
 from hrl_escape.agents import maxq
-from hrl_escape.agents.hierarchy.price import compute_price, read_model
+from studies.optima import compute_price, read_model
 
 env = gymnasium.make("Taxi-v4")
 generate(get_preset("taxi"), 0)  # the same world as a room of this package

@@ -1,13 +1,11 @@
-"""Play a room yourself, in the browser or a terminal, and beat the best known return.
+"""Play a room yourself, in the browser, and beat the best known return.
 
     hrl-escape play
     hrl-escape play --preset clutter --seed 3 --hidden
-    hrl-escape play --text
     hrl-escape play --replay episodes/paper-two-button-0-31-primitives-3f9c02ab.json
 
 W A S D and the arrows drive, U J move the arm, M and a number run a meta-action. Z takes a move back, R starts
-again, N enters the next room, F saves the episode. Your best return in each room is kept in --save-to. In the terminal
-you call the tools that a language model would.
+again, N enters the next room, F saves the episode. Your best return in each room is kept in --save-to.
 """
 
 from __future__ import annotations
@@ -17,7 +15,6 @@ from pathlib import Path
 
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.commands.serving import PageAddress
-from hrl_escape.errors import UnsupportedError
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.play.saved_episode import load_episode
 
@@ -32,27 +29,16 @@ class PlayArgs(PageAddress, RoomChoice):
     """File of a saved episode to replay first; its room is used."""
     save_to: Path = Path("episodes")
     """Folder for saved episodes."""
-    text: bool = False
-    """Play in words at the terminal, over ssh too: options by name, answers as a language model gets them."""
     hidden: bool = False
     """Hide which buttons wait for which: the graph shows what your presses prove, and all of it once you escape."""
 
 
 def run(args: PlayArgs) -> None:
     """Play until the user quits."""
-    if args.text and (args.hidden or args.replay):
-        raise UnsupportedError("--text goes neither with --hidden nor with --replay: leave one of them out")
     saved = load_episode(args.replay) if args.replay else None
     instance = saved.instance if saved else args.make_instance()
     config = None if saved or args.load else args.make_config()
     seed = saved.seed if saved else args.episode_seed
-    if args.text:
-        from hrl_escape.env.escape_room import EscapeRoomEnv
-        from hrl_escape.text.session import RoomSession
-        from hrl_escape.viewer.play.terminal import play_in_terminal
-
-        play_in_terminal(RoomSession(EscapeRoomEnv(instance=instance)), seed, args.save_to)
-        return
     episode = Episode(instance, config, seed)
     server = args.open_server()
     try:

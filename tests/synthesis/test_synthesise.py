@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.hierarchy.machine import Do, MachineRun
-from hrl_escape.agents.hierarchy.price import compute_price
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.agents.training.evaluation import evaluate
@@ -22,6 +21,7 @@ from hrl_escape.planning.goals import PressGoal
 from hrl_escape.synthesis import HierarchyEnv, synthesise
 from hrl_escape.synthesis.kinds import LEAVES, list_privileges
 from hrl_escape.synthesis.situation import Situations
+from studies.optima import compute_price
 from tests.synthesis.tiny import TINY, enumerate_tiny
 
 AGENTS = {"maxq": "maxq-q", "ham": "hamq", "landmarks": "h-dqn", "feudal": "feudal-rl"}

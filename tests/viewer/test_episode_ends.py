@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +25,6 @@ from hrl_escape.viewer.play.commands import carry_out
 from hrl_escape.viewer.play.controls import Command
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.play.saved_episode import load_episode, save_episode
-from hrl_escape.viewer.play.terminal import play_in_terminal
 from hrl_escape.viewer.recording import record_saved
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.gate import Gate
@@ -68,7 +65,7 @@ def test_some_puzzle_can_be_failed():
     assert "deep-sea" in FAILING
 
 
-def test_play_its_file_and_the_recorded_page_say_failed(failed, tmp_path, capsys, monkeypatch):
+def test_play_its_file_the_recorded_page_and_a_session_say_failed(failed, tmp_path, capsys):
     episode, said = failed
     assert said == "Failed" and episode.is_over
     save_episode(tmp_path / "mine.json", episode.to_saved())
@@ -79,10 +76,11 @@ def test_play_its_file_and_the_recorded_page_say_failed(failed, tmp_path, capsys
     assert json.loads(re.search(r'id="r-data">(\{.*?\})</script>', page, re.S)[1])["end"] == "failed"
     assert main(["record", str(tmp_path / "mine.json"), "--out", str(tmp_path / "mine.html")]) == 0
     assert "mine: failed after" in capsys.readouterr().out
-    lines = "".join(f"{episode.names[step.primitive]}\n" for step in episode.steps)
-    monkeypatch.setattr(sys, "stdin", io.StringIO(lines))
-    play_in_terminal(RoomSession(EscapeRoomEnv(instance=episode.instance)), episode.seed, tmp_path)
-    assert "The game is over: failed." in capsys.readouterr().out
+    session = RoomSession(EscapeRoomEnv(instance=episode.instance))
+    session.reset(episode.seed)
+    for step in episode.steps:
+        turn = session.call("move", {"primitive": episode.names[step.primitive]})
+    assert "The game is over: failed." in turn.text
 
 
 def test_watching_says_failed(failed):

@@ -41,15 +41,14 @@ def test_an_impossible_address_is_refused_at_once(host: str, port: int):
         open_server(host, port)
 
 
-def test_without_the_extra_one_message_names_it_and_the_terminal_does_without():
+def test_without_the_extra_one_message_names_it_and_rooms_do_without():
     """In one process, for its imports are slow: three commands that need the extra and one that does not."""
     code = ("import sys; sys.modules['viser'] = sys.modules['trimesh'] = None\n"
             "from hrl_escape.cli import main\n"
             "print([main(line.split()) for line in sys.argv[1:]])")
     lines = ["play --no-open", "watch --no-open", "record",
-             "play --text --preset paper-one-button"]
-    done = run_fork(code, *lines, input="forward\n", timeout=600)
+             "room --preset paper-one-button --drive forward"]
+    done = run_fork(code, *lines, timeout=600)
     assert done.stdout.splitlines()[-1] == "[2, 2, 2, 0]", done.stderr
-    assert "1 primitive in 1 call" in done.stdout
     hint = "pip install -c constraints.txt '.[viewer]' in a checkout of hrl-escape"
     assert done.stderr.strip().splitlines() == 3 * [f"hrl-escape: The viewer needs viser: {hint}"]
