@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.simulated_pages import PAGES, Draw
-from hrl_escape.comparison.inference import compute_interval
-from hrl_escape.comparison.pairs import compare_agents, is_better
+from hrl_escape.comparison.inference import compare_agents, compute_interval, is_better
 from hrl_escape.comparison.statistics import compute_iqm, compute_mean
 
 

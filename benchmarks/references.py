@@ -35,8 +35,7 @@ from hrl_escape.files import read_json, read_toml, write_json
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.hidden import derive_seed
 from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.manifest import AxisRecord, Manifest, RungRecord, SetRecord
-from hrl_escape.ladder.references import RungReferences
+from hrl_escape.ladder.manifest import AxisRecord, Manifest, RungRecord, RungReferences, SetRecord
 from hrl_escape.ladder.rung import Rung
 from studies.unseen import make_unseen, play_agent
 

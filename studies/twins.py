@@ -18,8 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.inference import compare_pairs, compute_interval, correct_by_holm
-from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.inference import ALPHA, compare_pairs, compute_interval, correct_by_holm
 from hrl_escape.comparison.references.registry import SEARCHERS
 from hrl_escape.comparison.statistics import LEAST_RUNS, compute_iqm
 from hrl_escape.comparison.verdict import count_things, tell_privileges

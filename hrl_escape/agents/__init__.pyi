@@ -6,10 +6,10 @@ from .hierarchy.task_graph import maxq
 from .registry import get_recipe, list_agents, make_agent
 from .settings import AgentSettings, LearningSettings
 from .state import Kept, Stateful
+from .training.archive import pack_run, read_summary, unpack_run
 from .training.callbacks import Callback, MLflow, OptunaPruning, TensorBoard, WeightsAndBiases
 from .training.evaluation import Evaluation, evaluate, play_episode
 from .training.results import TrainResult, load_result
-from .training.run_archive import pack_run, read_summary, unpack_run
 from .training.train import load_agent, load_env, train
 
 __all__ = [

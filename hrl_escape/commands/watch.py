@@ -25,8 +25,7 @@ from hrl_escape.commands.room_choice import RoomChoice, VectorObservation, split
 from hrl_escape.commands.serving import PageAddress
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
 from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, find_run_room, open_driver
-from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import Watch
+from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
 @dataclasses.dataclass(frozen=True)

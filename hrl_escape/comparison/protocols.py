@@ -1,6 +1,10 @@
 """Protocols of the ladder: the grid of a rung under each, and which rungs an agent has passed.
 
 Every protocol is a grid for the same comparison; nothing here runs anything.
+
+The ladder score is one number an agent, the mean over rungs of the interquartile mean of efficiency. Rungs are strata
+of equal weight, as tasks are in Agarwal et al. (2021). Within a rung whole rooms are drawn, since runs in one room are
+much alike: ten seeds in one room say nothing of the next room. Draws are those of `inference.py`.
 """
 
 from __future__ import annotations
@@ -11,16 +15,57 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from hrl_escape.comparison.grid import AgentSpec, Grid
-from hrl_escape.comparison.inference import Estimate, compute_wilson_interval
-from hrl_escape.comparison.ladder_score import compute_ladder_score, compute_learned_share
+from hrl_escape.comparison.inference import LEVEL, RESAMPLES, Estimate, compute_wilson_interval, draw_weights
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.references.registry import BAYES, BY_NUMBER, FLOORS
-from hrl_escape.comparison.statistics import Scores
+from hrl_escape.comparison.statistics import Floats, Scores, compute_iqm
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.errors import ConfigError
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.tower import TOWER_HORIZON, join_floors, list_sets
 from hrl_escape.text.settings import TOOLS
+
+LEAST_HEADROOM = 0.05
+"""Efficiency between searcher and ceiling below which nothing is said of the share of it that was learned."""
+
+
+def compute_learned_share(efficiency: float, searcher: float, ceiling: float) -> float | None:
+    """Place on the scale from who learns nothing (0) to the most that could be learned from other rooms (1).
+
+    Args:
+        efficiency: of an agent.
+        searcher: of the best searcher that learns nothing and does not know the schematic.
+        ceiling: of who knows how rooms are drawn and what marks mean, and discovers the graph: `smdp-bayes`.
+
+    Returns:
+        Below 0 for who is worse than the searcher; None where less than `LEAST_HEADROOM` lies between the two.
+    """
+    return (efficiency - searcher) / (ceiling - searcher) if ceiling - searcher >= LEAST_HEADROOM else None
+
+
+def compute_ladder_score(rungs: Sequence[Scores], rng: np.random.Generator, resamples: int = RESAMPLES) -> Estimate:
+    """Mean over rungs of the interquartile mean over a rung's runs, with its 95 % interval.
+
+    Args:
+        rungs: for each rung one array (runs,) of efficiencies from 0 to 1 for each unit that is drawn as a whole: a
+            room that was learned in, or a run that was tested in unseen rooms.
+        rng: source of the draws.
+        resamples: number of draws.
+    """
+    value = float(np.mean([compute_iqm(units) for units in rungs]))
+    lower, upper = (np.mean(ends, axis=0)
+                    for ends in zip(*(_draw_ends(units, rng, resamples) for units in rungs), strict=True))
+    return Estimate(value, float(np.quantile(lower, (1 - LEVEL) / 2)), float(np.quantile(upper, (1 + LEVEL) / 2)))
+
+
+def _draw_ends(units: Scores, rng: np.random.Generator, resamples: int) -> tuple[Floats, Floats]:
+    """Draws (resamples,) of a rung's interquartile mean with the lowest efficiency added, and with the highest."""
+    drawn = draw_weights(len(units), resamples, rng)
+    shares = [np.repeat(drawn[:, [number]] / len(unit), len(unit), axis=-1) for number, unit in enumerate(units)]
+    weights = np.concatenate([*shares, drawn[:, -1:]], axis=-1)
+    lower, upper = (compute_iqm([np.concatenate([*units, [bound]])], [weights]) for bound in (0.0, 1.0))
+    return lower, upper
+
 
 Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot", "tower"]
 """`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others of the

@@ -17,8 +17,14 @@ from numpy.typing import ArrayLike
 
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
-from hrl_escape.comparison.inference import Estimate, Statistic, compute_interval, compute_wilson_interval
-from hrl_escape.comparison.pairs import Pair, compare_agents
+from hrl_escape.comparison.inference import (
+    Estimate,
+    Pair,
+    Statistic,
+    compare_agents,
+    compute_interval,
+    compute_wilson_interval,
+)
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.references.registry import PLANNER
 from hrl_escape.comparison.runs import RunResult

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
-from hrl_escape.comparison.pairs import FEWEST_PAIRS, is_better
+from hrl_escape.comparison.inference import FEWEST_PAIRS, is_better
 from hrl_escape.comparison.references import registry as references
 from hrl_escape.comparison.score_range import CEILING, PLANNER
 from hrl_escape.comparison.statistics import LEAST_RUNS

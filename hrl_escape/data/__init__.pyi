@@ -1,8 +1,7 @@
 from .catalogue import DataSpec, find_tape, list_specs, parse_spec
 from .export import to_minari, to_ogbench, to_torch
 from .materialise import DataSet, load_data
-from .played import make_played_tape
-from .record import record
+from .record import make_played_tape, record
 from .tape import Tape, load_tape, save_tape
 
 __all__ = [

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hrl_escape.env.bases.link import make_cylinder_link
+from hrl_escape.env.bases.base import make_cylinder_link
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.errors import RobotError
 from hrl_escape.files import check_files

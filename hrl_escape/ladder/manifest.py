@@ -16,7 +16,7 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.files import parse_json, read_json, write_json
 from hrl_escape.ladder.layouts import LATEST_LAYOUTS
-from hrl_escape.settings import Range, Settings
+from hrl_escape.settings import Range, Settings, read_record
 
 ROLES = ("train", "valid", "test", "test_task")
 """Sets of a rung: to learn on, to choose by, unseen layouts, and unseen layouts with unseen tasks."""
@@ -145,3 +145,35 @@ def load_manifest(name: str | Path) -> Manifest:
 def _load_own(name: str) -> Manifest:
     entry = _DATA / f"{name}.json"
     return Manifest.from_dict(parse_json(entry.read_text(encoding="utf-8"), str(entry), "manifest"))
+
+
+@dataclasses.dataclass(frozen=True)
+class RungReferences:
+    """Mean efficiencies in the test rooms of a rung.
+
+    Attributes:
+        chance: of random choices among the options.
+        searcher: of the best searcher that learns nothing.
+        by: its name.
+        oracle: of the planner, which knows the graph; below 1 only where presses fail by chance.
+        ceiling: of `smdp-bayes`, which knows how rooms are drawn; None where graphs cannot be listed.
+        told: bits of the hidden graph that marks and places tell; None where graphs cannot be listed.
+        hidden: bits of the hidden graph.
+    """
+
+    chance: float
+    searcher: float
+    by: str
+    oracle: float
+    ceiling: float | None = None
+    told: float | None = None
+    hidden: float | None = None
+
+
+def load_references(benchmark: str) -> dict[str, RungReferences]:
+    """References of a benchmark that comes with the package, by rung; empty where they were not measured."""
+    entry = files("hrl_escape.ladder") / "data" / "references" / f"{benchmark}.json"
+    if not entry.is_file():
+        return {}
+    table = parse_json(entry.read_text(encoding="utf-8"), str(entry), "references")
+    return {rung: read_record(RungReferences, own, rung) for rung, own in table.items()}

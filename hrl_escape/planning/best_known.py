@@ -24,8 +24,8 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import draw_episode
 from hrl_escape.errors import EscapeError, FileReadError, PlanningFailed
 from hrl_escape.files import read_json, write_json
-from hrl_escape.planning.escape_bound import bound_escape
 from hrl_escape.planning.goals import Goal
+from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.planning.plan import Plan, strip
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Pose, get_pose

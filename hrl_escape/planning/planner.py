@@ -19,8 +19,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
 from hrl_escape.kernels import read_clock
-from hrl_escape.planning.escape_bound import bound_escape
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, describe_goal, parse_goal
+from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.planning.orders import Orders
 from hrl_escape.planning.plan import Plan, PlanPart, join_parts
 from hrl_escape.planning.requests import PlanningRequest, PlanningResult, bound_cost, compute_plan_cost, iterate_routes

@@ -21,7 +21,7 @@ from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.inference import ALPHA
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.drawing import palette

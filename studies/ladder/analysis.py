@@ -15,15 +15,14 @@ from rich.console import Console
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.inference import (
+    ALPHA,
     compare_pairs,
     compute_wilson_interval,
     correct_by_holm,
 )
-from hrl_escape.comparison.ladder_score import compute_ladder_score
-from hrl_escape.comparison.pairs import ALPHA
-from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, TOWER, get_budget
+from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, TOWER, compute_ladder_score, get_budget
 from hrl_escape.comparison.references.registry import SEARCHERS
-from hrl_escape.comparison.reporting.agent_style import SPARE
+from hrl_escape.comparison.reporting.figures import SPARE
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
 from hrl_escape.ladder.benchmark import load_benchmark

@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.inference import ALPHA
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError

@@ -15,7 +15,7 @@ from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.ladder_score import compute_learned_share
+from hrl_escape.comparison.protocols import compute_learned_share
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.ladder.benchmark import load_benchmark

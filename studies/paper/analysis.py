@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hrl_escape.comparison.inference import Estimate, compute_interval
-from hrl_escape.comparison.reporting.agent_style import GREYS
+from hrl_escape.comparison.reporting.figures import GREYS
 from hrl_escape.comparison.statistics import Floats, compute_iqm
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError

@@ -11,8 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from hrl_escape.comparison.inference import Estimate, correct_by_holm
-from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.inference import ALPHA, Estimate, correct_by_holm
 from hrl_escape.comparison.statistics import compute_final
 from hrl_escape.names import join_words
 from studies.paper.measures import (

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.reporting.agent_style import choose_styles
+from hrl_escape.comparison.reporting.figures import choose_styles
 from hrl_escape.comparison.statistics import NEAR_BEST
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import correct_by_holm
-from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.inference import ALPHA, correct_by_holm
 from hrl_escape.comparison.statistics import LEAST_RUNS, NEAR_BEST
 from hrl_escape.names import count_nouns, join_words
 from studies.scaling.followed_runs import count_spared

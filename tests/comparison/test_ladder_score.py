@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.comparison.inference import compute_interval
-from hrl_escape.comparison.ladder_score import compute_ladder_score, compute_learned_share
-from hrl_escape.comparison.protocols import list_standings, score_standings
+from hrl_escape.comparison.protocols import compute_ladder_score, compute_learned_share, list_standings, score_standings
 from hrl_escape.comparison.statistics import compute_iqm
 from hrl_escape.comparison.summary import summarise
 from tests.comparison.made_up import compare, make_result

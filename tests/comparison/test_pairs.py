@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hrl_escape.comparison.pairs import ALPHA, FEWEST_PAIRS, Finals, compare_agents, is_better
+from hrl_escape.comparison.inference import ALPHA, FEWEST_PAIRS, Finals, compare_agents, is_better
 from tests.covering import cover
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.references import choose_levels
-from hrl_escape.comparison.profile import AxisScore, list_references, make_profiles
-from hrl_escape.comparison.reporting.radar import draw_radar
-from hrl_escape.ladder.manifest import AxisRecord
-from hrl_escape.ladder.references import RungReferences
+from hrl_escape.comparison.profile import AxisScore, draw_radar, list_references, make_profiles
+from hrl_escape.ladder.manifest import AxisRecord, RungReferences
 
 AXES = (AxisRecord("depth", ("depth-1", "depth-2")), AxisRecord("noise", ("noise-1", "noise-2")),
         AxisRecord("arm", ("arm-1",)))

@@ -13,8 +13,7 @@ import pytest
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.recording import record_episode
-from hrl_escape.comparison.references.bayes import measure_ways
-from hrl_escape.comparison.references.belief_graph import BeliefGraph, Ways
+from hrl_escape.comparison.references.bayes import BeliefGraph, GraphParticles, Ways, measure_ways
 from hrl_escape.comparison.references.graph_family import (
     GraphFamily,
     condition_on_marks,
@@ -25,7 +24,6 @@ from hrl_escape.comparison.references.graph_family import (
     make_family,
     measure_information,
 )
-from hrl_escape.comparison.references.graph_particles import GraphParticles
 from hrl_escape.comparison.references.registry import (
     BAYES,
     RETRACE,

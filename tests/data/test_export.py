@@ -7,7 +7,7 @@ import pytest
 
 from hrl_escape.data.export import to_minari, to_ogbench
 from hrl_escape.data.materialise import load_data
-from hrl_escape.data.played import make_played_tape
+from hrl_escape.data.record import make_played_tape
 from hrl_escape.errors import UnsupportedError
 from tests.data.small import make_tape
 

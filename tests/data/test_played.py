@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.data.materialise import load_data
-from hrl_escape.data.played import make_played_tape
+from hrl_escape.data.record import make_played_tape
 from hrl_escape.data.tape import load_tape, save_tape
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate

@@ -39,7 +39,7 @@ from hrl_escape.errors import ConfigError, PlanningFailed, UnsupportedError
 from hrl_escape.ladder.keys import compute_task_key
 from hrl_escape.options import BatchedOptionsEnv, OptionsEnv
 from hrl_escape.planning import RoomPlanner, find_best_known
-from hrl_escape.planning.escape_bound import bound_escape
+from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.synthesis.situation import Situations
 
 CONFIG = get_preset("inner-doors")

@@ -4,7 +4,7 @@ import hashlib
 
 import pytest
 
-from hrl_escape.ladder.merkle import check_proof, compute_root, prove_leaf
+from hrl_escape.ladder.certificate import check_proof, compute_root, prove_leaf
 
 
 def make_leaves(count):

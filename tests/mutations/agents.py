@@ -167,7 +167,7 @@ MUTATIONS = [
     ),
     Mutation(
         "generators of streams' options are left out of checkpoints",
-        "agents/components/options/choices.py",
+        "agents/components/options/networks.py",
         '"_decisions", "_generator")',
         '"_decisions")',
         "agents/training/test_streams.py::test_a_run_cut_off_resumes_to_the_same_bits",

@@ -56,7 +56,7 @@ MUTATIONS = [
     ),
     Mutation(
         "the learned share is a share of the way to the planner",
-        "comparison/ladder_score.py",
+        "comparison/protocols.py",
         "return (efficiency - searcher) / (ceiling - searcher) if",
         "return (efficiency - searcher) / (1.0 - searcher) if",
         "comparison/test_ladder_score.py",
@@ -100,7 +100,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a wrong press leaves the lights on in beliefs, where it resets them",
-        "comparison/references/belief_graph.py",
+        "comparison/references/bayes.py",
         "self._add(lit if self.on_violation == \"ignore\" else 0, graphs[~allowed])",
         "self._add(lit, graphs[~allowed])",
         "comparison/test_searchers.py",
@@ -114,7 +114,7 @@ MUTATIONS = [
     ),
     Mutation(
         "particles that a press contradicts stay",
-        "comparison/references/graph_particles.py",
+        "comparison/references/bayes.py",
         "doubts += DOUBT * (allowed != has_lit)",
         "doubts += 0.0",
         "comparison/test_searchers.py",

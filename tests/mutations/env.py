@@ -243,7 +243,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a block is put down on any empty place",
-        "env/puzzles/towers.py",
+        "env/puzzles/blocks_world.py",
         "elif held is not None and (top is not None or base == held):",
         "elif held is not None:",
         "env/puzzles/test_blocks_world.py",
@@ -257,7 +257,7 @@ MUTATIONS = [
     ),
     Mutation(
         "towers are drawn without their weights",
-        "env/puzzles/towers.py",
+        "env/puzzles/blocks_world.py",
         "number = int(rng.integers(everywhere)) - _count_towers(len(loose), len(placed) + 1)",
         "number = (int(rng.integers(1 + len(loose) + len(placed))) - 1) * _count_towers(len(loose), len(placed))",
         "env/puzzles/test_blocks_world.py::test_start_and_goal_are_drawn_each_with_the_same_probability",

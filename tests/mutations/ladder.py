@@ -33,7 +33,7 @@ MUTATIONS = [
     ),
     Mutation(
         "directions of edges do not matter to a canonical form",
-        "ladder/canonical.py",
+        "ladder/keys.py",
         "tuple(sorted((numbers[a], numbers[b]) for a, b in self._edges))",
         "tuple(sorted(tuple(sorted((numbers[a], numbers[b]))) for a, b in self._edges))",
         "ladder/test_canonical.py ladder/test_keys.py",
@@ -68,14 +68,14 @@ MUTATIONS = [
     ),
     Mutation(
         "the last leaf of an odd number is lost",
-        "ladder/merkle.py",
+        "ladder/certificate.py",
         "return pairs + list(level[-1:]) * (len(level) % 2)",
         "return pairs or list(level[-1:])",
         "ladder/test_merkle.py::test_every_leaf_is_proved_and_no_other_is",
     ),
     Mutation(
         "a proof's sides do not matter",
-        "ladder/merkle.py",
+        "ladder/certificate.py",
         'if side == "left" else _join(leaf, other)',
         "if side else _join(leaf, other)",
         "ladder/test_merkle.py::test_every_leaf_is_proved_and_no_other_is",

@@ -82,7 +82,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a joint search takes the way on from the puzzle's state before a press",
-        "planning/search/joint_a_star.py",
+        "planning/search/joint_search.py",
         "heading, after, now, spent, node, action, escapes)",
         "heading, puzzle, now, spent, node, action, escapes)",
         "planning/search/test_joint_search.py",
@@ -124,7 +124,7 @@ MUTATIONS = [
     ),
     Mutation(
         "places of two presses are bounded one by one",
-        "planning/escape_bound.py",
+        "planning/lower_bounds.py",
         "found = (costs[node][:, None] + compute_costs(node[1], then[1])).min(axis=0)",
         "found = costs[node].min() + 0 * cells[then[1]][:, 0] + compute_costs(node[1], then[1]).min()",
         "planning/test_escape_bound.py",
@@ -202,7 +202,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a corner is taken faster than its acceleration allows",
-        "planning/motion/timing.py",
+        "planning/motion/legs.py",
         "strength, deviations = limit(bends),",
         "strength, deviations = 1.2 * limit(bends),",
         "planning/motion/test_trajectory.py::test_motion_keeps_every_limit_at_every_moment_and_its_path",

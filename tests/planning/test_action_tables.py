@@ -25,9 +25,8 @@ from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError
 from hrl_escape.floor.cost_to_go import make_collision
 from hrl_escape.options.batched.env import BatchedOptionsEnv
-from hrl_escape.planning.escape_bound import bound_escape
 from hrl_escape.planning.goals import PoseGoal, PressGoal, is_reached
-from hrl_escape.planning.lower_bounds import LegBounds
+from hrl_escape.planning.lower_bounds import LegBounds, bound_escape
 from hrl_escape.planning.requests import PlanningRequest
 from tests.planning.legs import assert_legs_cost_at_least_their_bounds
 

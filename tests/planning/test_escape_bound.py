@@ -14,9 +14,8 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.best_known import list_start_states
-from hrl_escape.planning.escape_bound import bound_escape
 from hrl_escape.planning.goals import PressGoal
-from hrl_escape.planning.lower_bounds import LegBounds
+from hrl_escape.planning.lower_bounds import LegBounds, bound_escape
 from hrl_escape.planning.planner import RoomPlanner
 
 SMALL = {"width": 10.0, "depth": 10.0}

@@ -12,8 +12,7 @@ import pytest
 
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import load_agent, load_env
-from hrl_escape.comparison.ladder_score import compute_ladder_score
-from hrl_escape.comparison.protocols import TOWER
+from hrl_escape.comparison.protocols import TOWER, compute_ladder_score
 from hrl_escape.ladder.benchmark import load_benchmark
 from studies.__main__ import main
 from studies.baseline import BaselineRun

@@ -21,14 +21,12 @@ from hrl_escape.options.batched.vector_env import OptionsVectorEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.text.session import RoomSession
 from hrl_escape.viewer.pages.replay import make_replay
-from hrl_escape.viewer.play.commands import carry_out
-from hrl_escape.viewer.play.controls import Command
+from hrl_escape.viewer.play.commands import Command, carry_out
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.play.saved_episode import load_episode, save_episode
 from hrl_escape.viewer.recording import record_saved
 from hrl_escape.viewer.watch.drivers import open_driver
-from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import Watch
+from hrl_escape.viewer.watch.watch import Gate, Watch
 
 FAILING = [kind for kind in list_puzzles() if get_puzzle_kind(kind).puzzle_type.is_failed is not Puzzle.is_failed]
 """Puzzles that can be failed."""

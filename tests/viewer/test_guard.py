@@ -19,7 +19,7 @@ from websockets.typing import Origin, Subprotocol
 
 from hrl_escape.viewer.guard import is_expected
 from hrl_escape.viewer.pages.play import MOST_WAITING, PlayPage
-from hrl_escape.viewer.play.controls import Command
+from hrl_escape.viewer.play.commands import Command
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.server import Server, open_server
 

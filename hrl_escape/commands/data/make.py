@@ -19,8 +19,7 @@ import tyro
 from rich.console import Console
 
 from hrl_escape.data.catalogue import FOLDER, parse_spec
-from hrl_escape.data.played import make_played_tape
-from hrl_escape.data.record import record
+from hrl_escape.data.record import make_played_tape, record
 from hrl_escape.data.tape import load_tape, save_tape
 from hrl_escape.errors import ConfigError
 from hrl_escape.names import make_file_name

@@ -23,8 +23,7 @@ from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.protocols import get_budget
 from hrl_escape.env.presets import describe_schematic
 from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.manifest import ROLES
-from hrl_escape.ladder.references import RungReferences, load_references
+from hrl_escape.ladder.manifest import ROLES, RungReferences, load_references
 from hrl_escape.ladder.rung import Rung
 
 

@@ -42,7 +42,7 @@ from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import FileReadError
 from hrl_escape.figures import save_figure
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
-from hrl_escape.ladder.references import load_references
+from hrl_escape.ladder.manifest import load_references
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _make_profiles(bench: Benchmark, standings: Sequence[RungStanding]) -> dict[
 
 def _tell_profiles(console: Console, bench: Benchmark, profiles: dict[str, dict[str, AxisScore]], path: Path) -> None:
     """Print a row an axis, each rung in parentheses, and draw the radar."""
-    from hrl_escape.comparison.reporting.radar import draw_radar  # loads matplotlib
+    from hrl_escape.comparison.profile import draw_radar  # loads matplotlib
 
     axes = bench.manifest.axes
     table = Table("axis", *profiles, box=None, pad_edge=False)

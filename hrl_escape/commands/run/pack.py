@@ -13,7 +13,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from hrl_escape.agents.training.run_archive import pack_run
+from hrl_escape.agents.training.archive import pack_run
 from hrl_escape.names import make_console_text
 
 

@@ -14,8 +14,8 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from hrl_escape.agents.training.archive import read_summary
 from hrl_escape.agents.training.env_description import list_foreign
-from hrl_escape.agents.training.run_archive import read_summary
 from hrl_escape.names import make_console_text
 
 

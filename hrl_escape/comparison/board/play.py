@@ -13,9 +13,9 @@ import gymnasium
 import numpy as np
 
 from hrl_escape.agents.agent import Agent, read_success
+from hrl_escape.agents.training.archive import pack_run, unpack_run
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.results import load_result
-from hrl_escape.agents.training.run_archive import pack_run, unpack_run
 from hrl_escape.agents.training.run_folder import LAST, read_run
 from hrl_escape.agents.training.train import load_agent
 from hrl_escape.comparison.board.program import ProgramAgent, describe_command

@@ -11,8 +11,8 @@ from pathlib import Path
 import gymnasium
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.training.archive import unpack_run
 from hrl_escape.agents.training.results import TrainResult, load_result
-from hrl_escape.agents.training.run_archive import unpack_run
 from hrl_escape.agents.training.train import load_agent
 from hrl_escape.comparison.board.board import describe_score
 from hrl_escape.comparison.board.play import CheckedCell, make_view_env, verify_cells

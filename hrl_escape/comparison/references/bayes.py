@@ -5,20 +5,28 @@ Up to six buttons (one fewer where wrong presses reset, and where some marks dec
 expectation over the schematic's graphs, with the lengths of ways from button to button as the planner finds them. With
 more it takes the button with the best odds per primitive, odds estimated by a sample of graphs. Nobody who must
 discover the graph can need fewer primitives in the mean, but for what these lengths leave out.
+
+Which buttons are lit and which graphs agree with all presses so far is its belief. A press divides it: the button
+lights and opens the exit, lights alone, or does not light. Beliefs (Astrom 1965; Kaelbling, Littman and Cassandra 1998)
+form a graph without cycles where presses are the only news, and one pass backwards gives the optimal expected cost.
+Graphs too many to list are sampled by sequential Monte Carlo with moves (Chopin 2002; Gilks and Berzuini 2001): those
+that a press contradicts are replaced, and Metropolis steps exchange the labels of two buttons, under which every graph
+of the family is as likely as before.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
-from typing import cast
+from functools import cached_property, lru_cache
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.references.belief_graph import BeliefGraph, Ways, make_belief_graph
 from hrl_escape.comparison.references.by_lights import Searcher
 from hrl_escape.comparison.references.graph_family import (
     MOST_BUTTONS,
@@ -29,14 +37,282 @@ from hrl_escape.comparison.references.graph_family import (
     infer_motif,
     make_family,
 )
-from hrl_escape.comparison.references.graph_particles import GraphParticles
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
+from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle, ViolationRule
+from hrl_escape.env.puzzles.graphs import Edges, mask_parents, sample_relabelled
 from hrl_escape.errors import PlanningFailed, UnsupportedError
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
+from hrl_escape.ranges import Between
+
+PARTICLES, SHAKES = 2048, 40
+DOUBT = 4.0
+"""Cost of a press that a graph does not explain, as a negative logarithm of its likelihood: finite, so that a sample
+in which no graph is left can still find one."""
+
+
+class GraphParticles:
+    """Graphs of a schematic, likely in the light of presses.
+
+    Args:
+        config: the schematic's puzzle.
+        count: number of buttons in the room.
+        rng: draws and moves.
+        marks: of the room's buttons; none without marks.
+
+    Raises:
+        UnsupportedError: marks of several motifs, or sections.
+
+    Attributes:
+        parents: uint64 (particles, buttons), the bits of each button's parents.
+        goals: int64 (particles,), the button that opens the exit.
+    """
+
+    def __init__(self, config: ButtonsConfig, count: int, rng: np.random.Generator, marks: tuple[int, ...] = ()
+                 ) -> None:
+        if marks and config.marks.motifs > 1:
+            raise UnsupportedError(f"marks of {config.marks.motifs} motifs on {count} buttons: smdp-bayes lists the "
+                                   "graphs of fewer, and its samples of more know one motif")
+        if config.sections.count:
+            raise UnsupportedError(f"sections with {count} buttons: smdp-bayes lists the graphs of fewer, and its "
+                                   "samples of more do not know where buttons hang")
+        self._rng, self._presses = rng, list[tuple[int, int, bool, bool]]()
+        self.parents = np.zeros((PARTICLES, count), np.uint64)
+        self.goals = np.zeros(PARTICLES, np.int64)
+        self._classes = np.zeros((PARTICLES, count), np.int64)
+        for number in range(PARTICLES):
+            edges, self.goals[number] = _draw_graph(config, count, rng)
+            self.parents[number] = mask_parents(edges, count)
+            if marks:
+                self._classes[number] = config.marks.classify(count, edges, int(self.goals[number]))
+        single = [[config.marks.compute_likelihood((mark,), np.array([[own]]))[0] for own in
+                   range(config.marks.classes)] for mark in marks] or [[1.0] * config.marks.classes] * count
+        with np.errstate(divide="ignore"):
+            self._surprise = -np.log(np.array(single))  # (buttons, classes), infinite where a mark cannot be
+        self._doubts, self._surprises = self._measure(self.parents, self.goals, self._classes)
+        if marks:
+            self._resample()
+            for _ in range(SHAKES):
+                self._shake()
+
+    def learn(self, press: tuple[int, int, bool, bool]) -> None:
+        """Take note of a press of an unlit button.
+
+        Args:
+            press: button, bits of the buttons that were lit before, whether it lit, and whether the exit opened.
+        """
+        if press in self._presses:
+            return
+        self._presses.append(press)
+        before = self._surprises
+        self._doubts, self._surprises = self._measure(self.parents, self.goals, self._classes)
+        self._resample(before)
+        for _ in range(SHAKES):
+            self._shake()
+
+    def _resample(self, counted: NDArray[np.float64] | float = 0.0) -> None:
+        """Draw graphs anew by how well they explain what is known; `counted` is what their number tells already."""
+        energy = self._doubts + self._surprises - counted
+        likelihood = np.exp(-(energy - energy.min()))
+        chosen = self._rng.choice(PARTICLES, PARTICLES, p=likelihood / likelihood.sum())
+        for name in ("parents", "goals", "_classes", "_doubts", "_surprises"):
+            setattr(self, name, getattr(self, name)[chosen])
+
+    def compute_odds(self, lit: int) -> NDArray[np.float64]:
+        """Probability that each button would light if it were pressed, (buttons,).
+
+        Args:
+            lit: bits of the buttons that are lit.
+        """
+        weights = np.exp(-8.0 * self._doubts)
+        weights = weights / weights.sum()
+        return weights @ can_light(self.parents, lit)
+
+    def _shake(self) -> None:
+        """Exchange the labels of two buttons in every graph, where that explains the presses as well."""
+        count = self.parents.shape[1]
+        first = self._rng.integers(count, size=PARTICLES)
+        second = (first + self._rng.integers(1, count, size=PARTICLES)) % count if count > 1 else first
+        parents, goals = _exchange(self.parents, self.goals, first, second)
+        classes, rows = self._classes.copy(), np.arange(PARTICLES)
+        classes[rows, first], classes[rows, second] = self._classes[rows, second], self._classes[rows, first]
+        doubts, surprises = self._measure(parents, goals, classes)
+        gain = self._doubts + self._surprises - doubts - surprises
+        taken = self._rng.random(PARTICLES) < np.exp(np.minimum(gain, 0.0))
+        for name, moved in (("parents", parents), ("goals", goals), ("_classes", classes), ("_doubts", doubts),
+                            ("_surprises", surprises)):
+            getattr(self, name)[taken] = moved[taken]
+
+    def _measure(self, parents: NDArray[np.uint64], goals: NDArray[np.int64], classes: NDArray[np.int64]
+                 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Doubts about every graph, `DOUBT` for each press or mark that cannot be, and the surprise at its marks."""
+        surprise = self._surprise[np.arange(classes.shape[1]), classes]
+        doubts = DOUBT * np.isinf(surprise).sum(axis=1)
+        for button, lit, has_lit, has_opened in self._presses:
+            allowed = can_light(parents[:, button], lit)
+            doubts += DOUBT * (allowed != has_lit)
+            if has_lit:
+                doubts += DOUBT * ((goals == button) != has_opened)
+        return doubts, np.where(np.isinf(surprise), 0.0, surprise).sum(axis=1)
+
+
+def _draw_graph(config: ButtonsConfig, count: int, rng: np.random.Generator) -> tuple[Edges, int]:
+    """A graph of the schematic for a room with so many buttons."""
+    most: Any = config.graph.max_parents
+    if isinstance(most, Between):
+        most = int(rng.integers(int(most.low), int(most.high), endpoint=True))
+    return sample_relabelled(dataclasses.replace(config.graph, max_parents=most), count, rng, config.goal)
+
+
+def _exchange(parents: NDArray[np.uint64], goals: NDArray[np.int64], first: NDArray[np.int64],
+              second: NDArray[np.int64]) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+    """Each graph with the labels of its two buttons exchanged, as rows of parents and as bits in all rows."""
+    rows = np.arange(len(parents))
+    moved = parents.copy()
+    moved[rows, first], moved[rows, second] = parents[rows, second], parents[rows, first]
+    low, high = first.astype(np.uint64)[:, None], second.astype(np.uint64)[:, None]
+    differ = (moved >> low ^ moved >> high) & np.uint64(1)
+    moved ^= differ << low | differ << high
+    others = np.where(goals == first, second, np.where(goals == second, first, goals))
+    return moved, others
+
+
+MOST_BELIEFS = 3_000_000
+"""Largest belief graph, about 1 kB a belief."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Ways:
+    """Lengths of ways between places, in primitives.
+
+    Attributes:
+        legs: float (places, buttons), from a place to the press of a button.
+        arrivals: int (places, buttons), the place of the robot after that.
+        leaving: float (places,), from a place to the open exit.
+    """
+
+    legs: NDArray[np.floating]
+    arrivals: NDArray[np.int64]
+    leaving: NDArray[np.floating]
+
+
+class BeliefGraph:
+    """Every belief that presses can lead to, children before parents.
+
+    Args:
+        family: the graphs and how likely they are.
+        on_violation: effect of a press with unmet parents: none, or all buttons go off.
+
+    Raises:
+        UnsupportedError: more than `MOST_BELIEFS` beliefs.
+
+    Attributes:
+        opens: float32 (beliefs, buttons), probability that a press opens the exit.
+        lights: float32 (beliefs, buttons), probability that it lights the button and does not open the exit.
+        lit: int32 (beliefs, buttons), the belief after that; -1 where it cannot be.
+        dark: int32 (beliefs, buttons), the belief after a press that does not light the button; -1 where it cannot be.
+    """
+
+    def __init__(self, family: GraphFamily, on_violation: ViolationRule = "ignore") -> None:
+        self.family, self.on_violation = family, on_violation
+        self._numbers: dict[tuple[int, int], int] = {}
+        self._rows: list[tuple[list[float], list[float], list[int], list[int]]] = []
+        self._levels: list[int] = []
+        self.root = self._add(0, np.arange(len(family.weights), dtype=np.int32))
+        opens, lights, lit, dark = zip(*self._rows, strict=True)
+        self.opens, self.lights = np.array(opens, np.float32), np.array(lights, np.float32)
+        self.lit, self.dark = np.array(lit, np.int32), np.array(dark, np.int32)
+        del self._rows
+
+    def __len__(self) -> int:
+        return len(self.opens)
+
+    def find(self, lit: int, graphs: NDArray[np.int32]) -> int | None:
+        """Number of a belief; None for one that no choice between presses of unlit buttons leads to.
+
+        Args:
+            lit: bits of the buttons that are lit.
+            graphs: int32, ascending numbers of the graphs that agree with all presses.
+        """
+        return self._numbers.get((lit, hash(graphs.tobytes())))
+
+    def _add(self, lit: int, graphs: NDArray[np.int32]) -> int:
+        """Number of a belief, added with all that it can lead to if it is new."""
+        key = lit, hash(graphs.tobytes())
+        if key in self._numbers:
+            return self._numbers[key]
+        if len(self._numbers) >= MOST_BELIEFS:
+            raise UnsupportedError(f"more than {MOST_BELIEFS:,} beliefs")
+        family, count = self.family, self.family.count
+        weights = family.weights[graphs]
+        total, level = float(weights.sum()), -1
+        opens, lights, after, failed = [0.0] * count, [0.0] * count, [-1] * count, [-1] * count
+        for button in range(count):
+            if lit >> button & 1:
+                continue
+            allowed = can_light(family.parents[graphs, button], lit)
+            if not allowed.any():
+                continue  # known to be in vain
+            is_goal = allowed & (family.goals[graphs] == button)
+            lit_only = allowed & ~is_goal
+            opens[button] = float(weights[is_goal].sum()) / total
+            lights[button] = float(weights[lit_only].sum()) / total
+            if lit_only.any():
+                after[button] = self._add(lit | 1 << button, graphs[lit_only])
+                level = max(level, self._levels[after[button]])
+            if not allowed.all():
+                failed[button] = self._add(lit if self.on_violation == "ignore" else 0, graphs[~allowed])
+                level = max(level, self._levels[failed[button]])
+        self._numbers[key] = len(self._rows)
+        self._rows.append((opens, lights, after, failed))
+        self._levels.append(level + 1)
+        return self._numbers[key]
+
+    @cached_property
+    def _by_level(self) -> list[NDArray[np.int64]]:
+        """Numbers of beliefs by the longest way that is left from them; each leads to lower levels only."""
+        levels = np.array(self._levels)
+        order = np.argsort(levels, kind="stable")
+        return np.split(order, np.cumsum(np.bincount(levels))[:-1])
+
+    def solve(self, ways: Ways) -> NDArray[np.float32]:
+        """Fewest expected primitives to the exit, by the optimal choices, from every belief at every place.
+
+        Returns:
+            float32 (beliefs, places); infinite where no press opens the exit any more.
+        """
+        costs = np.full((len(self), len(ways.legs)), np.inf, np.float32)
+        for beliefs in self._by_level:
+            for button in range(self.family.count):
+                here = self.compute_costs_after(costs, beliefs, button, ways)[:, ways.arrivals[:, button]]
+                costs[beliefs] = np.minimum(here + ways.legs[:, button], costs[beliefs])
+        return costs
+
+    def compute_costs_after(self, costs: NDArray[np.float32], beliefs: NDArray[np.int64], button: int, ways: Ways
+                            ) -> NDArray[np.float32]:
+        """Expected primitives to the exit after a press, float32 (beliefs, places); infinite where it is in vain.
+
+        Args:
+            costs: from the beliefs that the press leads to.
+            beliefs: numbers of the beliefs before it.
+            button: the button that is pressed.
+            ways: lengths of ways.
+        """
+        opens, lights = self.opens[beliefs, button, None], self.lights[beliefs, button, None]
+        lit, dark = self.lit[beliefs, button], self.dark[beliefs, button]
+        after = (opens * ways.leaving
+                 + lights * np.where(lit[:, None] >= 0, costs[lit], 0)
+                 + (1 - opens - lights) * np.where(dark[:, None] >= 0, costs[dark], 0))
+        return np.where(opens + lights > 0, after, np.float32(np.inf))
+
+
+@lru_cache(maxsize=8)
+def make_belief_graph(family: GraphFamily, on_violation: ViolationRule) -> BeliefGraph:
+    """The belief graph of a family, kept for the next room."""
+    return BeliefGraph(family, on_violation)
+
 
 _NO_WAY = 1e4
 """Primitives of a way that the planner does not find."""

@@ -24,9 +24,8 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.pairs import ALPHA, Pair
-from hrl_escape.comparison.reporting.agent_style import AgentStyle, choose_styles, is_level
-from hrl_escape.comparison.reporting.figures import save_figures
+from hrl_escape.comparison.inference import ALPHA, Pair
+from hrl_escape.comparison.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
 from hrl_escape.comparison.reporting.tables import describe_place, format_first_escape, write_markdown, write_tables
 from hrl_escape.comparison.runs import get_room_file, get_training_folder, read_episodes
 from hrl_escape.comparison.statistics import compute_iqm

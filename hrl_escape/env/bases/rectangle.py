@@ -19,8 +19,7 @@ from xml.etree import ElementTree
 
 from typing_extensions import Self
 
-from hrl_escape.env.bases.base import STANDS_IN, Base, TensorSolids
-from hrl_escape.env.bases.link import make_box_link
+from hrl_escape.env.bases.base import STANDS_IN, Base, TensorSolids, make_box_link
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 A lattice of seven joints has too many configurations to list, but each is a first half
 followed by a last half: the placements of the first and the hand points of the last are listed,
-and `tables.py` and `search.py` enumerate pairs of them (meet in the middle). Nothing here knows
+and `tables.py` enumerates pairs of them (meet in the middle). Nothing here knows
 targets or a room.
 """
 

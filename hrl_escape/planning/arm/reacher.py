@@ -26,8 +26,7 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED, ArmLattice, Halves, make_halves, make_lattice
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
-from hrl_escape.planning.arm.search import find_heights, find_touching, measure_gap
-from hrl_escape.planning.arm.tables import bound_costs, map_hands
+from hrl_escape.planning.arm.tables import bound_costs, find_heights, find_touching, map_hands, measure_gap
 
 if TYPE_CHECKING:
     from hrl_escape.planning.arm.arm_planner import ArmPlanner

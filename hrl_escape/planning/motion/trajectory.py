@@ -19,9 +19,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.errors import ConfigError
 from hrl_escape.files import write_json, write_text
-from hrl_escape.planning.motion.legs import Contact, Press, time_legs
+from hrl_escape.planning.motion.legs import Contact, Press, time_legs, time_path
 from hrl_escape.planning.motion.limits import MotionLimits
-from hrl_escape.planning.motion.timing import time_path
 from hrl_escape.planning.motion_path import MotionPath
 from hrl_escape.planning.plan import Plan
 

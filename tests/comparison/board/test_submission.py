@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hrl_escape.agents.training.archive import pack_parts
+from hrl_escape.agents.training.archive import RUN_ARCHIVE, pack_parts
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
-from hrl_escape.agents.training.run_archive import RUN_ARCHIVE
 from hrl_escape.agents.training.train import load_agent
 from hrl_escape.cli import main
 from hrl_escape.comparison.board.play import make_view_env, pack_submission, read_view, verify_cells

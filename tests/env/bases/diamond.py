@@ -7,8 +7,7 @@ from typing import Any
 
 from typing_extensions import Self
 
-from hrl_escape.env.bases.base import Base
-from hrl_escape.env.bases.link import make_box_link
+from hrl_escape.env.bases.base import Base, make_box_link
 from hrl_escape.env.bases.rectangle import (
     TensorRectangle,
     compute_base_contact,

@@ -108,7 +108,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.planning.escape_bound import bound_escape
+from hrl_escape.planning.lower_bounds import bound_escape
 
 for drive, seed in (("strafing", 0), ("differential", 2)):
     robot = RobotConfig(footprint="diamond", body_radius=0.5, turn_step_deg=15, drive=drive)

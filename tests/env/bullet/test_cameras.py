@@ -14,11 +14,10 @@ import pytest
 
 from hrl_escape.env.bullet import cameras as bullet_cameras
 from hrl_escape.env.bullet import stage as bullet_stage
-from hrl_escape.env.bullet.cameras import BulletRenderer
+from hrl_escape.env.bullet.cameras import BulletRenderer, soften_edges
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.antialiasing import soften_edges
 from hrl_escape.env.engine import CAMERAS, film
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.primitives import make_action_table

@@ -19,8 +19,13 @@ from hrl_escape.env.drawing.maps import save_map
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels, Place
-from hrl_escape.env.puzzles.blocks_world import BlocksWorldConfig, BlocksWorldPuzzle
-from hrl_escape.env.puzzles.towers import IN_HAND, find_fewest_moves, sample_towers
+from hrl_escape.env.puzzles.blocks_world import (
+    IN_HAND,
+    BlocksWorldConfig,
+    BlocksWorldPuzzle,
+    find_fewest_moves,
+    sample_towers,
+)
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError
 from hrl_escape.options import OptionsEnv

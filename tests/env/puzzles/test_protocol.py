@@ -12,12 +12,12 @@ from hrl_escape import OptionsEnv, RoomConfig, RoomPlanner, generate
 from hrl_escape.agents import train
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.puzzles.base import tabulate
 from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.config import RewardConfig, RobotConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.noise import CHANCE_PURPOSE, draw_chance, draw_puzzle_start, philox
 from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig, register_puzzle
-from hrl_escape.env.puzzles.tables import tabulate
 from hrl_escape.options import pursue
 from hrl_escape.planning.best_known import list_start_states
 from hrl_escape.settings import Range

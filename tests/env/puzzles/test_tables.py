@@ -7,16 +7,15 @@ import pytest
 import torch
 
 from hrl_escape.env.batched.engine import TensorRoom
-from hrl_escape.env.batched.puzzles.base import TabulatedPuzzle, TensorContacts, get_tensor_puzzle
+from hrl_escape.env.batched.puzzles import base as table_module
+from hrl_escape.env.batched.puzzles.base import TabulatedPuzzle, TensorContacts, get_tensor_puzzle, tabulate
 from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles import tables as table_module
 from hrl_escape.env.puzzles.base import USE, Contacts, Puzzle
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
-from hrl_escape.env.puzzles.tables import tabulate
 from hrl_escape.env.puzzles.traits import Barring
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import StateError, UnsupportedError

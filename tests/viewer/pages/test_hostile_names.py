@@ -24,8 +24,7 @@ from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.recording import Recording, record_driver
 from hrl_escape.viewer.server import Server, get_url
 from hrl_escape.viewer.watch.drivers import open_driver
-from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import Watch
+from hrl_escape.viewer.watch.watch import Gate, Watch
 from tests.viewer.browser import Browser, Page
 
 HOSTILE = ("<img src=x onerror=window.__pwned=1>", "</script><script>window.__pwned=2</script>", "@DATA@",

@@ -30,8 +30,7 @@ from hrl_escape.viewer.play.saved_episode import load_episode
 from hrl_escape.viewer.recording import record_driver
 from hrl_escape.viewer.server import Server, get_url, open_server
 from hrl_escape.viewer.watch.drivers import open_driver
-from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import Watch
+from hrl_escape.viewer.watch.watch import Gate, Watch
 from tests.viewer.browser import Browser, Page
 
 KEYS = ("w", "s", "a", "d", "ArrowLeft", "ArrowRight")  # of the primitives, in action order

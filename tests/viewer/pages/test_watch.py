@@ -12,8 +12,7 @@ from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
 from hrl_escape.viewer.scene.poses import make_pose
 from hrl_escape.viewer.server import Server
 from hrl_escape.viewer.watch.drivers import open_driver
-from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import Watch
+from hrl_escape.viewer.watch.watch import Gate, Watch
 from tests.viewer.pages.test_clients import wait_until
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hrl_escape.viewer.play.commands import PERSONAL_BESTS, carry_out
-from hrl_escape.viewer.play.controls import Command
+from hrl_escape.viewer.play.commands import PERSONAL_BESTS, Command, carry_out
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.play.saved_episode import load_episode
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hrl_escape.env.primitives import make_action_table
-from hrl_escape.viewer.play.controls import Controls
+from hrl_escape.viewer.play.commands import Controls
 
 
 def name(controls: Controls, keys: str | list[str], joints: int, options: int = 3) -> str:

@@ -10,8 +10,7 @@ from hrl_escape.synthesis import HierarchyEnv
 from hrl_escape.viewer.pages.watch import WatchPage
 from hrl_escape.viewer.server import Server
 from hrl_escape.viewer.watch.drivers import open_driver
-from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import ShownCall, Watch
+from hrl_escape.viewer.watch.watch import Gate, ShownCall, Watch
 
 
 def make_run(folder, agent, kind, room):

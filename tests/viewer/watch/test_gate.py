@@ -7,8 +7,7 @@ import time
 from collections.abc import Callable
 
 from hrl_escape.viewer.watch.drivers import open_driver
-from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import Watch
+from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
 def test_the_gate_lets_primitives_and_decisions_through_one_at_a_time(two_buttons):

@@ -13,8 +13,7 @@ from hrl_escape.planning.planner import get_planner
 from hrl_escape.viewer.recording import record_driver
 from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.drivers import open_driver
-from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import ObservedChoice, Watch
+from hrl_escape.viewer.watch.watch import Gate, ObservedChoice, Watch
 
 
 def test_the_planner_drives_the_escape_that_it_solves_for(clutter):

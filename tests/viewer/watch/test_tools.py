@@ -7,8 +7,7 @@ from hrl_escape.viewer.pages.panels import make_lines
 from hrl_escape.viewer.pages.watch import WatchPage, _list_turns
 from hrl_escape.viewer.server import Server
 from hrl_escape.viewer.watch.drivers import open_driver
-from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import Watch
+from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
 def test_the_page_shows_the_talk(server: Server, two_buttons):

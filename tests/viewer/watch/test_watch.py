@@ -12,8 +12,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.drivers import open_driver
-from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import KEPT_DECISIONS, KEPT_EVENTS, KEPT_VALUES, ObservedChoice, Watch
+from hrl_escape.viewer.watch.watch import KEPT_DECISIONS, KEPT_EVENTS, KEPT_VALUES, Gate, ObservedChoice, Watch
 
 
 def watch_steps(watch: Watch, episodes: int = 1) -> tuple[list[ObservedChoice], list[PrimitiveStep]]:

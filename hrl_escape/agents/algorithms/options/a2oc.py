@@ -18,8 +18,7 @@ from torch.nn import functional
 
 from hrl_escape.agents.components.exploration import compute_epsilon_greedy
 from hrl_escape.agents.components.networks import NetworkSettings
-from hrl_escape.agents.components.options.choices import OptionChoices
-from hrl_escape.agents.components.options.networks import OptionHeads
+from hrl_escape.agents.components.options.networks import OptionChoices, OptionHeads
 from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import Rollout, compute_entropy, take_column
 from hrl_escape.agents.settings import LearningSettings

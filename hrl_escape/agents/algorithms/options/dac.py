@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.components.options.choices import SMALLEST, OptionChoices, mix_values
+from hrl_escape.agents.components.options.networks import SMALLEST, OptionChoices, mix_values
 from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import (
     ClippedSettings,

@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.components.networks import Learner
-from hrl_escape.agents.components.options.choices import OptionChoices, mix_values
+from hrl_escape.agents.components.options.networks import OptionChoices, mix_values
 from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, take_column
 from hrl_escape.agents.settings import LearningSettings

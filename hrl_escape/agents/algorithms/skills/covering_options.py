@@ -12,9 +12,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent
+from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent, GraphDiscovery, GraphDiscoverySettings
 from hrl_escape.agents.discovery.found_option import StateModel, TableSkill, make_point_option
-from hrl_escape.agents.discovery.graph_discovery import GraphDiscovery, GraphDiscoverySettings
 from hrl_escape.agents.discovery.state_graph import find_covering_edge
 from hrl_escape.settings import Range
 

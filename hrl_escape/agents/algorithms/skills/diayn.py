@@ -23,8 +23,7 @@ from torch.nn import functional
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.networks import Learner, make_generator, make_network
-from hrl_escape.agents.components.options.choices import OptionChoices
-from hrl_escape.agents.components.options.networks import OptionHeads
+from hrl_escape.agents.components.options.networks import OptionChoices, OptionHeads
 from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, compute_advantages, take_column
 from hrl_escape.agents.factored.observation import FactorReader

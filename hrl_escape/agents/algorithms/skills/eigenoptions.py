@@ -12,9 +12,8 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent
+from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent, GraphDiscovery, GraphDiscoverySettings
 from hrl_escape.agents.discovery.found_option import NOTHING, StateModel, TableSkill, make_eigenoption
-from hrl_escape.agents.discovery.graph_discovery import GraphDiscovery, GraphDiscoverySettings
 from hrl_escape.agents.discovery.state_graph import (
     compute_successor_representation,
     find_slow_directions,

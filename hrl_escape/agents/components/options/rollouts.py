@@ -20,8 +20,7 @@ from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_action
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_index
 from hrl_escape.agents.components.networks import ObservationEncoder
 from hrl_escape.agents.components.options.agent import OptionAgent
-from hrl_escape.agents.components.options.choices import NONE, OpenOptions, OptionChoices
-from hrl_escape.agents.components.options.networks import OptionHeads
+from hrl_escape.agents.components.options.networks import NONE, OpenOptions, OptionChoices, OptionHeads
 from hrl_escape.agents.components.policy_gradient import (
     Rollout,
     collect_decisions,

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
 from hrl_escape.env.instance import SpaceLayout
-from hrl_escape.env.puzzles.blocks_world import BlocksWorldPuzzle
-from hrl_escape.env.puzzles.towers import IN_HAND
+from hrl_escape.env.puzzles.blocks_world import IN_HAND, BlocksWorldPuzzle
 
 
 class BlocksWorldTensorPuzzle(TensorPuzzle):
