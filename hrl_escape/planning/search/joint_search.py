@@ -4,7 +4,7 @@ Options reach one goal after another, each with the fewest primitives, and so ma
 leg is longer, or press in an order whose legs do not fit together. Here every state of the puzzle has a
 cost-to-go field of its own: its seeds are the poses from which one primitive presses a target, at the
 cost-to-go that the puzzle's next state has where the primitive ends. A compiled A* over exact poses, with the frontier
-and motions of `a_star.py`, follows these fields through all orders at once, and the room's own kinematics replay what it
+and motions of `a_star.py`, follows these fields through all orders at once; the room's own kinematics replay what it
 finds. It is for presses by the body: after a press by hand the arm's posture counts, too (`hand_search.py`).
 """
 
