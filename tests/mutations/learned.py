@@ -94,10 +94,10 @@ MUTATIONS = [
           "self._likely = beta * choice + (1 - beta) * self._eye[self._option]", "self._likely = choice",
           "::test_the_weight_of_an_option_is_the_chance_that_it_runs_given_the_one_before"),
     # options over networks
-    _networks("the option before an episode's first is option 0", "choices",
+    _networks("the option before an episode's first is option 0", "networks",
               ".masked_fill((former == NONE)[:, None], 1.0)", "",
               "test_the_option_before_is_kept_unless_it_ends_and_a_first_one_is_drawn_from_the_policy_over_options"),
-    _networks("terminations learn nothing of the choice", "choices",
+    _networks("terminations learn nothing of the choice", "networks",
               "kept + ends * (choice - kept)", "kept + ends.detach() * (choice - kept)",
               "test_terminations_learn_through_the_choice_of_options_and_the_value_s_error_moves_the_critic_alone"),
     ("the state reached at a time-out is worth the next episode's option",
