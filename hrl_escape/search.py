@@ -50,11 +50,9 @@ class OpenNodes(Generic[_Key, _Node]):
         return None
 
 
-def find_cheapest_steps(
-    start: _State, is_goal: Callable[[_State], bool],
-    list_steps: Callable[[_State], Iterable[tuple[_Step, int, _State]]],
-    estimate: Callable[[_State], float], most: float = math.inf,
-) -> tuple[_Step, ...] | None:
+def find_cheapest_steps(start: _State, is_goal: Callable[[_State], bool],
+                        list_steps: Callable[[_State], Iterable[tuple[_Step, int, _State]]],
+                        estimate: Callable[[_State], float], most: float = math.inf) -> tuple[_Step, ...] | None:
     """A* from a state to a goal; None if there is no way, or none within `most` states.
 
     Beyond `MOST_EXACT` states the estimate counts five times, and the steps need not be the cheapest.

@@ -342,13 +342,8 @@ def check_observation(observation: Any, when: str) -> None:
         raise StepContractError(f"the observation {when} is {observation}; observations must be finite numbers")
 
 
-def make_transition(
-    observation: Any,
-    action: int,
-    action_mask: NDArray[np.bool_],
-    step: tuple[Any, Any, bool, bool, Mapping[str, Any]],
-    gamma: float,
-) -> SMDPTransition:
+def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_],
+                    step: tuple[Any, Any, bool, bool, Mapping[str, Any]], gamma: float) -> SMDPTransition:
     """Turn the result of `env.step` into an SMDP transition at this gamma.
 
     The contract of `info`, all keys optional:

@@ -146,15 +146,8 @@ def get_recipe(name: str, recipe: str = "corrected") -> Any:
     return recipes[recipe]
 
 
-def make_agent(
-    name: str,
-    observation_space: gymnasium.Space,
-    action_space: gymnasium.Space,
-    seed: int,
-    recipe: str = "corrected",
-    structure: Mapping[str, Any] | None = None,
-    **settings: Any,
-) -> Agent:
+def make_agent(name: str, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+               recipe: str = "corrected", structure: Mapping[str, Any] | None = None, **settings: Any) -> Agent:
     """Make an agent by name.
 
     Args:

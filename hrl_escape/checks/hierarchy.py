@@ -24,13 +24,8 @@ from hrl_escape.errors import ContractError, StepContractError
 GAMMA = 0.9
 
 
-def check_hierarchy(
-    hierarchy: Hierarchy,
-    env: gymnasium.Env,
-    primitives: int = 1_000,
-    seed: int = 0,
-    agent_class: type[StackAgent] = StackAgent,
-) -> None:
+def check_hierarchy(hierarchy: Hierarchy, env: gymnasium.Env, primitives: int = 1_000, seed: int = 0,
+                    agent_class: type[StackAgent] = StackAgent) -> None:
     """Check a hierarchy by running it in an environment.
 
     Its root must be paid by the environment. Episodes are cut at random lengths, so that calls are cut at every depth.
@@ -178,9 +173,8 @@ class _Played(NamedTuple):
 class _HierarchyCheck(Claims):
     """The claims about one hierarchy, and the run they are tried on."""
 
-    def __init__(
-        self, hierarchy: Hierarchy, env: gymnasium.Env, primitives: int, seed: int, agent_class: type[StackAgent]
-    ) -> None:
+    def __init__(self, hierarchy: Hierarchy, env: gymnasium.Env, primitives: int, seed: int,
+                 agent_class: type[StackAgent]) -> None:
         super().__init__(f"hierarchy {hierarchy.root.name!r}")
         self._hierarchy, self._env, self._budget, self._seed = hierarchy, env, primitives, seed
         self._agent_class = agent_class
@@ -266,9 +260,8 @@ class _HierarchyCheck(Claims):
                     self.require(over < 1.0, "a task that would be over at once is not among the legal choices",
                                  (frame.task.name, called.name))
 
-    def _check_greedy(
-        self, agent: CallRunner, observation: Any, mask: NDArray[np.bool_], rng: np.random.Generator
-    ) -> None:
+    def _check_greedy(self, agent: CallRunner, observation: Any, mask: NDArray[np.bool_], rng: np.random.Generator
+                      ) -> None:
         """Invariant 6: evaluation in the midst of learning changes nothing."""
         before = _dump(agent)
         agent.act_greedy(observation, mask, rng)

@@ -59,9 +59,8 @@ class SolvedProbe(Stateful):
                                   unpack=lambda saved: [(int(at), *found) for at, *found in saved]),
              "_near_best", "_candidate", "_next_check", "_next_graph")
 
-    def __init__(
-        self, rule: SolvedRule, env: gymnasium.Env, instance: RoomInstance, spec: AgentSpec, score_range: ScoreRange
-    ) -> None:
+    def __init__(self, rule: SolvedRule, env: gymnasium.Env, instance: RoomInstance, spec: AgentSpec,
+                 score_range: ScoreRange) -> None:
         graph = get_trait(instance.puzzle, Graphed)
         self._rule, self._env, self._range, self._goals = rule, env, score_range, graph.goal_targets
         self._learns = spec.algorithm != "random"

@@ -41,14 +41,8 @@ class EscapeRoomTorchRLEnv(EnvBase):
         room: the batched engine.
     """
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        config: SchematicForm = "paper-two-button",
-        *,
-        observation: str = "features",
-        **rooms: Unpack[RoomArguments],
-    ) -> None:
+    def __init__(self, num_envs: int = 1, config: SchematicForm = "paper-two-button", *, observation: str = "features",
+                 **rooms: Unpack[RoomArguments]) -> None:
         given = Rooms(num_envs, config, observation=observation, **rooms)
         room = TensorRoom(given, autoreset="disabled")
         super().__init__(device=room.device, batch_size=(num_envs,))

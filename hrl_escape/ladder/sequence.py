@@ -49,10 +49,8 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
         UnsupportedError: a floor has other spaces than the first.
     """
 
-    def __init__(
-        self, env: gymnasium.Env, trials: int = 1, then: Sequence[gymnasium.Env | Mapping[str, Any]] = (),
-        paired: bool = False,
-    ) -> None:
+    def __init__(self, env: gymnasium.Env, trials: int = 1, then: Sequence[gymnasium.Env | Mapping[str, Any]] = (),
+                 paired: bool = False) -> None:
         if trials < 1 or (then and trials > 1):
             raise ConfigError("trials", trials, "1 or more, and 1 where there are floors above")
         above = [make_described_env(floor) if isinstance(floor, Mapping) else floor for floor in then]

@@ -77,16 +77,10 @@ class LearnedOption(FunctionOption):
         OptionError: the policy is none of these, an agent comes without `legal`, or a stochastic model is asked for.
     """
 
-    def __init__(
-        self,
-        name: str,
-        policy: Callable[..., Any] | TrainedAgent | PredictingModel,
-        termination: Callable[[Any], float],
-        observe: Callable[[Any], Any] | None = None,
-        initiation: Callable[[Any], bool] | None = None,
-        is_stochastic: bool = False,
-        legal: LegalActions | None = None,
-    ) -> None:
+    def __init__(self, name: str, policy: Callable[..., Any] | TrainedAgent | PredictingModel,
+                 termination: Callable[[Any], float], observe: Callable[[Any], Any] | None = None,
+                 initiation: Callable[[Any], bool] | None = None, is_stochastic: bool = False,
+                 legal: LegalActions | None = None) -> None:
         if isinstance(policy, PredictingModel) and is_stochastic:
             raise OptionError(f"option {name!r}: predict draws from torch's global generator, so that no run could be "
                               "repeated: leave is_stochastic false, or give a function of observation and generator")
@@ -206,14 +200,8 @@ class AgentOption(Option):
         origin: run in which it was learned: `agent`, `run`, `seed`, `primitives`; empty for an agent never trained.
     """
 
-    def __init__(
-        self,
-        learned: GivenPolicy,
-        legal: LegalActions,
-        observe: Callable[[Any], Any] | None = None,
-        until: Callable[[Any], float] | None = None,
-        name: str | None = None,
-    ) -> None:
+    def __init__(self, learned: GivenPolicy, legal: LegalActions, observe: Callable[[Any], Any] | None = None,
+                 until: Callable[[Any], float] | None = None, name: str | None = None) -> None:
         super().__init__(learned.name if name is None else name)
         self.is_markov, self.origin = learned.is_markov, dict(learned.origin)
         self._learned, self._legal, self._observe, self._until = learned, legal, observe, until
@@ -276,14 +264,8 @@ class AgentOption(Option):
                 "legal": self._legal, "until": self._until, "origin": self.origin}
 
 
-def make_learned_options(
-    agent: TeachingAgent,
-    legal: LegalActions,
-    *,
-    observe: Callable[[Any], Any] | None = None,
-    until: Callable[[Any], float] | None = None,
-    prefix: str = "",
-) -> tuple[AgentOption, ...]:
+def make_learned_options(agent: TeachingAgent, legal: LegalActions, *, observe: Callable[[Any], Any] | None = None,
+                         until: Callable[[Any], float] | None = None, prefix: str = "") -> tuple[AgentOption, ...]:
     """Make options of all policies that an agent has learned.
 
     Of a hierarchical agent these are its tasks, goals, orders, machines or macros, each until it is over; of any other

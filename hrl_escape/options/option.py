@@ -133,14 +133,8 @@ class FunctionOption(Option):
         is_stochastic: the policy draws, from the generator that it is given and from no other.
     """
 
-    def __init__(
-        self,
-        name: str,
-        policy: Callable[..., Any],
-        termination: Callable[[Any], float],
-        initiation: Callable[[Any], bool] | None = None,
-        is_stochastic: bool = False,
-    ) -> None:
+    def __init__(self, name: str, policy: Callable[..., Any], termination: Callable[[Any], float],
+                 initiation: Callable[[Any], bool] | None = None, is_stochastic: bool = False) -> None:
         super().__init__(name)
         self.is_stochastic, self.is_markov = is_stochastic, not is_stochastic
         self._policy, self._termination, self._initiation = policy, termination, initiation
@@ -187,13 +181,9 @@ class TableOption(Option):
         OptionError: a number is no probability, or a row of the policy does not sum to 1.
     """
 
-    def __init__(
-        self,
-        name: str,
-        policy: Mapping[Any, Any] | Sequence[Any] | NDArray[Any],
-        termination: Mapping[Any, float] | Sequence[float] | NDArray[Any],
-        initiation: Collection[Any] | None = None,
-    ) -> None:
+    def __init__(self, name: str, policy: Mapping[Any, Any] | Sequence[Any] | NDArray[Any],
+                 termination: Mapping[Any, float] | Sequence[float] | NDArray[Any],
+                 initiation: Collection[Any] | None = None) -> None:
         super().__init__(name)
         rows = _make_table(policy)
         is_stochastic = any(np.ndim(row) == 1 for row in rows.values())

@@ -32,14 +32,8 @@ from hrl_escape.synthesis.situation import Situations
 _ROOT = "escape"
 
 
-def synthesise(
-    instance: RoomInstance,
-    kind: HierarchyKind = "maxq",
-    leaves: LeafKind = "planned",
-    *,
-    abstract: bool = True,
-    cell: float | None = None,
-) -> Hierarchy | Machine | GoalSet | Quadtree:
+def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", leaves: LeafKind = "planned", *,
+               abstract: bool = True, cell: float | None = None) -> Hierarchy | Machine | GoalSet | Quadtree:
     """Make a hierarchy for a room from its symbolic model.
 
     Args:

@@ -98,13 +98,8 @@ class OneHotRelaxation:
         best = outputs.masked_fill(~mask, -torch.inf).argmax(dim=1)
         return functional.one_hot(best, outputs.shape[1]).to(outputs.dtype)
 
-    def compute_actor_loss(
-        self,
-        critic: Callable[[torch.Tensor], torch.Tensor],
-        observation: torch.Tensor,
-        outputs: torch.Tensor,
-        mask: torch.Tensor,
-    ) -> torch.Tensor:
+    def compute_actor_loss(self, critic: Callable[[torch.Tensor], torch.Tensor], observation: torch.Tensor,
+                           outputs: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
         """Minus the mean of sum over legal o of pi(o | s) Q(s, o), less the weighted entropy of pi."""
         log_policy = functional.log_softmax(outputs.masked_fill(~mask, -1e9), dim=1)
         policy = log_policy.exp()
@@ -132,13 +127,8 @@ class DDPG(ReplayStreamAgent):
              "_replay_rng", Kept("_actor_learner", "actor"), Kept("_critic_learner", "critic"), "_vector",
              Kept("_noise.state", "noise"))
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: DDPGSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: DDPGSettings | None = None) -> None:
         self.settings = settings = settings or DDPGSettings()
         self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
         self._actions = actions = count_actions(action_space, self.name)

@@ -198,15 +198,9 @@ class DQN(ReplayStreamAgent):
              "_replay_rng", Kept("values.learner", "learner"), "_n_step", "_bonus",
              Kept("_hindsight", is_left_out=True))
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: DQNSettings | None = None,
-        goal_rule: GoalRule | None = None,
-        network: nn.Module | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: DQNSettings | None = None, goal_rule: GoalRule | None = None,
+                 network: nn.Module | None = None) -> None:
         self.settings = settings or self.Settings()
         settings = self.settings
         self._actions = count_actions(action_space, self.name)

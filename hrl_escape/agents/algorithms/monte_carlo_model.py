@@ -45,13 +45,8 @@ class MonteCarloModel(PlanningAgent):
     settings: MonteCarloModelSettings
     STATE = ("_episode", "_redraws", "_seed")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: MonteCarloModelSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: MonteCarloModelSettings | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self._drawn = self.model.make_belief(self._draw, visits=1)
         self._likeliest = self.model.make_belief(self.model.get_likeliest, visits=1)

@@ -80,13 +80,8 @@ class PPO(StreamAgent):
     STATE = ("_learner", Kept("_collected_rollout", "rollout", unpack=dict), Kept("_open", "streams"), "_recollection",
              "_bonus", "_action_rng", "_batch_rng", "_stream_rng")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: PPOSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: PPOSettings | None = None) -> None:
         self.settings = settings = settings or PPOSettings()
         self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
         self._actions = count_actions(action_space, self.name)

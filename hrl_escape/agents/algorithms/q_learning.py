@@ -31,13 +31,8 @@ class QLearning(RowStreamAgent, TabularAgent):
     settings: QLearningSettings
     STATE = ("_bonus",)
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: QLearningSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: QLearningSettings | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self._bonus = CountBonus(observation_space, self.settings, self.name)
 

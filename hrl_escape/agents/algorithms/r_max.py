@@ -65,13 +65,8 @@ class RMax(RowStreamAgent):
     settings: RMaxSettings
     STATE = (Kept("_history", pack=_save_history, unpack=_load_history), "_values", Kept("_is_stale", "stale"), "_rng")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: RMaxSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: RMaxSettings | None = None) -> None:
         self.settings = settings or RMaxSettings()
         self._actions = count_actions(action_space, "r-max")
         self._reader: FactorReader | None = None
@@ -134,9 +129,8 @@ class RMax(RowStreamAgent):
             self._known_values = self._solve(np.zeros(0), None)  # from nothing, so that evaluating changes nothing
         return self._choose(number, self._known_values, action_mask, rng)
 
-    def _choose(
-        self, number: int, values: NDArray[np.float64], mask: NDArray[np.bool_], rng: np.random.Generator
-    ) -> int:
+    def _choose(self, number: int, values: NDArray[np.float64], mask: NDArray[np.bool_], rng: np.random.Generator
+                ) -> int:
         known = mask & (self._counts[number] >= self.settings.visits)
         if not known.any():
             return sample_legal(mask, rng)

@@ -34,13 +34,8 @@ class RandomAgent(Agent):
     settings: RandomSettings
     STATE = ("_rng",)
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: RandomSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: RandomSettings | None = None) -> None:
         count_actions(action_space, "random")
         self.settings = settings or RandomSettings()
         self._rng = make_rng(seed, "actions")

@@ -78,13 +78,8 @@ class Sarsa(ReplayStreamAgent):
     STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"), "_action_rng",
              "_replay_rng", Kept("values.learner", "learner"), "_next_action", "_late_terminal")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: SarsaSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: SarsaSettings | None = None) -> None:
         self.settings = settings = settings or SarsaSettings()
         self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
         self.values = ActionValues(self.name, encoder, action_space, seed, settings)
@@ -175,9 +170,8 @@ class Sarsa(ReplayStreamAgent):
         weights = torch.from_numpy(self._compute_weights(next_online, next_mask, next_action)).to(batch.reward.device)
         return batch.reward + batch.bootstrap * (weights * self.values.target(batch.next_observation)).sum(dim=1)
 
-    def _compute_weights(
-        self, next_online: NDArray, next_mask: NDArray[np.bool_], next_action: int | None
-    ) -> NDArray[np.float32]:
+    def _compute_weights(self, next_online: NDArray, next_mask: NDArray[np.bool_], next_action: int | None
+                         ) -> NDArray[np.float32]:
         """Weight of each next action in V(s'), float32 (batch, actions)."""
         one_hot = np.eye(next_online.shape[1], dtype=np.float32)
         if next_action is not None and not self.settings.expected:

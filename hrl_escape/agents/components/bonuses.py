@@ -123,9 +123,7 @@ class DistillationBonus(Stateful):
 
     STATE = ("_learner", "_visits", "_errors", "_mean", "_squares", Kept("_kept_batch", "batch"))
 
-    def __init__(
-        self, space: gymnasium.Space, seed: int, weight: float, settings: Any, agent: str
-    ) -> None:
+    def __init__(self, space: gymnasium.Space, seed: int, weight: float, settings: Any, agent: str) -> None:
         self._weight = weight
         self._encoder = encoder = ObservationEncoder(space, settings.scale_observations)
         generator = make_generator(make_rng(seed, "distillation"))
@@ -202,9 +200,7 @@ class DistillationBonus(Stateful):
         self._batch = list(saved)
 
 
-def make_bonus(
-    space: gymnasium.Space, seed: int, settings: Any, agent: str
-) -> CountBonus | DistillationBonus:
+def make_bonus(space: gymnasium.Space, seed: int, settings: Any, agent: str) -> CountBonus | DistillationBonus:
     """The bonus that an agent's settings ask for; with a weight of 0 it counts nothing.
 
     Args:

@@ -78,9 +78,7 @@ def compute_epsilon(settings: Any, steps: int) -> float:
     return settings.epsilon_start + progress * (settings.epsilon_end - settings.epsilon_start)
 
 
-def compute_policy(
-    values: NDArray, mask: NDArray[np.bool_], settings: Any, steps: int
-) -> NDArray[np.float64]:
+def compute_policy(values: NDArray, mask: NDArray[np.bool_], settings: Any, steps: int) -> NDArray[np.float64]:
     """Probabilities of the exploring policy.
 
     Args:
@@ -136,13 +134,7 @@ def compute_exploration_entropy(values: NDArray, mask: NDArray[np.bool_], settin
     return sum(-count * share * math.log(share) for count, share in ((1, best), (others, other)) if share > 0)
 
 
-def sample_action(
-    values: NDArray,
-    mask: NDArray[np.bool_],
-    settings: Any,
-    steps: int,
-    rng: np.random.Generator,
-) -> int:
+def sample_action(values: NDArray, mask: NDArray[np.bool_], settings: Any, steps: int, rng: np.random.Generator) -> int:
     """Draw one action from `compute_policy`. Shapes (actions,)."""
     if settings.exploration == "boltzmann":
         return sample_index(compute_policy(values, mask, settings, steps), rng)

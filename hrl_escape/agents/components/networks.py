@@ -295,14 +295,8 @@ def make_generator(rng: np.random.Generator) -> torch.Generator:
     return generator
 
 
-def make_network(
-    encoder: ObservationEncoder,
-    outputs: int,
-    settings: Any,
-    generator: torch.Generator,
-    extra_inputs: int = 0,
-    output_gain: float = 1.0,
-) -> Network:
+def make_network(encoder: ObservationEncoder, outputs: int, settings: Any, generator: torch.Generator,
+                 extra_inputs: int = 0, output_gain: float = 1.0) -> Network:
     """A perceptron (convolutions first for images) from encoded observations to `outputs` numbers.
 
     Args:
@@ -339,9 +333,8 @@ class _Unit(nn.Module):
         return image.float() / 255
 
 
-def _make_convolutions(
-    shape: tuple[int, ...], initialisation: str, generator: torch.Generator, extra_inputs: int
-) -> tuple[list[nn.Module], int]:
+def _make_convolutions(shape: tuple[int, ...], initialisation: str, generator: torch.Generator, extra_inputs: int
+                       ) -> tuple[list[nn.Module], int]:
     """The convolutional layers of Mnih et al. (2015), and how many units come out."""
     channels, height, width = shape
     if min(height, width) < 36 or extra_inputs:
@@ -606,10 +599,8 @@ class Learner(Stateful):
 
     STATE = ("updates", "_weights", "_moments")
 
-    def __init__(
-        self, name: str, networks: Mapping[str, Network], trained: Iterable[str], settings: Any,
-        learning_rate: float | None = None,
-    ) -> None:
+    def __init__(self, name: str, networks: Mapping[str, Network], trained: Iterable[str], settings: Any,
+                 learning_rate: float | None = None) -> None:
         self.name, self.updates, self.gradient_norm, self._is_wild = name, 0, 0.0, False
         self._networks = networks
         self._max_norm = settings.max_grad_norm

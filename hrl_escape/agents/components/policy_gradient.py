@@ -203,10 +203,8 @@ def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, a
     return -torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()
 
 
-def compute_clipped_parts(
-    log_policy: Tensor, mask: Tensor, action: Tensor, values: Tensor, old_log_probability: Tensor, advantage: Tensor,
-    target: Tensor, settings: Any,
-) -> dict[str, Tensor]:
+def compute_clipped_parts(log_policy: Tensor, mask: Tensor, action: Tensor, values: Tensor, old_log_probability: Tensor,
+                          advantage: Tensor, target: Tensor, settings: Any) -> dict[str, Tensor]:
     """PPO's loss over a minibatch, and after it its parts.
 
     Args:

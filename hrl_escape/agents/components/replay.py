@@ -168,14 +168,8 @@ class ReplayBuffer(_Ring):
         action_shape: () for an index, (actions,) for a relaxed action.
     """
 
-    def __init__(
-        self,
-        capacity: int,
-        observation_shape: tuple[int, ...],
-        observation_dtype: DTypeLike,
-        actions: int,
-        action_shape: tuple[int, ...] = (),
-    ) -> None:
+    def __init__(self, capacity: int, observation_shape: tuple[int, ...], observation_dtype: DTypeLike, actions: int,
+                 action_shape: tuple[int, ...] = ()) -> None:
         super().__init__(Experience(
             observation=np.zeros((capacity, *observation_shape), observation_dtype),
             mask=np.zeros((capacity, actions), np.bool_),

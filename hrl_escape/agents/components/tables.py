@@ -58,9 +58,8 @@ def make_discretiser(space: gymnasium.Space, settings: ResolutionSettings, agent
     return lambda observation: find_cell(observation).tobytes()
 
 
-def make_cell_finder(
-    space: gymnasium.Space, settings: ResolutionSettings, agent: str
-) -> Callable[[Any], NDArray[np.int32]]:
+def make_cell_finder(space: gymnasium.Space, settings: ResolutionSettings, agent: str
+                     ) -> Callable[[Any], NDArray[np.int32]]:
     """A function from observations, one or a batch of them, to int32 cells of the same shape.
 
     Raises:
@@ -181,13 +180,8 @@ class TabularAgent(Agent):
     name: ClassVar[str]
     STATE = ("table", "_steps", "_rng")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: TabularAgentSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: TabularAgentSettings | None = None) -> None:
         self.settings = settings or self.Settings()
         self.table = QTable(count_actions(action_space, self.name), self.settings)
         self._discretise = make_discretiser(observation_space, self.settings, self.name)

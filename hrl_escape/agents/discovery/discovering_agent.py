@@ -78,13 +78,8 @@ class DiscoveringAgent(TabularAgent):
 
     STATE = ("graph", Kept("skills", pack=save_skills, unpack=load_skills), "discovery", "_running", "_lasted")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: DiscoverySettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: DiscoverySettings | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self.actions = count_actions(action_space, self.name)
         self.graph = StateGraph(self.actions)
@@ -281,9 +276,8 @@ class GraphDiscovery(Discovery):
         return self.find(graph.make_model(), adjacency[states][:, states].toarray(), states)
 
     @abstractmethod
-    def find(
-        self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
-    ) -> Mapping[int, TableSkill]:
+    def find(self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
+             ) -> Mapping[int, TableSkill]:
         """Find options by slot.
 
         Args:

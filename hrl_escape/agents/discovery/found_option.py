@@ -31,9 +31,8 @@ class TableSkill:
     starts: NDArray[np.bool_]  # bool (states,), where it may begin
 
 
-def make_eigenoption(
-    name: str, model: StateModel, purpose: NDArray[np.float64], gamma: float, sweeps: int = 10_000
-) -> TableSkill:
+def make_eigenoption(name: str, model: StateModel, purpose: NDArray[np.float64], gamma: float, sweeps: int = 10_000
+                     ) -> TableSkill:
     """Option that climbs a function of the state: paid e(s') - e(s), over where no more can be earned.
 
     Machado et al. (2017): the policy is optimal with one further action, to end, that earns nothing.
@@ -70,10 +69,8 @@ def make_point_option(name: str, model: StateModel, start: int, goal: int, gamma
     return TableSkill(name, option.actions, option.starts & (states == start))
 
 
-def make_subgoal_option(
-    name: str, model: StateModel, inside: NDArray[np.bool_], targets: NDArray[np.bool_], gamma: float = 0.99,
-    sweeps: int = 10_000,
-) -> TableSkill:
+def make_subgoal_option(name: str, model: StateModel, inside: NDArray[np.bool_], targets: NDArray[np.bool_],
+                        gamma: float = 0.99, sweeps: int = 10_000) -> TableSkill:
     """Option that stays inside some states until it is in one of its targets, to be there soon.
 
     It maximises the expected gamma^k of arriving. It may begin wherever a way to a target is known that stays inside,

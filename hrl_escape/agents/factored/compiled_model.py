@@ -56,9 +56,8 @@ class Packing:
             for parents, contexts in zip(learner.hypotheses, learner.context_counts.tolist(), strict=True)
         ]
 
-    def _list_patterns(
-        self, learner: StructureLearner, parents: tuple[int, ...], context: int
-    ) -> Iterator[tuple[int, int]]:
+    def _list_patterns(self, learner: StructureLearner, parents: tuple[int, ...], context: int
+                       ) -> Iterator[tuple[int, int]]:
         if not learner.all_on:
             care = value = 0
             for parent in parents:
@@ -100,14 +99,8 @@ class ActionModel:
     gaps: NDArray[np.uint64]  # uint64 (gaps, 2), pairs (care, value) where the outcome is open
 
 
-def compile_action(
-    learner: StructureLearner,
-    packing: Packing,
-    action: int,
-    choose: ChooseHypotheses,
-    bonuses: Sequence[float],
-    visits: int,
-) -> ActionModel:
+def compile_action(learner: StructureLearner, packing: Packing, action: int, choose: ChooseHypotheses,
+                   bonuses: Sequence[float], visits: int) -> ActionModel:
     """Turn chosen hypotheses into rules and gaps.
 
     An action that has never changed anything has no rules; all hypotheses of `choose(action, over)` then
@@ -138,9 +131,8 @@ def compile_action(
     return ActionModel(rules, np.array(sorted(gaps), dtype=np.uint64).reshape(-1, 2))
 
 
-def _find_disputes(
-    learner: StructureLearner, packing: Packing, action: int, chosen: NDArray[np.int64], outcome: int
-) -> Iterator[tuple[int, int]]:
+def _find_disputes(learner: StructureLearner, packing: Packing, action: int, chosen: NDArray[np.int64], outcome: int
+                   ) -> Iterator[tuple[int, int]]:
     """Patterns of states in which the first hypothesis and another one predict different outcomes."""
     samples = learner.get_samples(action, chosen, outcome)  # (hypotheses, contexts, own, values)
     says, speaks = np.asarray(samples.argmax(axis=-1)), np.asarray(samples.any(axis=-1))
@@ -156,15 +148,8 @@ def _find_disputes(
                     yield care | other_care | own_care, value | other_value | own_value
 
 
-def _add_rules(
-    found: dict[tuple[int, int], list],
-    learner: StructureLearner,
-    packing: Packing,
-    action: int,
-    hypothesis: int,
-    outcome: int,
-    bonuses: Sequence[float],
-) -> None:
+def _add_rules(found: dict[tuple[int, int], list], learner: StructureLearner, packing: Packing, action: int,
+               hypothesis: int, outcome: int, bonuses: Sequence[float]) -> None:
     """Add one outcome's effects in every context to `found`: (care, value) -> clear, put, flip, over, bonus."""
     counts = learner.get_counts(action, hypothesis, outcome)
     for context in counts.any(axis=(1, 2)).nonzero()[0]:

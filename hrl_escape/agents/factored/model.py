@@ -61,15 +61,8 @@ class DurationModel:
         near: see `NEAR`, in units of that distance.
     """
 
-    def __init__(
-        self,
-        table: NDArray[np.float64],
-        places: NDArray[np.int64],
-        homes: NDArray[np.float64],
-        weights: NDArray[np.float64],
-        line: tuple[float, float],
-        near: float,
-    ) -> None:
+    def __init__(self, table: NDArray[np.float64], places: NDArray[np.int64], homes: NDArray[np.float64],
+                 weights: NDArray[np.float64], line: tuple[float, float], near: float) -> None:
         self._table, self.places, self._homes = table, places, homes
         self._weights, self._line, self._near = weights, line, near
 
@@ -362,9 +355,8 @@ class FactoredModel:
         """The state as one word."""
         return self.packing.pack(self._reader.read(self._reader.flatten(observation)))
 
-    def search(
-        self, belief: Belief, observation: Any, legal: NDArray[np.bool_], seek_gaps: bool, most_nodes: int
-    ) -> ModelPlan:
+    def search(self, belief: Belief, observation: Any, legal: NDArray[np.bool_], seek_gaps: bool, most_nodes: int
+               ) -> ModelPlan:
         """Plan from an observation; see `find_plan`."""
         belief.update(self)
         relevant = belief.relevant_with_gaps if seek_gaps else belief.relevant

@@ -51,13 +51,8 @@ class PlanningAgent(Agent):
     name: ClassVar[str]
     STATE = ("model", "_pending", Kept("_is_exploring", "exploring"), "_rng")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: PlanningSettings | None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: PlanningSettings | None) -> None:
         self.settings = settings or self.Settings()
         actions = count_actions(action_space, self.name)
         self.model = FactoredModel(
@@ -68,9 +63,7 @@ class PlanningAgent(Agent):
         self._pending = PendingPlan()
         self._is_exploring = self._is_planned = False
 
-    def make_learner(
-        self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool
-    ) -> StructureLearner:
+    def make_learner(self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool) -> StructureLearner:
         """The learner of structure, new."""
         return StructureLearner(sizes, actions, max_parents, all_on)
 

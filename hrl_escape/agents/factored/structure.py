@@ -93,9 +93,8 @@ class StructureLearner:
         changed = np.concatenate([after != before, [over, bonus != 0]])
         self._active[action] |= changed
 
-    def read_sample(
-        self, before: NDArray[np.int64], after: NDArray[np.int64], over: bool, bonus: int
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    def read_sample(self, before: NDArray[np.int64], after: NDArray[np.int64], over: bool, bonus: int
+                    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """Context of each hypothesis, (hypotheses,); own value and result of each outcome, (outcomes,) each."""
         own = np.concatenate([np.where(self._is_bit, before, 0), [0, 0]])
         result = np.concatenate([after, [int(over), bonus]])

@@ -224,10 +224,8 @@ class TreeLearner(StructureLearner):
         return frozenset(asked.nonzero()[0].tolist()) - {outcome}
 
 
-def compile_trees(
-    learner: TreeLearner, packing: Packing, action: int, choose: ChooseHypotheses, bonuses: Sequence[float],
-    visits: int,
-) -> ActionModel:
+def compile_trees(learner: TreeLearner, packing: Packing, action: int, choose: ChooseHypotheses,
+                  bonuses: Sequence[float], visits: int) -> ActionModel:
     """Rules of the leaves in which an action most often changes something, known by `visits` samples; without gaps.
 
     Arguments are those of `compile_action`; hypotheses there are none.

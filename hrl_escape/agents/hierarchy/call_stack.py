@@ -83,14 +83,8 @@ def descend(stack: Stack, seen: Seen, choose: Chooser) -> tuple[Stack, int]:
             raise StepContractError(f"more than {Hierarchy.MOST_DEPTH} calls run at once: {task.name!r} calls for ever")
 
 
-def arrive(
-    stack: Stack,
-    step: Step,
-    get_gamma: Callable[[BaseTask], float],
-    draw: Callable[[float], bool],
-    polled: bool = False,
-    paid: bool = True,
-) -> tuple[Stack, list[Return]]:
+def arrive(stack: Stack, step: Step, get_gamma: Callable[[BaseTask], float], draw: Callable[[float], bool],
+           polled: bool = False, paid: bool = True) -> tuple[Stack, list[Return]]:
     """Pay every running call for a primitive, and end those that are over.
 
     A call that ends takes all calls below it along. What is left is a stack whose last call must choose next; it is

@@ -103,9 +103,8 @@ class CallRunner(RowStreamAgent):
         """Choose for the last call, exploring."""
 
     @abstractmethod
-    def choose_greedy(
-        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
-    ) -> int:
+    def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+                      ) -> int:
         """Choose for the last call in evaluation; nothing in the agent may change."""
 
     @abstractmethod
@@ -246,9 +245,8 @@ class TabularRunner(CallRunner):
             return int(legal.argmax())
         return sample_action(values, legal, self.settings, self._steps, self._action_rng)
 
-    def choose_greedy(
-        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
-    ) -> int:
+    def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+                      ) -> int:
         """The call's best choice, drawn among equals."""
         values = self.weigh(stack, view, seen)
         return int(legal.argmax()) if values is None else choose_best(values, legal, rng)
@@ -320,13 +318,8 @@ class StackAgent(CallRunner):
     Settings: ClassVar[type] = StackSettings
     STATE = (Kept("_owned", "learners"),)
 
-    def __init__(
-        self,
-        hierarchy: Hierarchy,
-        observation_space: gymnasium.Space,
-        seed: int,
-        settings: StackSettings | None = None,
-    ) -> None:
+    def __init__(self, hierarchy: Hierarchy, observation_space: gymnasium.Space, seed: int,
+                 settings: StackSettings | None = None) -> None:
         super().__init__(hierarchy, seed, settings or StackSettings())
         self.made_for = None  # the second argument is no action space
         tasks = hierarchy.tasks
@@ -383,9 +376,8 @@ class StackAgent(CallRunner):
         assert isinstance(learner, StreamAgent)
         return int(learner.act_streams(_make_row(view), _make_row(legal), self._find_stream(stack, learner)))
 
-    def choose_greedy(
-        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
-    ) -> int:
+    def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+                      ) -> int:
         """The learner's greedy choice, or the task's own."""
         task, context = stack[-1].task, stack[-1].context
         learner = self.learners.get(task.name)

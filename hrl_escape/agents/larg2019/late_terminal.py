@@ -26,9 +26,8 @@ class LateTerminal(Stateful):
     def __init__(self) -> None:
         self._waiting: Experience | None = None
 
-    def push(
-        self, experience: Experience, transition: SMDPTransition, settings: LearningSettings
-    ) -> list[tuple[Experience, int | None]]:
+    def push(self, experience: Experience, transition: SMDPTransition, settings: LearningSettings
+             ) -> list[tuple[Experience, int | None]]:
         """Take in one decision; returns what is to be learned now.
 
         Args:

@@ -25,13 +25,8 @@ class LinearRelaxation:
         del mask
         return outputs
 
-    def compute_actor_loss(
-        self,
-        critic: Callable[[torch.Tensor], torch.Tensor],
-        observation: torch.Tensor,
-        outputs: torch.Tensor,
-        mask: torch.Tensor,
-    ) -> torch.Tensor:
+    def compute_actor_loss(self, critic: Callable[[torch.Tensor], torch.Tensor], observation: torch.Tensor,
+                           outputs: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
         """Minus the mean of Q(s, mu(s))."""
         del mask
         return -critic(torch.cat((observation, outputs), dim=1)).mean()

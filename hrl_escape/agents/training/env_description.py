@@ -136,10 +136,8 @@ def describe_many(env: Any) -> dict[str, Any]:
     return {"class": name_part(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
 
 
-def make_described_env(
-    description: Mapping[str, Any], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env,
-    *, trust: bool = False,
-) -> gymnasium.Env:
+def make_described_env(description: Mapping[str, Any], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env,
+                       *, trust: bool = False) -> gymnasium.Env:
     """Make an environment from its description.
 
     Args:
@@ -210,9 +208,8 @@ def _load(name: Any, trust: bool) -> Any:
     return import_part(name)
 
 
-def _make_env(
-    description: Mapping[str, Any], trust: bool, wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env
-) -> gymnasium.Env:
+def _make_env(description: Mapping[str, Any], trust: bool,
+              wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env) -> gymnasium.Env:
     env = wrap(_make_part(description, gymnasium.Env, trust))
     for wrapper in description["wrappers"]:
         env = _make_part(wrapper, gymnasium.Wrapper, trust, env)

@@ -79,9 +79,8 @@ def compute_episode_seed(seed: int, purpose: str, episode: int) -> int:
     return int(np.random.SeedSequence([seed, *purpose.encode(), episode]).generate_state(1)[0])
 
 
-def play_episode(
-    agent: Agent, env: gymnasium.Env, seed: int, max_primitives: int = LONGEST_EPISODE
-) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
+def play_episode(agent: Agent, env: gymnasium.Env, seed: int, max_primitives: int = LONGEST_EPISODE
+                 ) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Play one greedy episode, yielding each transition with its `info`.
 
     Args:
@@ -108,16 +107,8 @@ def play_episode(
         observation, mask = transition.next_observation, transition.next_action_mask
 
 
-def evaluate(
-    agent: Agent,
-    env: gymnasium.Env,
-    episodes: int,
-    seed: int = 0,
-    primitives: int = 0,
-    decisions: int = 0,
-    max_primitives: int = LONGEST_EPISODE,
-    trials: int = 1,
-) -> Evaluation:
+def evaluate(agent: Agent, env: gymnasium.Env, episodes: int, seed: int = 0, primitives: int = 0, decisions: int = 0,
+             max_primitives: int = LONGEST_EPISODE, trials: int = 1) -> Evaluation:
     """Play greedy episodes with seeds that depend only on `seed` and the episode's number.
 
     Args:
@@ -137,16 +128,8 @@ def evaluate(
     return _make_evaluation(primitives, decisions, sums, time.perf_counter() - started)
 
 
-def evaluate_trials(
-    agent: Agent,
-    env: gymnasium.Env,
-    episodes: int,
-    trials: int,
-    seed: int = 0,
-    primitives: int = 0,
-    decisions: int = 0,
-    after_episode: Callable[[], object] = lambda: None,
-) -> tuple[Evaluation, ...]:
+def evaluate_trials(agent: Agent, env: gymnasium.Env, episodes: int, trials: int, seed: int = 0, primitives: int = 0,
+                    decisions: int = 0, after_episode: Callable[[], object] = lambda: None) -> tuple[Evaluation, ...]:
     """Evaluate each trial of episodes that have several, such as those of a `SequenceEnv`.
 
     Args:

@@ -128,10 +128,8 @@ class Run(Stateful):
     STATE = ("agent", "primitives", "decisions", "planner_calls", "seconds", "planner_seconds", "probe")
     """State beyond the log."""
 
-    def __init__(
-        self, agent: Agent, env: gymnasium.Env, eval_env: gymnasium.Env, arguments: RunArguments,
-        probe: Probe | None = None, callbacks: Sequence[Callback] = (),
-    ) -> None:
+    def __init__(self, agent: Agent, env: gymnasium.Env, eval_env: gymnasium.Env, arguments: RunArguments,
+                 probe: Probe | None = None, callbacks: Sequence[Callback] = ()) -> None:
         self.agent, self.env, self.eval_env, self.arguments, self.probe = agent, env, eval_env, arguments, probe
         self.callbacks, self._is_stopped = tuple(callbacks), False
         self.actions = check_actions(agent, env.action_space)

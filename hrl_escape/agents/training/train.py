@@ -252,10 +252,8 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
     return agent
 
 
-def load_env(
-    folder: str | os.PathLike[str], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env,
-    *, trust: bool = False,
-) -> gymnasium.Env:
+def load_env(folder: str | os.PathLike[str], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env, *,
+             trust: bool = False) -> gymnasium.Env:
     """Make the environment of a run again: room, observation, options and wrappers.
 
     Args:

@@ -58,9 +58,8 @@ class ArmKinematics:
             tuple(math.floor((high - a + _SLACK) / robot.step) for a, (_, high) in zip(at, robot.limits, strict=True)),
         )
 
-    def compute_placements(
-        self, joint_offsets: tuple[float, ...] = ()
-    ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
+    def compute_placements(self, joint_offsets: tuple[float, ...] = ()
+                           ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
         """Tabulate the placements of every joint by itself; products of them make the lattice.
 
         Args:

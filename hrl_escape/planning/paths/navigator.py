@@ -201,10 +201,9 @@ class Navigator:
             return "no-path", none
         return None, _choose_goals(places, start) if self.instance.robot.base.turns_anywhere else places
 
-    def _solve(
-        self, collision: CollisionMap, start: tuple[float, float], places: NDArray[np.float64], name: str,
-        factory: PlannerFactory, make_problem: Callable[..., PathProblem],
-    ) -> tuple[Status, NDArray[np.float64], int]:
+    def _solve(self, collision: CollisionMap, start: tuple[float, float], places: NDArray[np.float64], name: str,
+               factory: PlannerFactory, make_problem: Callable[..., PathProblem]
+               ) -> tuple[Status, NDArray[np.float64], int]:
         none = np.zeros((0, 2))
         begin = _move_aside(collision, np.array(start))
         ends = [(place, aside) for place in places if (aside := _move_aside(collision, place)) is not None]

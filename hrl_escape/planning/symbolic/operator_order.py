@@ -122,13 +122,9 @@ class TaskSearch:
             one of these.
     """
 
-    def __init__(
-        self,
-        model: SymbolicModel,
-        goal: frozenset[str] | None = None,
-        lower_bound: Callable[[Operator | None, Operator | None], float] = lambda last, then: 0.0,
-        relevant_only: bool = True,
-    ) -> None:
+    def __init__(self, model: SymbolicModel, goal: frozenset[str] | None = None,
+                 lower_bound: Callable[[Operator | None, Operator | None], float] = lambda last, then: 0.0,
+                 relevant_only: bool = True) -> None:
         goal = model.goal if goal is None else goal
         self.operators = find_relevant_operators(model, goal) if relevant_only else tuple(model.operators)
         self._bits = {fact: 1 << i for i, fact in enumerate(model.propositions)}
@@ -215,9 +211,8 @@ class TaskSearch:
                     queue.append(then)
         return legs[:most]
 
-    def find_order(
-        self, facts: frozenset[str], place: Any, extend: ExtendLeg, largest: int = LARGEST_SEARCH
-    ) -> TaskPlan | None:
+    def find_order(self, facts: frozenset[str], place: Any, extend: ExtendLeg, largest: int = LARGEST_SEARCH
+                   ) -> TaskPlan | None:
         """Find the order of fewest primitives from here; None if there is none.
 
         Exact over orders unless more than `largest` legs would have to be examined; then the best of a

@@ -173,14 +173,8 @@ class FeudalRl(TabularRunner):
     Settings: ClassVar[type] = FeudalRlSettings
     STATE = ("tables",)
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: FeudalRlSettings | None = None,
-        tree: Quadtree | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: FeudalRlSettings | None = None, tree: Quadtree | None = None) -> None:
         settings = settings or FeudalRlSettings()
         actions = count_actions(action_space, "feudal-rl")
         tree = tree or Quadtree(0, lambda observation: (0.0, 0.0))

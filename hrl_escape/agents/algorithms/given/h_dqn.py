@@ -119,14 +119,8 @@ class HDqn(CallRunner):
     STATE = ("manager", "worker", "successes", "_steps", "_action_rng")
     recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({"table": HDqnSettings(values="table")})
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: HDqnSettings | None = None,
-        goals: GoalSet | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: HDqnSettings | None = None, goals: GoalSet | None = None) -> None:
         settings = settings or HDqnSettings()
         actions = count_actions(action_space, "h-dqn")
         goals = goals or make_goals(observation_space, "h-dqn")
@@ -161,9 +155,8 @@ class HDqn(CallRunner):
             return sample_legal(legal, self._action_rng)
         return choose_best(self._compute(view, goal), legal, self._action_rng)
 
-    def choose_greedy(
-        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
-    ) -> int:
+    def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+                      ) -> int:
         """The best goal, the best primitive towards it."""
         if stack[-1].context is not None and self._is_planned:
             return int(legal.argmax())
@@ -222,9 +215,8 @@ class HDqn(CallRunner):
 class _TableValues(QTable):
     """Q(s, .; g) in a table."""
 
-    def __init__(
-        self, space: gymnasium.Space, goals: int, actions: int, settings: HDqnSettings, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, space: gymnasium.Space, goals: int, actions: int, settings: HDqnSettings,
+                 rng: np.random.Generator) -> None:
         table = TabularSettings(
             bins=settings.bins,
             resolution=settings.resolution,
@@ -253,9 +245,8 @@ class _NetworkValues(Stateful):
 
     STATE = ("_learner", "_replay", "_due", "_rng")
 
-    def __init__(
-        self, space: gymnasium.Space, goals: int, actions: int, settings: HDqnSettings, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, space: gymnasium.Space, goals: int, actions: int, settings: HDqnSettings,
+                 rng: np.random.Generator) -> None:
         self._settings, self._goals = settings, goals
         self._encoder = ObservationEncoder(space, settings.scale_observations)
         generator = make_generator(rng)

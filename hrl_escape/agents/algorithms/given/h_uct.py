@@ -105,15 +105,9 @@ class HUct(CallRunner):
     Settings: ClassVar[type] = HUctSettings
     STATE = (Kept("_met", pack=_save_met, unpack=_load_met), "_search_rng")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: HUctSettings | None = None,
-        hierarchy: Hierarchy | None = None,
-        simulator: Simulator | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: HUctSettings | None = None, hierarchy: Hierarchy | None = None,
+                 simulator: Simulator | None = None) -> None:
         settings = settings or HUctSettings()
         super().__init__(hierarchy or flat(count_actions(action_space, "h-uct")), seed, settings)
         get_graph(self.hierarchy, "h-uct")
@@ -154,9 +148,8 @@ class HUct(CallRunner):
         """The best choice by a search of the agent's own."""
         return self.choose_greedy(stack, view, legal, seen, self._search_rng)
 
-    def choose_greedy(
-        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
-    ) -> int:
+    def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+                      ) -> int:
         """The best choice by a search that draws from `rng`."""
         if legal.sum() == 1:
             return int(legal.argmax())

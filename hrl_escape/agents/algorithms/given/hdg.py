@@ -75,15 +75,9 @@ class Hdg(RowStreamAgent):
 
     Settings: ClassVar[type] = HdgSettings
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: HdgSettings | None = None,
-        landmarks: Landmarks | None = None,
-        goal: Callable[[Any], Hashable] | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: HdgSettings | None = None, landmarks: Landmarks | None = None,
+                 goal: Callable[[Any], Hashable] | None = None) -> None:
         self.settings = settings = settings or HdgSettings()
         self._actions = count_actions(action_space, "hdg")
         self._landmarks, self._goal = landmarks, goal

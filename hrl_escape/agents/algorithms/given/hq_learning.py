@@ -103,13 +103,8 @@ class HqLearning(RowStreamAgent):
     EPISODE = ("_trial", "_turns")
     EPISODE_STATE = ("trial", "turns")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: HqLearningSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: HqLearningSettings | None = None) -> None:
         self.settings = settings = settings or HqLearningSettings()
         actions = count_actions(action_space, "hq-learning")
         table = TabularSettings(learning_rate=settings.learning_rate)

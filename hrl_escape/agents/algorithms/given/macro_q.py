@@ -35,14 +35,8 @@ class Macro(BaseTask):
         start: moment -> whether it may begin there; anywhere by default.
     """
 
-    def __init__(
-        self,
-        name: str,
-        primitives: int,
-        policy: Callable[[Seen], int],
-        until: Callable[[Seen], bool],
-        start: Callable[[Seen], bool] | None = None,
-    ) -> None:
+    def __init__(self, name: str, primitives: int, policy: Callable[[Seen], int], until: Callable[[Seen], bool],
+                 start: Callable[[Seen], bool] | None = None) -> None:
         super().__init__(name, primitives)
         self._policy, self._until, self._start = policy, until, start
 
@@ -109,14 +103,8 @@ class MacroQ(TabularRunner):
     Settings: ClassVar[type] = MacroQSettings
     STATE = ("table",)
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: MacroQSettings | None = None,
-        macros: Sequence[Macro] = (),
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: MacroQSettings | None = None, macros: Sequence[Macro] = ()) -> None:
         settings = settings or MacroQSettings()
         actions = count_actions(action_space, "macro-q")
         super().__init__(make_macro_hierarchy(actions, macros), seed, settings)

@@ -72,14 +72,8 @@ class MaxqQ(TabularRunner):
     _way: list[tuple[Seen, int, float]]
     """Moments of the running root call; how long each one's primitive took, and what it earned."""
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: MaxqQSettings | None = None,
-        hierarchy: Hierarchy | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: MaxqQSettings | None = None, hierarchy: Hierarchy | None = None) -> None:
         settings = settings or MaxqQSettings()
         super().__init__(hierarchy or flat(count_actions(action_space, "maxq-q")), seed, settings)
         self._primitive_views = get_graph(self.hierarchy, "maxq-q").primitive_views
@@ -140,9 +134,8 @@ class MaxqQ(TabularRunner):
         task = get_task(stack)
         return None if task.policy is not None else self.compute_choice_values(task, seen)
 
-    def choose_greedy(
-        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
-    ) -> int:
+    def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+                      ) -> int:
         """The best choice, the first among equals: callers are told what that one earns."""
         values = self.weigh(stack, view, seen)
         return int(legal.argmax()) if values is None else choose_best(values, legal)
@@ -218,9 +211,8 @@ class MaxqQ(TabularRunner):
                      for seen, mask, duration, reward in saved]
 
 
-def _make_discretiser(
-    space: gymnasium.Space, settings: MaxqQSettings, hierarchy: Hierarchy
-) -> Callable[[Any], bytes] | None:
+def _make_discretiser(space: gymnasium.Space, settings: MaxqQSettings, hierarchy: Hierarchy
+                      ) -> Callable[[Any], bytes] | None:
     """Keys of whole observations; None where every task and primitive has a view of its own."""
     graph = [task for task in hierarchy.tasks.values() if isinstance(task, GraphTask)]
     called = {(child, index, task) for task in graph for index, child in enumerate(task.children)}

@@ -87,14 +87,8 @@ class RMaxq(CallRunner):
         "_action_rng",
     )  # fmt: skip
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: RMaxqSettings | None = None,
-        hierarchy: Hierarchy | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: RMaxqSettings | None = None, hierarchy: Hierarchy | None = None) -> None:
         settings = settings or RMaxqSettings()
         self._actions = count_actions(action_space, "r-maxq")
         super().__init__(hierarchy or flat(self._actions), seed, settings)
@@ -181,9 +175,8 @@ class RMaxq(CallRunner):
         """The best choice of the optimistic plan."""
         return self.choose_greedy(stack, view, legal, seen, self._action_rng)
 
-    def choose_greedy(
-        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
-    ) -> int:
+    def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+                      ) -> int:
         """The best choice of the same plan; any in a state never met."""
         state = self._numbers.get(self._discretise(seen.observation))
         if state is None:

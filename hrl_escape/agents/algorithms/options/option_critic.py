@@ -88,13 +88,8 @@ class OptionCritic(OptionAgent):
     settings: OptionCriticSettings
     STATE = ("log", "_option", "_decisions", "_likely", "_rng")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: OptionCriticSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: OptionCriticSettings | None = None) -> None:
         self.settings = settings = settings or OptionCriticSettings()
         super().__init__(settings.options, self.name)
         self._actions = count_actions(action_space, self.name)

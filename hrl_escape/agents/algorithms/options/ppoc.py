@@ -91,13 +91,8 @@ class PPOC(StreamOptionAgent):
     trained: ClassVar[tuple[str, ...]] = ("policy", "critic", "chooser")
     STATE = ("_ending_learner", Kept("_waiting", pack=_pack_waiting, unpack=_unpack_waiting))
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: PPOCSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: PPOCSettings | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self._ending_learner = Learner(self.name, {"ending": self.heads.networks["ending"]}, ["ending"], self.settings,
                                        self.settings.termination_rate or 1.0)

@@ -39,9 +39,8 @@ class CoveringDiscovery(GraphDiscovery):
         super().__init__(settings, 2 * settings.edges)
         self._edges = settings.edges
 
-    def find(
-        self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
-    ) -> dict[int, TableSkill]:
+    def find(self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
+             ) -> dict[int, TableSkill]:
         """Both options of each edge, in order; the slowest direction is computed anew after each."""
         joined = adjacency.copy()
         found = {}

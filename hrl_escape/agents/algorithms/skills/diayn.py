@@ -89,13 +89,8 @@ class DIAYN(StreamOptionAgent):
     is_markov: bool = True
     STATE = (Kept("_judge", "discriminator"), "_returns", "_episodes", "_earned", "_bits", "_is_warned")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: DIAYNSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: DIAYNSettings | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self.discriminator = make_network(self._encoder, self.options, self.settings,
                                           make_generator(make_rng(seed, "discriminator")))

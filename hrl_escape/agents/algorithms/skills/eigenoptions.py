@@ -46,9 +46,8 @@ class EigenoptionDiscovery(GraphDiscovery):
         super().__init__(settings, 2 * settings.directions)
         self._settings = settings
 
-    def find(
-        self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
-    ) -> dict[int, TableSkill]:
+    def find(self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
+             ) -> dict[int, TableSkill]:
         """Both options of each direction, the slowest first."""
         settings = self._settings
         count = min(settings.directions, len(states) - 1)

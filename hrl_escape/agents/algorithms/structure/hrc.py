@@ -31,9 +31,8 @@ InterventionRule = Literal["uniform", "targeted", "ancestors"]
 n / (n + 1), else another one; `ancestors`: an ancestor, as long as there is one."""
 
 
-def compute_intervention_probabilities(
-    candidates: Sequence[int], ancestors: Collection[int], made: int, rule: InterventionRule
-) -> list[float]:
+def compute_intervention_probabilities(candidates: Sequence[int], ancestors: Collection[int], made: int,
+                                       rule: InterventionRule) -> list[float]:
     """Probability of each candidate to be the next.
 
     Args:
@@ -104,13 +103,8 @@ class Hrc(Agent):
         "_factors", "_rng",
     )  # fmt: skip
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: HrcSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: HrcSettings | None = None) -> None:
         self.settings = settings or HrcSettings()
         self._actions = count_actions(action_space, self.name)
         self._reader = FactorReader(observation_space, self.name)

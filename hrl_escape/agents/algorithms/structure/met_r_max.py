@@ -42,10 +42,8 @@ class Meteorologists(StructureLearner):
         least_share: see above.
     """
 
-    def __init__(
-        self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool = False, visits: int = 3,
-        delta: float = 0.05, least_share: float = 0.25,
-    ) -> None:
+    def __init__(self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool = False, visits: int = 3,
+                 delta: float = 0.05, least_share: float = 0.25) -> None:
         super().__init__(sizes, actions, max_parents, all_on)
         self._visits, self._log, self._share = visits, float(np.log(1 / delta)), least_share
         self._samples: dict[int, list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]] = {}
@@ -149,9 +147,7 @@ class MetRMax(FactoredRMax):
     Settings: ClassVar[type] = MetRMaxSettings
     settings: MetRMaxSettings
 
-    def make_learner(
-        self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool
-    ) -> Meteorologists:
+    def make_learner(self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool) -> Meteorologists:
         """One forecaster a set of parents."""
         settings = self.settings
         return Meteorologists(sizes, actions, max_parents, all_on, settings.visits, settings.delta,

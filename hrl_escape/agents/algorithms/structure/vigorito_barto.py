@@ -65,21 +65,14 @@ class VigoritoBarto(FactoredRMax):
     Settings: ClassVar[type] = VigoritoBartoSettings
     settings: VigoritoBartoSettings
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: VigoritoBartoSettings | None = None,
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: VigoritoBartoSettings | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self._skills: dict[int, Skill] = {}
         self._skills_of: SearchTables | None = None
         """The compiled model that the skills are of."""
 
-    def make_learner(
-        self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool
-    ) -> StructureLearner:
+    def make_learner(self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool) -> StructureLearner:
         """Trees, or sets of parents, that have not grown yet."""
         if self.settings.models == "trees" and (sizes == 2).all():
             return TreeLearner(sizes, actions, self.settings.evidence)

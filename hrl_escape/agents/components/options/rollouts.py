@@ -50,9 +50,8 @@ class RolloutOptionAgent(OptionAgent):
     STATE = (Kept("_kept_rollout", "rollout", unpack=dict), Kept("_kept_choices", "choices", unpack=dict), "log",
              "_running", "_action_rng", "_option_rng", "_batch_rng", Kept("heads.learner", "learner"))
 
-    def __init__(
-        self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any = None
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: Any = None) -> None:
         self.settings = settings = settings or self.Settings()
         super().__init__(settings.options, self.name)
         self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
@@ -208,9 +207,8 @@ class StreamOptionAgent(RolloutOptionAgent, StreamAgent):
     STATE = (Kept("_stream_rng", is_left_out=True), Kept("_stream_option_rng", is_left_out=True),
              Kept("_kept_streams", "streams", unpack=dict, is_left_out=True))
 
-    def __init__(
-        self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any = None
-    ) -> None:
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
+                 settings: Any = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self._stream_rng, self._stream_option_rng = make_rng(seed, "streams"), make_rng(seed, "streams' options")
         self._open: tuple[OpenChoices, OpenOptions] | None = None  # None while one environment is played
