@@ -42,16 +42,16 @@ class Pictured:
 
 
 def check_picture_name(path: Path, *others: str) -> None:
-    """Check the ending of a file that is to hold a map or a video.
+    """Check the ending of a file that is to hold a map.
 
     Args:
         path: the file.
         others: further endings that will do.
 
     Raises:
-        UnsupportedError: it is neither of these nor of `FORMATS` nor of `VIDEO_FORMATS`.
+        UnsupportedError: it is neither of these nor of `FORMATS`.
     """
-    _get_ending(path, *FORMATS, *VIDEO_FORMATS, *others)
+    _get_ending(path, *FORMATS, *others)
 
 
 @cache

@@ -57,7 +57,7 @@ def test_a_missing_package_stops_only_the_commands_that_need_it(missing):
 
 def test_a_missing_extra_is_named(capsys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    code, _, err = call(capsys, "room", "--drive", "forward", "--draw", tmp_path / "drive.mp4")
+    code, _, err = call(capsys, "solve", "--preset", "paper-one-button", "--draw", tmp_path / "way.mp4")
     assert code == 2 and "'.[video]'" in err and err.count("\n") == 1
 
 

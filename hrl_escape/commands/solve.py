@@ -80,7 +80,7 @@ class _Outcome:
 def run(args: SolveArgs) -> int:
     """Plan, run and show; exit code 1 if the goal was not reached."""
     for path in args.draw:
-        check_picture_name(path, MOTION_ENDING)
+        check_picture_name(path, *VIDEO_FORMATS, MOTION_ENDING)
     check_camera(args.camera)
     instance = args.make_instance()
     files = list(save_pddl(instance, args.pddl)) if args.pddl else []

@@ -92,18 +92,6 @@ def test_watching_says_failed(failed):
     assert [line for line in watch.events if ", return " in line][0].split("  ")[1].startswith("failed")
 
 
-def test_driving_and_solving_say_failed(failed, tmp_path, capsys):
-    episode, _ = failed
-    room = tmp_path / "room.json"
-    episode.instance.save(room)
-    primitives = " ".join(str(step.primitive) for step in episode.steps)
-    assert main(["room", "--load", str(room), "--drive", primitives]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
-    assert ", failed" in shown and "escaped" not in shown
-    assert main(["room", "--load", str(room), "--drive", primitives, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["drive"]["end"] == "failed"
-
-
 def test_agents_over_options_are_told_of_no_success(failed):
     episode, _ = failed
     chosen = [episode.names.index(move.name) for move in episode.moves]

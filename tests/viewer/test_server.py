@@ -47,7 +47,7 @@ def test_without_the_extra_one_message_names_it_and_rooms_do_without():
             "from hrl_escape.cli import main\n"
             "print([main(line.split()) for line in sys.argv[1:]])")
     lines = ["play --no-open", "watch --no-open", "record",
-             "room --preset paper-one-button --drive forward"]
+             "room --preset paper-one-button"]
     done = run_fork(code, *lines, timeout=600)
     assert done.stdout.splitlines()[-1] == "[2, 2, 2, 0]", done.stderr
     hint = "pip install -c constraints.txt '.[viewer]' in a checkout of hrl-escape"
