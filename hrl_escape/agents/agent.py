@@ -391,21 +391,9 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
         raise StepContractError(
             f"action {action} took {duration} primitives; every action must cost at least one, or be masked"
         )
-    return SMDPTransition(
-        observation,
-        int(action),
-        action_mask,
-        discounted,
-        summed,
-        duration,
-        gamma**duration,
-        next_observation,
-        read_action_mask(info, len(action_mask)),
-        bool(terminated),
-        bool(truncated),
-        info.get("trace") or (),
-        _is_cut(info, duration, bool(terminated), bool(truncated)),
-    )
+    return SMDPTransition(observation, int(action), action_mask, discounted, summed, duration, gamma**duration,
+                          next_observation, read_action_mask(info, len(action_mask)), bool(terminated), bool(truncated),
+                          info.get("trace") or (), _is_cut(info, duration, bool(terminated), bool(truncated)))
 
 
 def _is_cut(info: Mapping[str, Any], duration: int, terminated: bool, truncated: bool) -> bool:

@@ -202,9 +202,7 @@ class _HierarchyCheck(Claims):
         top: BaseTask = root
         if chain:
             top, below = _Chain(root), [root, *below]
-        hierarchy = dataclasses.replace(
-            self._hierarchy, root=top, below=tuple(below), learners=learners, share={}
-        )
+        hierarchy = dataclasses.replace(self._hierarchy, root=top, below=tuple(below), learners=learners, share={})
         return self._agent_class(hierarchy, self._env.observation_space, self._seed, StackSettings(gamma=GAMMA))
 
     def _make_recorder(self, name: str, task: _Watched, book: _Book) -> Any:

@@ -87,11 +87,9 @@ class RunResult:
     @classmethod
     def make(cls, budget: int, result: TrainResult, score_range: ScoreRange, solution: Solution | None) -> RunResult:
         """Sum up a finished training run."""
-        return cls(
-            budget, result.primitives, result.decisions, len(result.episodes), result.planner_calls,
-            result.first_escape, result.evaluations, score_range, solution,
-            tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, list_versions(),
-        )
+        return cls(budget, result.primitives, result.decisions, len(result.episodes), result.planner_calls,
+                   result.first_escape, result.evaluations, score_range, solution,
+                   tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, list_versions())
 
     @classmethod
     def make_reference(cls, budget: int, evaluation: Evaluation, score_range: ScoreRange) -> RunResult:

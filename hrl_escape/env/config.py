@@ -22,21 +22,8 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.ranges import Between
 from hrl_escape.settings import Range
 
-__all__ = [
-    "CONTACT_SKIN",
-    "PASSAGE_SLACK",
-    "Between",
-    "DynamicsConfig",
-    "ExitConfig",
-    "ObstaclesConfig",
-    "RewardConfig",
-    "RobotConfig",
-    "RoomConfig",
-    "ShapeConfig",
-    "StartConfig",
-    "Wall",
-    "compute_resolution",
-]
+__all__ = ["CONTACT_SKIN", "PASSAGE_SLACK", "Between", "DynamicsConfig", "ExitConfig", "ObstaclesConfig",
+           "RewardConfig", "RobotConfig", "RoomConfig", "ShapeConfig", "StartConfig", "Wall", "compute_resolution"]
 
 CONTACT_SKIN = 1e-3
 """Clearance that the body keeps from every solid, m."""

@@ -114,11 +114,9 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         resample_instance: bool = False,
         engine: str = "bullet",
     ) -> None:
-        EzPickle.__init__(
-            self, config, instance=instance, instance_seed=instance_seed, instances=instances, observation=observation,
-            render_mode=render_mode, camera=camera, render_size=render_size, trail=trail,
-            resample_instance=resample_instance, engine=engine,
-        )
+        EzPickle.__init__(self, config, instance=instance, instance_seed=instance_seed, instances=instances,
+                          observation=observation, render_mode=render_mode, camera=camera, render_size=render_size,
+                          trail=trail, resample_instance=resample_instance, engine=engine)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ConfigError("render_mode", render_mode, f"one of {self.metadata['render_modes']}, or None")
         check_camera(camera)

@@ -120,10 +120,9 @@ class PlannedOption(Option):
 
     def _replan(self, state: RoomState) -> None:
         if self.report.replans >= self.max_replans:
-            raise self._planner.routes.make_failure(
-                PlanningReason.BUDGET_EXHAUSTED, state, self.goal, nearest=f"{self.report.replans} plans made",
-                advice="Raise max_replans, or lower noise",
-            )
+            raise self._planner.routes.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
+                                                    nearest=f"{self.report.replans} plans made",
+                                                    advice="Raise max_replans, or lower noise")
         self._plan(state)
         self.report.replans += 1
 

@@ -108,11 +108,9 @@ class Situations:
         touched = numbers[4 + 2 * joints + len(self._propositions) :]
         facts = frozenset(name for name, holds in zip(self._propositions, held, strict=True) if holds)
         is_open = self._goal <= facts
-        state = RoomState(
-            numbers[0], numbers[1], int(numbers[2]), numbers[3], tuple(map(int, numbers[4 : 4 + joints])),
-            offsets if any(offsets) else (), self._get_puzzle(is_open),
-            sum(1 << target for target, touches in enumerate(touched) if touches), 0, 0,
-        )
+        state = RoomState(numbers[0], numbers[1], int(numbers[2]), numbers[3], tuple(map(int, numbers[4 : 4 + joints])),
+                          offsets if any(offsets) else (), self._get_puzzle(is_open),
+                          sum(1 << target for target, touches in enumerate(touched) if touches), 0, 0)
         return Situation(state, facts, is_open)
 
     def _get_puzzle(self, is_open: bool) -> Hashable:

@@ -162,11 +162,9 @@ class PPO(StreamAgent):
         reward, bootstrap = compute_backup(transition, self.settings)
         reward += self._bonus.visit(transition.next_observation)
         over = transition.terminated or transition.truncated
-        self._rows.append((
-            self._encoder.encode(transition.observation), transition.action_mask, transition.action,
-            reward * self.settings.reward_scale, bootstrap, transition.duration, over,
-            self._encoder.encode(transition.next_observation), self._before,
-        ))
+        self._rows.append((self._encoder.encode(transition.observation), transition.action_mask, transition.action,
+                           reward * self.settings.reward_scale, bootstrap, transition.duration, over,
+                           self._encoder.encode(transition.next_observation), self._before))
         if over:
             self._recollection = np.zeros_like(self._before)
         self._collected += 1

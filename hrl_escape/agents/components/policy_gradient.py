@@ -85,11 +85,9 @@ def collect_decisions(choices: OpenChoices, decisions: StreamTransitions, encode
     reward = reward if bonus is None else reward + bonus
     over = decisions.terminated | decisions.truncated
     mask, log_probability, place, memory = choices.end(decisions.stream, over)
-    return Rollout(
-        encoder.encode_many(decisions.observation), mask, decisions.action, log_probability,
-        reward * settings.reward_scale, bootstrap, decisions.duration, over,
-        encoder.encode_many(decisions.next_observation), memory, decisions.stream, place,
-    )
+    return Rollout(encoder.encode_many(decisions.observation), mask, decisions.action, log_probability,
+                   reward * settings.reward_scale, bootstrap, decisions.duration, over,
+                   encoder.encode_many(decisions.next_observation), memory, decisions.stream, place)
 
 
 def stack_decisions(rows: Sequence[tuple], first: int) -> Rollout:

@@ -82,15 +82,9 @@ def make_experience(transition: SMDPTransition, encoder: ObservationEncoder, set
         bonus: added to its reward, in units of return.
     """
     reward, bootstrap = compute_backup(transition, settings)
-    return Experience(
-        encoder.encode(transition.observation),
-        transition.action_mask,
-        transition.action,
-        (reward + bonus) * settings.reward_scale,
-        bootstrap,
-        encoder.encode(transition.next_observation),
-        transition.next_action_mask,
-    )
+    return Experience(encoder.encode(transition.observation), transition.action_mask, transition.action,
+                      (reward + bonus) * settings.reward_scale, bootstrap, encoder.encode(transition.next_observation),
+                      transition.next_action_mask)
 
 
 class UpdateSchedule(Stateful):
@@ -231,12 +225,9 @@ class Priorities(Stateful):
 
 
 def _join(first: Experience, then: Experience) -> Experience:
-    return first._replace(
-        reward=first.reward + first.bootstrap * then.reward,
-        bootstrap=first.bootstrap * then.bootstrap,
-        next_observation=then.next_observation,
-        next_mask=then.next_mask,
-    )
+    return first._replace(reward=first.reward + first.bootstrap * then.reward,
+                          bootstrap=first.bootstrap * then.bootstrap, next_observation=then.next_observation,
+                          next_mask=then.next_mask)
 
 
 class NStep(Stateful):

@@ -93,9 +93,8 @@ def fit_durations(history: DurationHistory, actions: int) -> DurationModel:
     """
     starts, chosen, ends, duration, previous = history
     if not len(chosen):
-        return DurationModel(
-            np.ones((actions + 1, actions)), np.full(actions, actions), np.zeros((actions, 0)), np.zeros(0), (1, 0), 0
-        )
+        return DurationModel(np.ones((actions + 1, actions)), np.full(actions, actions), np.zeros((actions, 0)),
+                             np.zeros(0), (1, 0), 0)
     counts = np.bincount(chosen, minlength=actions)
     means = np.full(actions, duration.mean())
     means[counts > 0] = (np.bincount(chosen, duration, actions) / np.maximum(counts, 1))[counts > 0]
@@ -165,9 +164,7 @@ class Belief:
             if action >= len(self.models):
                 self.models.append(model.compile(model.learner, packing, action, self.choose, bonuses, self.visits))
             elif action in self._stale:
-                self.models[action] = model.compile(
-                    model.learner, packing, action, self.choose, bonuses, self.visits
-                )
+                self.models[action] = model.compile(model.learner, packing, action, self.choose, bonuses, self.visits)
         self._stale.clear()
         self.tables = make_tables(self.models)
         self.bonus = max([rule.bonus for each in self.models for rule in each.rules], default=0.0)
@@ -360,10 +357,9 @@ class FactoredModel:
         """Plan from an observation; see `find_plan`."""
         belief.update(self)
         relevant = belief.relevant_with_gaps if seek_gaps else belief.relevant
-        return find_plan(
-            belief.tables, self.pack(observation), legal, self.repeatable, relevant,
-            *self.estimate_durations(observation), self.rate, self.gamma, belief.bonus, seek_gaps, most_nodes,
-        )  # fmt: skip
+        return find_plan(belief.tables, self.pack(observation), legal, self.repeatable, relevant,
+                         *self.estimate_durations(observation), self.rate, self.gamma, belief.bonus, seek_gaps,
+                         most_nodes)
 
     def estimate_durations(self, observation: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Primitives of each action after each action, in the last row from here, (actions + 1, actions).

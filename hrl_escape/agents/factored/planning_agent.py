@@ -55,10 +55,8 @@ class PlanningAgent(Agent):
                  settings: PlanningSettings | None) -> None:
         self.settings = settings or self.Settings()
         actions = count_actions(action_space, self.name)
-        self.model = FactoredModel(
-            observation_space, actions, self.gamma, self.settings.max_parents, self.settings.conditions, self.name,
-            self.make_learner, self.compile_model,
-        )
+        self.model = FactoredModel(observation_space, actions, self.gamma, self.settings.max_parents,
+                                   self.settings.conditions, self.name, self.make_learner, self.compile_model)
         self._rng = make_rng(seed, "actions")
         self._pending = PendingPlan()
         self._is_exploring = self._is_planned = False

@@ -85,10 +85,9 @@ def find_plan(
         seek_gaps: seek the soonest action with an open outcome, not the best known end.
         most_nodes: bound on expanded states.
     """
-    found, actions, states, value, complete = _search(
-        *tables, np.uint64(state), legal, repeatable, relevant, durations, places,
-        -1.0 if seek_gaps else rate, gamma, 0.0 if seek_gaps else bonus, seek_gaps, most_nodes,
-    )
+    found, actions, states, value, complete = _search(*tables, np.uint64(state), legal, repeatable, relevant, durations,
+                                                      places, -1.0 if seek_gaps else rate, gamma,
+                                                      0.0 if seek_gaps else bonus, seek_gaps, most_nodes)
     return ModelPlan(tuple(actions.tolist()), tuple(states.tolist()), float(value) if found else -np.inf,
                      bool(complete))
 

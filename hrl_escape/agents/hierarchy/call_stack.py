@@ -127,15 +127,10 @@ def _pay(frame: Frame, step: Step, gamma: float, paid: bool) -> Frame:
     pay = frame.task.pay(step._replace(arrival=gamma ** (step.duration - 1)), frame) if paid else 0.0
     several = paid and step.duration > 1
     summed = frame.task.pay(step._replace(reward=step.summed), frame) if several else pay
-    decision = decision._replace(
-        reward=decision.reward + decision.discount * pay,
-        summed=decision.summed + summed,
-        duration=decision.duration + step.duration,
-        discount=decision.discount * gamma**step.duration,
-    )
-    return frame._replace(
-        primitives=frame.primitives + step.duration, reward=frame.reward + summed, decision=decision
-    )
+    decision = decision._replace(reward=decision.reward + decision.discount * pay, summed=decision.summed + summed,
+                                 duration=decision.duration + step.duration,
+                                 discount=decision.discount * gamma**step.duration)
+    return frame._replace(primitives=frame.primitives + step.duration, reward=frame.reward + summed, decision=decision)
 
 
 def _is_ended(frame: Frame, seen: Seen, draw: Callable[[float], bool]) -> bool:
@@ -163,14 +158,8 @@ def load_stack(state: list[StateTree], hierarchy: Hierarchy) -> Stack:
     starts = [hierarchy.see(each["start"][0], np.asarray(each["start"][1], np.bool_)) for each in state]
     tasks = hierarchy.tasks
     return tuple(
-        Frame(
-            tasks[each["task"]],
-            each["context"],
-            start,
-            int(each["primitives"]),
-            float(each["reward"]),
-            None if each["decision"] is None else Decision(*each["decision"]),
-        )
+        Frame(tasks[each["task"]], each["context"], start, int(each["primitives"]), float(each["reward"]),
+              None if each["decision"] is None else Decision(*each["decision"]))
         for each, start in zip(state, starts, strict=True)
     )
 

@@ -142,10 +142,8 @@ def maxq(
             raise AgentSettingsError("until", name, "a predicate for every task below the root")
         views: dict[int | None, View] = {None: see[name]} if name in see else {}
         views |= {index: see[name, child] for index, child in enumerate(children) if (name, child) in see}
-        tasks[name] = GraphTask(
-            name, until.get(name, _never), views, primitive_views, pseudo.get(name), len(children), spaces.get(name),
-            policies.get(name),
-        )
+        tasks[name] = GraphTask(name, until.get(name, _never), views, primitive_views, pseudo.get(name), len(children),
+                                spaces.get(name), policies.get(name))
         tasks[name].place = places.get(name)
     for name, children in graph.items():
         for child in children:

@@ -178,13 +178,6 @@ def _sum_trials(agent: Agent, env: gymnasium.Env, seed: int, episode: int, trial
 
 
 def _make_evaluation(primitives: int, decisions: int, sums: Sequence[_Sums], seconds: float = 0.0) -> Evaluation:
-    return Evaluation(
-        primitives,
-        decisions,
-        tuple(each.total for each in sums),
-        tuple(each.length for each in sums),
-        tuple(each.count for each in sums),
-        tuple(each.success for each in sums),
-        tuple(each.progress for each in sums),
-        seconds,
-    )
+    return Evaluation(primitives, decisions, tuple(each.total for each in sums), tuple(each.length for each in sums),
+                      tuple(each.count for each in sums), tuple(each.success for each in sums),
+                      tuple(each.progress for each in sums), seconds)

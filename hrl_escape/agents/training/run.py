@@ -343,15 +343,8 @@ class Run(Stateful):
     def _evaluate(self, folder: RunFolder | None) -> None:
         if not self.arguments.eval_episodes:
             return
-        evaluation = evaluate(
-            self.agent,
-            self.eval_env,
-            self.arguments.eval_episodes,
-            self.arguments.eval_seed,
-            primitives=self.primitives,
-            decisions=self.decisions,
-            trials=self.arguments.eval_trials,
-        )
+        evaluation = evaluate(self.agent, self.eval_env, self.arguments.eval_episodes, self.arguments.eval_seed,
+                              primitives=self.primitives, decisions=self.decisions, trials=self.arguments.eval_trials)
         is_best = all(evaluation.mean_return > earlier.mean_return for earlier in self.evaluations)
         self.evaluations.append(evaluation)
         self._log(make_evaluation_row(evaluation), folder)

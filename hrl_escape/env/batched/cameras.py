@@ -257,13 +257,9 @@ def _view_robot(layout: Layout, things: Scenery, form: _Form, state: TensorState
     robot = layout.robot
     forward, lift = 0.9 * robot.base.front, 1.15 * robot.body_height + 0.1
     nought, down = torch.zeros_like(x), math.radians(12.0)
-    return _View(
-        eye=[x + forward * cos, y + forward * sin, nought + lift],
-        right=[sin, -cos, nought],
-        up=[math.sin(down) * cos, math.sin(down) * sin, nought + math.cos(down)],
-        ahead=[math.cos(down) * cos, math.cos(down) * sin, nought - math.sin(down)],
-        field=70.0,
-    )
+    return _View(eye=[x + forward * cos, y + forward * sin, nought + lift], right=[sin, -cos, nought],
+                 up=[math.sin(down) * cos, math.sin(down) * sin, nought + math.cos(down)],
+                 ahead=[math.cos(down) * cos, math.cos(down) * sin, nought - math.sin(down)], field=70.0)
 
 
 def _view_overhead(layout: Layout, things: Scenery, form: _Form, state: TensorState, tables: Tables) -> _View:

@@ -271,11 +271,9 @@ class TensorRoom:
         one = map_tensors(lambda field: field[..., room].tolist(), self.state)
         word, puzzle = one.puzzle % 2**64, self.instances[one.instance].puzzle
         offsets = tuple(one.joint_offsets)
-        return RoomState(
-            one.x, one.y, one.heading_steps, one.heading_offset, tuple(one.joint_steps),
-            offsets if any(offsets) else (), get_tensor_puzzle(puzzle.kind).decode(puzzle, word), one.touching % 2**64,
-            one.primitives, one.noise_key,
-        )
+        return RoomState(one.x, one.y, one.heading_steps, one.heading_offset, tuple(one.joint_steps),
+                         offsets if any(offsets) else (), get_tensor_puzzle(puzzle.kind).decode(puzzle, word),
+                         one.touching % 2**64, one.primitives, one.noise_key)
 
     def set_room_state(self, room: int, state: RoomState) -> None:
         """Put one room into a scalar `RoomState`; its instance and random stream stay.

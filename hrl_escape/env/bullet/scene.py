@@ -64,10 +64,8 @@ def build_scene(client: int, instance: RoomInstance, robot: Robot) -> SceneBodie
     area, (x, y) = instance.exit, instance.exit.centre
     half = (area.x_max - x, area.y_max - y, _MARK / 2)
     exit_id = _add_box(client, half, (x, y, _MARK / 2), 0.0, palette.EXIT_LOCKED)
-    return SceneBodies(
-        **_add_robot(client, instance, robot),
-        solids=solids, door=door, targets=targets, props=props, inner_doors=inner, exit=exit_id, floors=floors,
-    )
+    return SceneBodies(**_add_robot(client, instance, robot), solids=solids, door=door, targets=targets, props=props,
+                       inner_doors=inner, exit=exit_id, floors=floors)
 
 
 # --- looks ---------------------------------------------------------------------------------

@@ -304,7 +304,6 @@ def create_mesh_shape(client: int, mesh: Mesh, colour: tuple[float, ...]) -> int
     """
     with _LOCK:
         _INDICES[:] = mesh.triangles.ravel().tolist()
-        return pybullet.createVisualShape(
-            pybullet.GEOM_MESH, vertices=_VERTICES.fill(mesh.vertices), normals=_NORMALS.fill(mesh.normals),
-            indices=_INDICES, rgbaColor=colour, specularColor=(0, 0, 0), physicsClientId=client,
-        )
+        return pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=_VERTICES.fill(mesh.vertices),
+                                          normals=_NORMALS.fill(mesh.normals), indices=_INDICES, rgbaColor=colour,
+                                          specularColor=(0, 0, 0), physicsClientId=client)

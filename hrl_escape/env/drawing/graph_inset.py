@@ -92,19 +92,15 @@ def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
     radius, size = 0.32, min(9.0, 0.36 * cell)
     for parent, child in graph.edges:
         axes.add_patch(
-            FancyArrowPatch(
-                places[parent], places[child], arrowstyle="-|>", mutation_scale=min(9.0, 0.3 * cell),
-                shrinkA=radius * cell, shrinkB=radius * cell + 1, linewidth=min(1.1, 0.04 * cell),
-                color=palette.MUTED, zorder=1,
-            )
+            FancyArrowPatch(places[parent], places[child], arrowstyle="-|>", mutation_scale=min(9.0, 0.3 * cell),
+                            shrinkA=radius * cell, shrinkB=radius * cell + 1, linewidth=min(1.1, 0.04 * cell),
+                            color=palette.MUTED, zorder=1)
         )
     for locking, locked in graph.locks_between:
         axes.add_patch(
-            FancyArrowPatch(
-                places[locking], places[locked], arrowstyle="-[,widthB=0.35,lengthB=0", linestyle="dotted",
-                mutation_scale=min(9.0, 0.3 * cell), connectionstyle="arc3,rad=0.25", shrinkA=radius * cell,
-                shrinkB=radius * cell + 2, linewidth=min(1.1, 0.04 * cell), color=palette.LOCK, zorder=1,
-            )
+            FancyArrowPatch(places[locking], places[locked], arrowstyle="-[,widthB=0.35,lengthB=0", linestyle="dotted",
+                            mutation_scale=min(9.0, 0.3 * cell), connectionstyle="arc3,rad=0.25", shrinkA=radius * cell,
+                            shrinkB=radius * cell + 2, linewidth=min(1.1, 0.04 * cell), color=palette.LOCK, zorder=1)
         )
     for node, (x, y) in enumerate(places):
         fill, edge, ink = palette.get_target_look(puzzle, state, node)

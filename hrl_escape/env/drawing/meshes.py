@@ -57,11 +57,8 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
     if not meshes:
         return make_flat((), 0.0)
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
-    return Mesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([mesh.normals for mesh in meshes]),
-        np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]),
-    )
+    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate([mesh.normals for mesh in meshes]),
+                np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]))
 
 
 def outline_capsule(capsule: Capsule) -> list[Point]:

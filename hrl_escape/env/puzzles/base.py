@@ -24,25 +24,8 @@ from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.plugins import load_entry_points
 from hrl_escape.settings import Range
 
-__all__ = [
-    "MOST_DERIVED",
-    "PUSH",
-    "SOLVED",
-    "USE",
-    "Contacts",
-    "DerivedModel",
-    "Pads",
-    "Panels",
-    "Place",
-    "Prop",
-    "Puzzle",
-    "PuzzleConfig",
-    "PuzzleKind",
-    "Success",
-    "get_puzzle_kind",
-    "list_puzzles",
-    "register_puzzle",
-]
+__all__ = ["MOST_DERIVED", "PUSH", "SOLVED", "USE", "Contacts", "DerivedModel", "Pads", "Panels", "Place", "Prop",
+           "Puzzle", "PuzzleConfig", "PuzzleKind", "Success", "get_puzzle_kind", "list_puzzles", "register_puzzle"]
 
 MOST_DERIVED = 20_000
 """Most states of a puzzle whose symbolic model is derived."""

@@ -62,12 +62,8 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
         Rejected: interior walls or exit found no place in this sample.
     """
     half_x, half_y = config.room.width / 2, config.room.depth / 2
-    sides = (
-        Face(-half_x, -half_y, 0.0, 2 * half_x),
-        Face(half_x, -half_y, math.pi / 2, 2 * half_y),
-        Face(half_x, half_y, math.pi, 2 * half_x),
-        Face(-half_x, half_y, -math.pi / 2, 2 * half_y),
-    )
+    sides = (Face(-half_x, -half_y, 0.0, 2 * half_x), Face(half_x, -half_y, math.pi / 2, 2 * half_y),
+             Face(half_x, half_y, math.pi, 2 * half_x), Face(-half_x, half_y, -math.pi / 2, 2 * half_y))
     gates: dict[int, tuple[float, float]] = {}
     alcove: list[Solid] = []
     door = None

@@ -263,10 +263,8 @@ class SearchRun:
             may_jam = self._reacher.collide and not self._reacher.is_push(state, moves, target)
             return None if may_jam else tuple(moves)
         x, y = self.frontier.places[last].tolist()
-        joints = self._reacher.get_configuration(
-            x, y, int(facts[last, 0]), state.joint_steps, target, joint_offsets=state.joint_offsets,
-            heading_offset=state.heading_offset,
-        )
+        joints = self._reacher.get_configuration(x, y, int(facts[last, 0]), state.joint_steps, target,
+                                                 joint_offsets=state.joint_offsets, heading_offset=state.heading_offset)
         if joints is None:
             return None
         if not (self._avoiding or self._reacher.collide):

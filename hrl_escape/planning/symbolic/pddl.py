@@ -61,12 +61,9 @@ def make_domain(model: SymbolicModel, name: str = "escape-room") -> str:
     if _has_costs(model):
         lines.append("  (:functions (total-cost) - number)")
     for op in model.operators:
-        lines += [
-            f"  (:action {clean_name(op.name)}",
-            "    :parameters ()",
-            f"    :precondition {write_all(op.preconditions, op.forbidden)}",
-            f"    :effect {_write_effects(op, _has_costs(model))})",
-        ]
+        lines += [f"  (:action {clean_name(op.name)}", "    :parameters ()",
+                  f"    :precondition {write_all(op.preconditions, op.forbidden)}",
+                  f"    :effect {_write_effects(op, _has_costs(model))})"]
     return "\n".join(lines) + ")\n"
 
 

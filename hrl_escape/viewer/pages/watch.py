@@ -119,10 +119,9 @@ class WatchPage:
         self._fast.on_update(lambda _: self._set_pace())
         self._ask.on_click(lambda _: self._show_preview())
         self._clear.on_click(lambda _: self.page.scene.draw_preview([]))
-        keys: tuple[tuple[Any, str, str], ...] = (
-            ("space", "Pause or run", "toggle"), ("P", "One primitive", "1 primitive"),
-            ("D", "One decision", "1 decision"),
-        )
+        keys: tuple[tuple[Any, str, str], ...] = (("space", "Pause or run", "toggle"),
+                                                  ("P", "One primitive", "1 primitive"),
+                                                  ("D", "One decision", "1 decision"))
         for key, label, what in keys:
             gui.add_command(label, hotkey=key).on_trigger(lambda _, what=what: self._turn(what))
 

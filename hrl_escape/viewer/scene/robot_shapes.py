@@ -104,10 +104,9 @@ class ArmPose:
             for joint in ready:
                 joints.remove(joint)
                 placed.add(_get_link(joint, "child"))
-                self._joints.append((
-                    joint.get("name", ""), joint.get("type", "fixed"), _get_link(joint, "parent"),
-                    _get_link(joint, "child"), _read_origin(joint), _read(joint.find("axis"), "xyz", "1 0 0"),
-                ))
+                self._joints.append((joint.get("name", ""), joint.get("type", "fixed"), _get_link(joint, "parent"),
+                                     _get_link(joint, "child"), _read_origin(joint),
+                                     _read(joint.find("axis"), "xyz", "1 0 0")))
 
     def compute(self, angles: Sequence[float]) -> dict[str, NDArray[np.float64]]:
         """Placement (4, 4) of every link in the base's frame.

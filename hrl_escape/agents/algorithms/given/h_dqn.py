@@ -181,15 +181,9 @@ class HDqn(CallRunner):
             if not (is_worker or self._is_planned) and self._steps < self.settings.worker_warmup:
                 continue
             legal = frame.task.legal(returned.seen, goal)
-            backup = _Backup(
-                decision.view,
-                goal,
-                decision.choice,
-                decision.reward,
-                0.0 if reached or returned.terminated or not legal.any() else decision.discount,
-                frame.task.view(returned.seen, returned.stack),
-                legal,
-            )
+            backup = _Backup(decision.view, goal, decision.choice, decision.reward,
+                             0.0 if reached or returned.terminated or not legal.any() else decision.discount,
+                             frame.task.view(returned.seen, returned.stack), legal)
             level = self.worker if is_worker else self.manager
             metrics["worker_error" if is_worker else "manager_error"] = level.learn(backup)
         self._steps += step.duration
@@ -217,12 +211,9 @@ class _TableValues(QTable):
 
     def __init__(self, space: gymnasium.Space, goals: int, actions: int, settings: HDqnSettings,
                  rng: np.random.Generator) -> None:
-        table = TabularSettings(
-            bins=settings.bins,
-            resolution=settings.resolution,
-            learning_rate=settings.table_learning_rate,
-            learning_rate_power=settings.table_learning_rate_power,
-        )
+        table = TabularSettings(bins=settings.bins, resolution=settings.resolution,
+                                learning_rate=settings.table_learning_rate,
+                                learning_rate_power=settings.table_learning_rate_power)
         super().__init__(actions, table)
         self._discretise = make_discretiser(space, table, "h-dqn")
 
@@ -273,11 +264,9 @@ class _NetworkValues(Stateful):
         return self._forward(self._encode(observation, goal)) / self._settings.reward_scale
 
     def learn(self, backup: _Backup) -> float:
-        self._replay.add(Experience(
-            self._encode(backup.observation, backup.goal), self._all, backup.action,
-            backup.reward * self._settings.reward_scale, backup.bootstrap,
-            self._encode(backup.next_observation, backup.goal), backup.next_mask,
-        ))  # fmt: skip
+        self._replay.add(Experience(self._encode(backup.observation, backup.goal), self._all, backup.action,
+                                    backup.reward * self._settings.reward_scale, backup.bootstrap,
+                                    self._encode(backup.next_observation, backup.goal), backup.next_mask))
         self._due += self._settings.updates_per_decision
         return 0.0 if self.waits else self.update()
 

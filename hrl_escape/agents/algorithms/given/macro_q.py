@@ -76,9 +76,7 @@ class MacroChooser(BaseTask):
 
 def make_macro_hierarchy(primitives: int, macros: Sequence[Macro]) -> Hierarchy:
     """A chooser over primitives and macros."""
-    return Hierarchy(
-        MacroChooser(primitives, macros), tuple(macros), privileges=("macro-actions",) if macros else ()
-    )
+    return Hierarchy(MacroChooser(primitives, macros), tuple(macros), privileges=("macro-actions",) if macros else ())
 
 
 @dataclass(frozen=True)

@@ -117,11 +117,9 @@ class RolloutOptionAgent(OptionAgent):
         """Keep the decision; update when the rollout is full; then the option may end."""
         reward, bootstrap = compute_backup(transition, self.settings)
         over = transition.terminated or transition.truncated
-        self._rows.append((
-            self._encoder.encode(transition.observation), transition.action_mask, transition.action,
-            reward * self.settings.reward_scale, bootstrap, transition.duration, over,
-            self._encoder.encode(transition.next_observation), np.zeros(0, np.float32),
-        ))
+        self._rows.append((self._encoder.encode(transition.observation), transition.action_mask, transition.action,
+                           reward * self.settings.reward_scale, bootstrap, transition.duration, over,
+                           self._encoder.encode(transition.next_observation), np.zeros(0, np.float32)))
         self._choices.append((self._option, self._former, self._is_chosen))
         self._decisions += 1
         metrics: dict[str, float] = {}
