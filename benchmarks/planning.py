@@ -13,8 +13,10 @@ import argparse
 import gc
 import resource
 import sys
+import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,6 @@ import numpy as np
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.planning.calls import start_planning
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.paths.navigator import Navigator
 from hrl_escape.planning.planner import RoomPlanner
@@ -90,14 +91,16 @@ def measure_cancellation(calls: int) -> bool:
         planner.solve(start)
         waits = []
         for delay in np.random.default_rng(0).uniform(0.0, LONGEST_DELAY_S, size=calls).tolist():
-            call = start_planning(planner, PlanningRequest(start, improve=True))
-            time.sleep(delay)
-            if call.is_done():
-                continue
-            began = time.perf_counter()
-            call.cancel()
-            call.get_result()
-            waits.append(1e3 * (time.perf_counter() - began))
+            stop = threading.Event()
+            with ThreadPoolExecutor(1) as pool:
+                call = pool.submit(planner.answer, PlanningRequest(start, improve=True), stop=stop)
+                time.sleep(delay)
+                if call.done():
+                    continue
+                began = time.perf_counter()
+                stop.set()
+                call.result()
+                waits.append(1e3 * (time.perf_counter() - began))
         median, slowest = np.median(waits), max(waits, default=0.0)
         print(f"{name:18} {len(waits)} calls cancelled, wall ms: median {median:.1f}, slowest {slowest:.1f}",
               flush=True)

@@ -1,7 +1,6 @@
 from .arm.arm_planner import ArmPlanner
 from .arm.reacher import Reacher
 from .best_known import BestKnown, best_known_return, find_best_known, record_return
-from .calls import plan_many, start_planning
 from .goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
 from .motion.limits import MotionLimits
 from .motion.tracking import Tracking, track
@@ -54,9 +53,7 @@ __all__ = [
     "make_trajectory",
     "track",
     "parse_goal",
-    "plan_many",
     "record_return",
     "register_planner",
     "save_pddl",
-    "start_planning",
 ]

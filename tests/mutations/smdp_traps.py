@@ -153,8 +153,8 @@ MUTATIONS = [
     Mutation(
         "17 evaluation episodes follow the training seed",
         "agents/training/run.py",
-        "self.arguments.eval_seed,\n            primitives",
-        "self.arguments.seed,\n            primitives",
+        "self.arguments.eval_episodes, self.arguments.eval_seed,",
+        "self.arguments.eval_episodes, self.arguments.seed,",
         "agents/training/test_train.py::test_evaluation_episodes_are_the_same_for_every_agent_and_training_seed",
     ),
     Mutation(
@@ -381,8 +381,8 @@ MUTATIONS = [
     Mutation(
         "8 n-step keeps the first decision's legal actions",
         "agents/components/replay.py",
-        "        next_mask=then.next_mask,\n",
-        "",
+        ",\n                          next_mask=then.next_mask)",
+        ")",
         "agents/components/test_replay.py::test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends",
     ),
 ]

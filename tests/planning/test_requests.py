@@ -8,6 +8,7 @@ import math
 import pickle
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -20,8 +21,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, GoalError, PlanningReason, UnknownNameError
 from hrl_escape.planning.areas import compute_goal_area
-from hrl_escape.planning.calls import plan_many, start_planning
-from hrl_escape.planning.goals import ExitGoal, PressGoal
+from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.motion.limits import MotionLimits, compute_rest_to_rest
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.requests import PlanningRequest, compute_lacking_clearance, compute_plan_cost
@@ -152,8 +152,12 @@ def test_answers_are_the_same_in_any_order_and_again(start, planner):
     requests = [PlanningRequest(start, goal, method=method, seed=seed, improve=improve)
                 for goal, method, seed, improve in (("button-1", "RRTConnect", 0, False), ("button-1", None, 0, True),
                                                     ("button-1", "RRTConnect", 7, False), ("0,3", "BITstar", 1, False))]
-    there = [r.plan and r.plan.primitives for r in plan_many(planner.instance, requests)]
-    back = [r.plan and r.plan.primitives for r in plan_many(planner.instance, requests[::-1])]
+
+    def answer(asked):
+        fresh = RoomPlanner(planner.instance)
+        return [result.plan and result.plan.primitives for result in map(fresh.answer, asked)]
+
+    there, back = answer(requests), answer(requests[::-1])
     assert there == back[::-1]
 
 
@@ -172,12 +176,14 @@ def test_a_call_is_cancelled_from_another_thread_at_once(method):
     planner.plan(start, "button-1", method)
     waits = []
     for delay in (0.0, 0.02, 0.05, 0.1):
-        call = start_planning(planner, PlanningRequest(start, "0.03,0.04,1", method=method))
-        time.sleep(delay)
-        assert not call.is_done() or delay == 0.0
-        began = time.process_time()
-        call.cancel()
-        result = call.get_result(600.0)
+        stop = threading.Event()
+        with ThreadPoolExecutor(1) as pool:
+            call = pool.submit(planner.answer, PlanningRequest(start, "0.03,0.04,1", method=method), stop=stop)
+            time.sleep(delay)
+            assert not call.done() or delay == 0.0
+            began = time.process_time()
+            stop.set()
+            result = call.result(600.0)
         waits.append(time.process_time() - began)
         assert result.status is PlanningReason.CANCELLED and result.cut_short
     assert min(waits) < 0.05, waits
@@ -196,21 +202,13 @@ def test_a_cancelled_call_keeps_the_best_plan_and_the_planner_its_answers(planne
     assert planner.answer(again.request).cost == again.cost, "nothing that was cut short is remembered"
 
 
-def test_calls_run_beside_other_work_and_hand_over_errors(planner, start):
-    calls = [start_planning(planner, PlanningRequest(start, f"button-{n}")) for n in (1, 2, 3)]
-    assert [call.get_result(600.0).plan.parts[0].goal for call in calls] == [PressGoal(0), PressGoal(1), PressGoal(2)]
-    assert all(call.is_done() and call.best is not None for call in calls)
-    with pytest.raises(GoalError):
-        start_planning(planner, PlanningRequest(start, PressGoal(99))).get_result(60.0)
-
-
-def test_two_processes_give_the_answers_of_one(planner, start):
-    requests = [PlanningRequest(start, goal) for goal in ("button-1", "button-2", ExitGoal(), "0,3")]
-    many = plan_many(planner.instance, requests, workers=2)
-    for result, request in zip(many, requests, strict=True):
-        alone = planner.answer(request)
-        assert (result.status, result.cost, result.lower_bound) == (alone.status, alone.cost, alone.lower_bound)
-        assert (result.plan and result.plan.primitives) == (alone.plan and alone.plan.primitives)
+def test_calls_of_one_planner_from_several_threads_are_those_of_one(planner, start):
+    requests = [PlanningRequest(start, f"button-{n}") for n in (1, 2, 3)]
+    with ThreadPoolExecutor(3) as pool:
+        results = list(pool.map(planner.answer, requests))
+    assert [result.plan.parts[0].goal for result in results] == [PressGoal(0), PressGoal(1), PressGoal(2)]
+    assert [result.plan.primitives for result in results] == [
+        result.plan.primitives for result in map(RoomPlanner(planner.instance).answer, requests)]
 
 
 def test_a_wall_of_solids_is_no_reason_for_less_clearance_than_the_plain_plan():
