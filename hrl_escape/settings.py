@@ -36,22 +36,14 @@ MOST_RANGES = 8
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """Numbers that a field may take, as in `Annotated[float, Range(0, 1)]`.
+    """Numbers that a field may take, as in `Annotated[float, Range(0, 1)]`."""
 
-    Attributes:
-        low: smallest number allowed.
-        high: largest number allowed.
-        unit: unit of the number, empty for counts and shares.
-        open_low: exclude `low` itself.
-        open_high: exclude `high` itself.
-    """
-
-    low: float = -math.inf
-    high: float = math.inf
-    unit: str = ""
+    low: float = -math.inf  # smallest number allowed
+    high: float = math.inf  # largest number allowed
+    unit: str = ""  # unit of the number, empty for counts and shares
     _: dataclasses.KW_ONLY
-    open_low: bool = False
-    open_high: bool = False
+    open_low: bool = False  # exclude `low` itself
+    open_high: bool = False  # exclude `high` itself
 
     def __contains__(self, value: float) -> bool:
         above = self.low < value if self.open_low else self.low <= value
@@ -182,21 +174,13 @@ def read_record(kind: type[RecordType], data: Any, path: str = "") -> RecordType
 
 @dataclasses.dataclass(frozen=True)
 class FieldDescription:
-    """Description of one field for tables and `--help`.
+    """Description of one field for tables and `--help`."""
 
-    Attributes:
-        name: of the field.
-        default: its value where none is given.
-        allowed: possible values, in words.
-        document: the sentence under the field.
-        is_section: the field holds settings itself.
-    """
-
-    name: str
-    default: Any
-    allowed: str
-    document: str
-    is_section: bool
+    name: str  # of the field
+    default: Any  # its value where none is given
+    allowed: str  # possible values, in words
+    document: str  # the sentence under the field
+    is_section: bool  # the field holds settings itself
 
 
 def describe_fields(settings: type[Settings]) -> tuple[FieldDescription, ...]:

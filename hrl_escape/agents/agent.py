@@ -59,21 +59,13 @@ class SMDPTransition(NamedTuple):
 
 
 class RunningCall(NamedTuple):
-    """One running call of a hierarchical agent, for display.
+    """One running call of a hierarchical agent, for display."""
 
-    Attributes:
-        task: its name.
-        context: what its caller told it; None without one.
-        primitives: run since the call.
-        ends: probability that it is over at the moment of the choice.
-        place: x and y of its goal on the floor, m; None where it has no place.
-    """
-
-    task: str
-    context: Any
-    primitives: int
-    ends: float
-    place: tuple[float, float] | None = None
+    task: str  # its name
+    context: Any  # what its caller told it; None without one
+    primitives: int  # run since the call
+    ends: float  # probability that it is over at the moment of the choice
+    place: tuple[float, float] | None = None  # x and y of its goal on the floor, m; None where it has no place
 
 
 class Agent(Stateful, ABC):

@@ -19,13 +19,9 @@ REFERENCE_NAMES = "chance", "best searcher", "smdp-bayes"
 
 
 class AxisScore(NamedTuple):
-    """Result of one agent on one axis.
+    """Result of one agent on one axis."""
 
-    Attributes:
-        levels: efficiency on each rung, from easy to hard; None on rungs that it was not run on.
-    """
-
-    levels: tuple[float | None, ...]
+    levels: tuple[float | None, ...]  # efficiency on each rung, from easy to hard; None on rungs that it was not run on
 
     @property
     def value(self) -> float | None:

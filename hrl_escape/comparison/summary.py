@@ -133,23 +133,14 @@ class RoomSummary:
 
 @dataclass(frozen=True)
 class Summary:
-    """Results of a comparison.
+    """Results of a comparison."""
 
-    Attributes:
-        grid: its settings.
-        rooms: in the grid's order.
-        agents: in the grid's order; those without any finished run are left out.
-        runs: runs with their results; score ranges raised to what was reached.
-        pairs: (agents, agents) -> the first compared with the second by their efficiency.
-        versions: package -> version, `a, b` where runs differ.
-    """
-
-    grid: Grid
-    rooms: tuple[RoomSummary, ...]
-    agents: tuple[AgentSummary, ...]
-    runs: tuple[FinishedRun, ...]
-    pairs: tuple[tuple[Pair, ...], ...]
-    versions: dict[str, str]
+    grid: Grid  # its settings
+    rooms: tuple[RoomSummary, ...]  # in the grid's order
+    agents: tuple[AgentSummary, ...]  # in the grid's order; those without any finished run are left out
+    runs: tuple[FinishedRun, ...]  # runs with their results; score ranges raised to what was reached
+    pairs: tuple[tuple[Pair, ...], ...]  # (agents, agents) -> the first compared with the second by their efficiency
+    versions: dict[str, str]  # package -> version, `a, b` where runs differ
 
     def get_pair(self, first: AgentSummary, second: AgentSummary) -> Pair:
         """Comparison of one agent with another."""

@@ -39,21 +39,13 @@ class Transition(NamedTuple):
 
 
 class Glide(NamedTuple):
-    """A short motion of base and arm in continuous coordinates.
+    """A short motion of base and arm in continuous coordinates."""
 
-    Attributes:
-        dx: displacement of the base's axis in the room frame, m.
-        dy: likewise.
-        turn: of the base, rad.
-        joints: change of each joint's angle, rad.
-        seconds: time that it takes (physics).
-    """
-
-    dx: float
-    dy: float
-    turn: float
-    joints: tuple[float, ...]
-    seconds: float
+    dx: float  # displacement of the base's axis in the room frame, m
+    dy: float  # likewise
+    turn: float  # of the base, rad
+    joints: tuple[float, ...]  # change of each joint's angle, rad
+    seconds: float  # time that it takes (physics)
 
 
 class Rules(RobotPoses):

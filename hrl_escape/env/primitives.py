@@ -88,28 +88,17 @@ class ActionTable:
     """The primitives of a robot in action order: translations, turns, joints, gripper.
 
     The groups hold action numbers. Those of the base come first and are the same for every robot with its drive.
-
-    Attributes:
-        primitives: all primitives; an action is an index.
-        names: their names.
-        translations: moves of the base at its heading: those of the drive, `forward` first, then further ones.
-        turns: turns of the base: one turn step to the left, one to the right, then further ones.
-        base: translations and turns.
-        joints: the pair of each joint.
-        gripper: grip, release, and use if the robot has it; empty without a gripper.
-        wait: the no-op: it never moves the base's axis, and with a disc base it never begins a press.
-        symmetry: number of headings, evenly spread over a full turn, at which the base has the same moves.
     """
 
-    primitives: tuple[Primitive, ...]
-    names: tuple[str, ...]
-    translations: range
-    turns: range
-    base: range
-    joints: tuple[JointActions, ...]
-    gripper: range
-    wait: int
-    symmetry: int
+    primitives: tuple[Primitive, ...]  # all primitives; an action is an index
+    names: tuple[str, ...]  # their names
+    translations: range  # moves of the base at its heading: those of the drive, `forward` first, then further ones
+    turns: range  # turns of the base: one turn step to the left, one to the right, then further ones
+    base: range  # translations and turns
+    joints: tuple[JointActions, ...]  # the pair of each joint
+    gripper: range  # grip, release, and use if the robot has it; empty without a gripper
+    wait: int  # the no-op: it never moves the base's axis, and with a disc base it never begins a press
+    symmetry: int  # number of headings, evenly spread over a full turn, at which the base has the same moves
 
     def __len__(self) -> int:
         return len(self.primitives)

@@ -69,21 +69,13 @@ LEAST_TASKS = 20
 
 @dataclasses.dataclass(frozen=True)
 class RungCertificate:
-    """Facts about a rung that were computed from its rooms.
+    """Facts about a rung that were computed from its rooms."""
 
-    Attributes:
-        rung: name of the rung.
-        rooms: number of rooms of each set.
-        roots: Merkle root of each set.
-        task_overlap: share of the test's rooms whose task some training room has.
-        tasks: number of different tasks in each set.
-    """
-
-    rung: str
-    rooms: Mapping[str, int]
-    roots: Mapping[str, str]
-    task_overlap: float
-    tasks: Mapping[str, int]
+    rung: str  # name of the rung
+    rooms: Mapping[str, int]  # number of rooms of each set
+    roots: Mapping[str, str]  # Merkle root of each set
+    task_overlap: float  # share of the test's rooms whose task some training room has
+    tasks: Mapping[str, int]  # number of different tasks in each set
 
     def __str__(self) -> str:
         rooms = ", ".join(f"{role} {count} ({count_nouns(self.tasks[role], 'task')})"

@@ -23,15 +23,10 @@ _ROUND = re.compile(r"(?:drand\W+)?quicknet\W+(?:round\W+)?(\d+)\W+(?:randomness
 
 
 class Beacon(NamedTuple):
-    """One round of drand's quicknet chain (https://api.drand.sh, chain 52db9ba70e0c...).
+    """One round of drand's quicknet chain (https://api.drand.sh, chain 52db9ba70e0c...)."""
 
-    Attributes:
-        round: its number.
-        value: its randomness, 64 lower-case hexadecimal digits.
-    """
-
-    round: int
-    value: str
+    round: int  # its number
+    value: str  # its randomness, 64 lower-case hexadecimal digits
 
     def __str__(self) -> str:
         return f"quicknet {self.round} {self.value}"

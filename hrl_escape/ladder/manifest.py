@@ -149,25 +149,15 @@ def _load_own(name: str) -> Manifest:
 
 @dataclasses.dataclass(frozen=True)
 class RungReferences:
-    """Mean efficiencies in the test rooms of a rung.
+    """Mean efficiencies in the test rooms of a rung."""
 
-    Attributes:
-        chance: of random choices among the options.
-        searcher: of the best searcher that learns nothing.
-        by: its name.
-        oracle: of the planner, which knows the graph; below 1 only where presses fail by chance.
-        ceiling: of `smdp-bayes`, which knows how rooms are drawn; None where graphs cannot be listed.
-        told: bits of the hidden graph that marks and places tell; None where graphs cannot be listed.
-        hidden: bits of the hidden graph.
-    """
-
-    chance: float
-    searcher: float
-    by: str
-    oracle: float
-    ceiling: float | None = None
-    told: float | None = None
-    hidden: float | None = None
+    chance: float  # of random choices among the options
+    searcher: float  # of the best searcher that learns nothing
+    by: str  # its name
+    oracle: float  # of the planner, which knows the graph; below 1 only where presses fail by chance
+    ceiling: float | None = None  # of `smdp-bayes`, which knows how rooms are drawn; None where graphs cannot be listed
+    told: float | None = None  # bits of the hidden graph that marks and places tell; None where graphs cannot be listed
+    hidden: float | None = None  # bits of the hidden graph
 
 
 def load_references(benchmark: str) -> dict[str, RungReferences]:

@@ -25,21 +25,13 @@ MOST_FAILURES = 5
 
 @dataclasses.dataclass(frozen=True)
 class ClosedLoopExecution:
-    """Record of a closed-loop execution.
+    """Record of a closed-loop execution."""
 
-    Attributes:
-        decisions: `info["option"]` of each meta-action, with its `duration`.
-        states: states, the first one included.
-        rewards: one a primitive.
-        is_reached: the goal was reached.
-        end: how the episode ended; `STOPPED` where it can go on.
-    """
-
-    decisions: tuple[dict[str, Any], ...]
-    states: tuple[RoomState, ...]
-    rewards: tuple[float, ...]
-    is_reached: bool
-    end: EpisodeEnd
+    decisions: tuple[dict[str, Any], ...]  # `info["option"]` of each meta-action, with its `duration`
+    states: tuple[RoomState, ...]  # states, the first one included
+    rewards: tuple[float, ...]  # one a primitive
+    is_reached: bool  # the goal was reached
+    end: EpisodeEnd  # how the episode ended; `STOPPED` where it can go on
 
     @property
     def escaped(self) -> bool:

@@ -290,17 +290,11 @@ class Replanner:
 
 
 class ExpectedEscape(NamedTuple):
-    """Means over rollouts of the `Replanner`.
+    """Means over rollouts of the `Replanner`."""
 
-    Attributes:
-        value: undiscounted return.
-        primitives: primitives to the escape; the horizon for a rollout without one.
-        rollouts: number of rollouts.
-    """
-
-    value: float
-    primitives: float
-    rollouts: int
+    value: float  # undiscounted return
+    primitives: float  # primitives to the escape; the horizon for a rollout without one
+    rollouts: int  # number of rollouts
 
 
 def compute_expected_escape(instance: RoomInstance, state: RoomState, rollouts: int = ROLLOUTS) -> ExpectedEscape:

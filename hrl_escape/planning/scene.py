@@ -266,19 +266,12 @@ DENSITY = 100.0
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class HeldObject:
-    """An obstacle that a hand holds.
+    """An obstacle that a hand holds."""
 
-    Attributes:
-        name: its name in the scene.
-        solid: the obstacle as it stood.
-        placement: its centre in the frame of the hand's link, shape (4, 4).
-        robot: the robot with an empty hand.
-    """
-
-    name: str
-    solid: Solid
-    placement: NDArray[np.float64]
-    robot: RobotConfig
+    name: str  # its name in the scene
+    solid: Solid  # the obstacle as it stood
+    placement: NDArray[np.float64]  # its centre in the frame of the hand's link, shape (4, 4)
+    robot: RobotConfig  # the robot with an empty hand
 
     def put_down(self, rules: Kinematics, state: RoomState) -> Solid:
         """The obstacle on the floor below its place in a state; rules are those of the room where it is held."""

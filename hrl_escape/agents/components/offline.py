@@ -36,63 +36,35 @@ FEW_STATES = 0.1
 
 
 class Decisions(NamedTuple):
-    """Decisions of recorded trajectories, in order; the fields of `SMDPTransition`, one row a decision.
+    """Decisions of recorded trajectories, in order; the fields of `SMDPTransition`, one row a decision."""
 
-    Attributes:
-        observation: at each decision, (n, ...).
-        action: int64 (n,).
-        mask: actions legal there, bool (n, actions).
-        reward: R = sum gamma^i r_i, float64 (n,).
-        summed_reward: sum r_i, float64 (n,).
-        duration: k, int64 (n,).
-        discount: gamma^k, float64 (n,).
-        next_observation: at the state reached, (n, ...).
-        next_mask: actions legal there, bool (n, actions).
-        terminated: the task ended, so that nothing follows, bool (n,).
-        last: the trajectory ends here, by its end, the horizon or a cut, bool (n,).
-        trajectory: number of the trajectory, int64 (n,).
-        ended: how the option ended, an index into `OPTION_ENDINGS`, int64 (n,).
-    """
-
-    observation: Any
-    action: NDArray[np.int64]
-    mask: NDArray[np.bool_]
-    reward: NDArray[np.float64]
-    summed_reward: NDArray[np.float64]
-    duration: NDArray[np.int64]
-    discount: NDArray[np.float64]
-    next_observation: Any
-    next_mask: NDArray[np.bool_]
-    terminated: NDArray[np.bool_]
-    last: NDArray[np.bool_]
-    trajectory: NDArray[np.int64]
-    ended: NDArray[np.int64]
+    observation: Any  # at each decision, (n, ...)
+    action: NDArray[np.int64]  # int64 (n,)
+    mask: NDArray[np.bool_]  # actions legal there, bool (n, actions)
+    reward: NDArray[np.float64]  # R = sum gamma^i r_i, float64 (n,)
+    summed_reward: NDArray[np.float64]  # sum r_i, float64 (n,)
+    duration: NDArray[np.int64]  # k, int64 (n,)
+    discount: NDArray[np.float64]  # gamma^k, float64 (n,)
+    next_observation: Any  # at the state reached, (n, ...)
+    next_mask: NDArray[np.bool_]  # actions legal there, bool (n, actions)
+    terminated: NDArray[np.bool_]  # the task ended, so that nothing follows, bool (n,)
+    last: NDArray[np.bool_]  # the trajectory ends here, by its end, the horizon or a cut, bool (n,)
+    trajectory: NDArray[np.int64]  # number of the trajectory, int64 (n,)
+    ended: NDArray[np.int64]  # how the option ended, an index into `OPTION_ENDINGS`, int64 (n,)
 
 
 class Primitives(NamedTuple):
-    """Primitives of recorded trajectories, in order, each with the option that chose it.
+    """Primitives of recorded trajectories, in order, each with the option that chose it."""
 
-    Attributes:
-        observation: before each primitive, (n, ...).
-        action: int64 (n,).
-        reward: float64 (n,).
-        next_observation: after it, (n, ...).
-        terminated: as in `Decisions`.
-        last: likewise.
-        trajectory: likewise.
-        option: action of the decision that it belongs to, int64 (n,).
-        begins: it is the decision's first, bool (n,).
-    """
-
-    observation: Any
-    action: NDArray[np.int64]
-    reward: NDArray[np.float64]
-    next_observation: Any
-    terminated: NDArray[np.bool_]
-    last: NDArray[np.bool_]
-    trajectory: NDArray[np.int64]
-    option: NDArray[np.int64]
-    begins: NDArray[np.bool_]
+    observation: Any  # before each primitive, (n, ...)
+    action: NDArray[np.int64]  # int64 (n,)
+    reward: NDArray[np.float64]  # float64 (n,)
+    next_observation: Any  # after it, (n, ...)
+    terminated: NDArray[np.bool_]  # as in `Decisions`
+    last: NDArray[np.bool_]  # likewise
+    trajectory: NDArray[np.int64]  # likewise
+    option: NDArray[np.int64]  # action of the decision that it belongs to, int64 (n,)
+    begins: NDArray[np.bool_]  # it is the decision's first, bool (n,)
 
     def as_decisions(self, gamma: float, actions: int) -> Decisions:
         """The same as decisions of one primitive each."""

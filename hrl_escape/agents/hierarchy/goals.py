@@ -18,15 +18,10 @@ from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, S
 
 @dataclass(frozen=True)
 class GoalView:
-    """Part of an observation that a level sees.
+    """Part of an observation that a level sees."""
 
-    Attributes:
-        space: of what it sees.
-        see: observation -> that part.
-    """
-
-    space: gymnasium.Space
-    see: Callable[[Any], Any]
+    space: gymnasium.Space  # of what it sees
+    see: Callable[[Any], Any]  # observation -> that part
 
 
 @dataclass(frozen=True)

@@ -18,17 +18,11 @@ DIRECTIONS = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 @dataclass(frozen=True)
 class Landmarks:
-    """States that stand for the region around them.
+    """States that stand for the region around them."""
 
-    Attributes:
-        states: the landmarks' states.
-        region: state -> number of the landmark whose region it lies in.
-        state: observation -> state; the observation itself by default.
-    """
-
-    states: tuple[Hashable, ...]
-    region: Callable[[Hashable], int]
-    state: Callable[[Any], Hashable] = int
+    states: tuple[Hashable, ...]  # the landmarks' states
+    region: Callable[[Hashable], int]  # state -> number of the landmark whose region it lies in
+    state: Callable[[Any], Hashable] = int  # observation -> state; the observation itself by default
 
     def __post_init__(self) -> None:
         for number, state in enumerate(self.states):

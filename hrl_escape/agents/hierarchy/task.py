@@ -20,17 +20,11 @@ from hrl_escape.errors import AgentSettingsError, UnknownNameError
 
 
 class Seen(NamedTuple):
-    """A moment as tasks may look at it.
+    """A moment as tasks may look at it."""
 
-    Attributes:
-        observation: as the environment gave it.
-        mask: bool (primitives,), the primitives legal there.
-        state: what `Hierarchy.read` made of the observation; None without it.
-    """
-
-    observation: Any
-    mask: NDArray[np.bool_]
-    state: Any = None
+    observation: Any  # as the environment gave it
+    mask: NDArray[np.bool_]  # bool (primitives,), the primitives legal there
+    state: Any = None  # what `Hierarchy.read` made of the observation; None without it
 
 
 def allow_only(choice: int | None, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -23,23 +23,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunDescription:
-    """A run that begins, or goes on.
+    """A run that begins, or goes on."""
 
-    Attributes:
-        name: of the agent.
-        seed: of the run.
-        key: short hash of the identity.
-        identity: everything that decides its numbers, a JSON value.
-        folder: of the run; None without one.
-        first: primitives of the first row to come, 0 for a new run.
-    """
-
-    name: str
-    seed: int
-    key: str
-    identity: Mapping[str, Any]
-    folder: Path | None
-    first: int
+    name: str  # of the agent
+    seed: int  # of the run
+    key: str  # short hash of the identity
+    identity: Mapping[str, Any]  # everything that decides its numbers, a JSON value
+    folder: Path | None  # of the run; None without one
+    first: int  # primitives of the first row to come, 0 for a new run
 
 
 class Callback:

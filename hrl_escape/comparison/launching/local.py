@@ -69,17 +69,11 @@ class Launcher(Protocol):
 
 @dataclass(frozen=True)
 class LocalLauncher:
-    """Processes on this machine.
+    """Processes on this machine."""
 
-    Attributes:
-        workers: runs at a time; None for one a core.
-        checkpoint_seconds: between checkpoints of a run, so the most that a kill costs.
-        begin_until: `time.monotonic()` after which no further run is begun.
-    """
-
-    workers: int | None = None
-    checkpoint_seconds: float = 10.0
-    begin_until: float = math.inf
+    workers: int | None = None  # runs at a time; None for one a core
+    checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
+    begin_until: float = math.inf  # `time.monotonic()` after which no further run is begun
 
     def __post_init__(self) -> None:
         choose_workers(self.workers)  # a wrong number is refused before anything is begun

@@ -36,17 +36,11 @@ T = TypeVar("T", bound=Hashable)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GraphFamily:
-    """Labelled graphs of buttons and how likely each is.
+    """Labelled graphs of buttons and how likely each is."""
 
-    Attributes:
-        parents: uint64 (graphs, buttons), the bits of each button's parents.
-        goals: int64 (graphs,), the button that opens the exit.
-        weights: float64 (graphs,), probabilities; they sum to 1.
-    """
-
-    parents: NDArray[np.uint64]
-    goals: NDArray[np.int64]
-    weights: NDArray[np.float64]
+    parents: NDArray[np.uint64]  # uint64 (graphs, buttons), the bits of each button's parents
+    goals: NDArray[np.int64]  # int64 (graphs,), the button that opens the exit
+    weights: NDArray[np.float64]  # float64 (graphs,), probabilities; they sum to 1
 
     @property
     def count(self) -> int:

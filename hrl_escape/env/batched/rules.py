@@ -24,23 +24,14 @@ from hrl_escape.env.tensor_geometry import Shapes, as_flags, compute_distance, s
 
 
 class TensorTransition(NamedTuple):
-    """The outcome of one primitive in each room.
+    """The outcome of one primitive in each room."""
 
-    Attributes:
-        state: the states after it.
-        reward: float32 (rooms,).
-        terminated: bool (rooms,).
-        truncated: bool (rooms,).
-        pressed: bits of the targets pressed by it, int64 (rooms,).
-        escaped: bool (rooms,).
-    """
-
-    state: TensorState
-    reward: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    pressed: Tensor
-    escaped: Tensor
+    state: TensorState  # the states after it
+    reward: Tensor  # float32 (rooms,)
+    terminated: Tensor  # bool (rooms,)
+    truncated: Tensor  # bool (rooms,)
+    pressed: Tensor  # bits of the targets pressed by it, int64 (rooms,)
+    escaped: Tensor  # bool (rooms,)
 
 
 # --- one primitive -------------------------------------------------------------------------

@@ -12,19 +12,12 @@ from hrl_escape.env.puzzles.contacts import Contacts
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """A conditional effect of an operator: what it adds and deletes where a condition holds before it.
+    """A conditional effect of an operator: what it adds and deletes where a condition holds before it."""
 
-    Attributes:
-        condition: propositions that must hold.
-        forbidden: propositions that must not hold.
-        add: propositions made true.
-        delete: propositions made false.
-    """
-
-    condition: frozenset[str]
-    forbidden: frozenset[str] = frozenset()
-    add: frozenset[str] = frozenset()
-    delete: frozenset[str] = frozenset()
+    condition: frozenset[str]  # propositions that must hold
+    forbidden: frozenset[str] = frozenset()  # propositions that must not hold
+    add: frozenset[str] = frozenset()  # propositions made true
+    delete: frozenset[str] = frozenset()  # propositions made false
 
 
 @dataclasses.dataclass(frozen=True)

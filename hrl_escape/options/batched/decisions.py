@@ -25,41 +25,23 @@ NOT_ASKED = -1
 
 
 class Transitions(NamedTuple):
-    """SMDP transitions that ended with the last primitive; rows count only where `where` is true.
+    """SMDP transitions that ended with the last primitive; rows count only where `where` is true."""
 
-    Attributes:
-        where: rooms whose decision ended, bool (rooms,).
-        observation: observation at the start of the decision, float32 (rooms, numbers).
-        action: the action chosen, int64 (rooms,).
-        reward: sum of the primitive rewards, float32 (rooms,).
-        discounted_reward: sum over i < k of gamma^i r_i, float32 (rooms,).
-        duration: k >= 1, primitives that ran, int32 (rooms,).
-        discount: gamma^k, float32 (rooms,).
-        next_observation: observation at its end, before any automatic reset.
-        next_action_mask: the actions legal there, bool (rooms, actions).
-        terminated: the robot escaped, or the puzzle was failed, bool (rooms,).
-        truncated: the horizon was reached, bool (rooms,); bootstrap from the state reached.
-        success: the robot escaped, bool (rooms,).
-        ended: its ending, an index into `ENDINGS`, int8 (rooms,).
-        pressed: bit i is set if target i was pressed by any of the k primitives, int64 (rooms,).
-        primitives: primitives of the episode so far, int32 (rooms,).
-    """
-
-    where: Tensor
-    observation: Tensor
-    action: Tensor
-    reward: Tensor
-    discounted_reward: Tensor
-    duration: Tensor
-    discount: Tensor
-    next_observation: Tensor
-    next_action_mask: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    success: Tensor
-    ended: Tensor
-    pressed: Tensor
-    primitives: Tensor
+    where: Tensor  # rooms whose decision ended, bool (rooms,)
+    observation: Tensor  # observation at the start of the decision, float32 (rooms, numbers)
+    action: Tensor  # the action chosen, int64 (rooms,)
+    reward: Tensor  # sum of the primitive rewards, float32 (rooms,)
+    discounted_reward: Tensor  # sum over i < k of gamma^i r_i, float32 (rooms,)
+    duration: Tensor  # k >= 1, primitives that ran, int32 (rooms,)
+    discount: Tensor  # gamma^k, float32 (rooms,)
+    next_observation: Tensor  # observation at its end, before any automatic reset
+    next_action_mask: Tensor  # the actions legal there, bool (rooms, actions)
+    terminated: Tensor  # the robot escaped, or the puzzle was failed, bool (rooms,)
+    truncated: Tensor  # the horizon was reached, bool (rooms,); bootstrap from the state reached
+    success: Tensor  # the robot escaped, bool (rooms,)
+    ended: Tensor  # its ending, an index into `ENDINGS`, int8 (rooms,)
+    pressed: Tensor  # bit i is set if target i was pressed by any of the k primitives, int64 (rooms,)
+    primitives: Tensor  # primitives of the episode so far, int32 (rooms,)
 
 
 class OpenDecisions(NamedTuple):

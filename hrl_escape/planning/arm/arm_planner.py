@@ -351,21 +351,13 @@ class ArmPlanner:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReachMap:
-    """Share of the base's headings from which the hand reaches a point, by place of the base.
+    """Share of the base's headings from which the hand reaches a point, by place of the base."""
 
-    Attributes:
-        instance: the room.
-        point: the point, (x, y, z), m.
-        low: corner of the grid, shape (2,), m.
-        cell: side of its square cells, m.
-        share: of the headings, shape (columns, rows), columns along x; 0 where the base does not fit.
-    """
-
-    instance: RoomInstance
-    point: tuple[float, float, float]
-    low: NDArray[np.float64]
-    cell: float
-    share: NDArray[np.float64]
+    instance: RoomInstance  # the room
+    point: tuple[float, float, float]  # the point, (x, y, z), m
+    low: NDArray[np.float64]  # corner of the grid, shape (2,), m
+    cell: float  # side of its square cells, m
+    share: NDArray[np.float64]  # of the headings, shape (columns, rows), columns along x; 0 where the base does not fit
 
     def __repr__(self) -> str:
         return f"<ReachMap of {self.point}: {self.share.max():.0%} of headings at best, from {self.get_best()}>"

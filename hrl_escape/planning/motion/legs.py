@@ -41,17 +41,11 @@ HALVINGS = 40
 
 
 class TimedPath(NamedTuple):
-    """Knots of a motion from rest to rest, of constant jerk between them.
+    """Knots of a motion from rest to rest, of constant jerk between them."""
 
-    Attributes:
-        times: rising from 0, shape (n,), s.
-        positions: shape (n, coordinates), m and rad.
-        velocities: shape (n, coordinates), m/s and rad/s.
-    """
-
-    times: NDArray[np.float64]
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.float64]
+    times: NDArray[np.float64]  # rising from 0, shape (n,), s
+    positions: NDArray[np.float64]  # shape (n, coordinates), m and rad
+    velocities: NDArray[np.float64]  # shape (n, coordinates), m/s and rad/s
 
 
 def time_path(path: MotionPath, rates: NDArray[np.float64]) -> TimedPath:
@@ -192,15 +186,10 @@ _LOST = 1e-6  # m and rad by which a motion may be held up
 
 
 class Contact(NamedTuple):
-    """The beginning of a touch.
+    """The beginning of a touch."""
 
-    Attributes:
-        time: s.
-        target: index of the target.
-    """
-
-    time: float
-    target: int
+    time: float  # s
+    target: int  # index of the target
 
 
 class Press(NamedTuple):

@@ -42,21 +42,13 @@ ExtendLeg: TypeAlias = Callable[[Any, Operator | None], Leg | None]
 
 @dataclasses.dataclass(frozen=True)
 class TaskPlan:
-    """An order of operators.
+    """An order of operators."""
 
-    Attributes:
-        operators: in order; the last leg (to the exit) follows.
-        legs: one an operator, and the last leg.
-        cost: primitives of all legs together.
-        lower_bound: no order costs less, by these legs.
-        searched: legs examined.
-    """
-
-    operators: tuple[Operator, ...]
-    legs: tuple[Leg, ...]
-    cost: float
-    lower_bound: float
-    searched: int
+    operators: tuple[Operator, ...]  # in order; the last leg (to the exit) follows
+    legs: tuple[Leg, ...]  # one an operator, and the last leg
+    cost: float  # primitives of all legs together
+    lower_bound: float  # no order costs less, by these legs
+    searched: int  # legs examined
 
     @property
     def is_optimal(self) -> bool:
