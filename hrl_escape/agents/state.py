@@ -95,17 +95,14 @@ class Kept:
 
 @dataclass(frozen=True)
 class Columns:
-    """Dicts with the same keys in the same order: the keys as one list, and the values of each dict as one array.
-
-    Attributes:
-        attributes: key in the tree -> attribute; values are numbers, or arrays of one shape. The dicts' own keys are
-            under `keys`.
-        are_literal: keys are literals (numbers, text, bytes, None and tuples of these), kept as text; else they are
-            bytes of one length, kept as an array.
-    """
+    """Dicts with the same keys in the same order: the keys as one list, and the values of each dict as one array."""
 
     attributes: Mapping[str, str]
+    """Key in the tree -> attribute; values are numbers, or arrays of one shape. The dicts' own keys are under
+    `keys`."""
     are_literal: bool = False
+    """Keys are literals (numbers, text, bytes, None and tuples of these), kept as text; else they are bytes of one
+    length, kept as an array."""
 
     def write(self, holder: Any, tree: StateTree) -> None:
         """Put the dicts of a holder into its tree."""

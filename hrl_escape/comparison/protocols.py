@@ -94,33 +94,22 @@ def get_budget(rung: str) -> int:
 
 
 class LadderSettings(NamedTuple):
-    """Numbers that may be changed; None for the protocol's own.
+    """Numbers that may be changed; None for the protocol's own."""
 
-    Attributes:
-        runs: training seeds in each room or set.
-        primitives: training budget of a run.
-        rooms: rooms of the test set: to learn in one by one, or to be tested in.
-        train_sizes: with all protocols but `per-instance`: numbers of training rooms, each a set of its own; in a tower
-            those of every floor.
-        eval_episodes: episodes in an evaluation.
-        observation: of every agent; by default that of the rung's axis; else `features` with `per-instance`, where
-            nothing need carry over to another room, unless an agent's network reads objects; else `objects`.
-        source: with `transfer`: rung to train on.
-        trials: with `few-shot`: in each room.
-        first_seed: lowest training seed.
-        floors: of a tower of one rung, whose floors have one motif of marks in an episode.
-    """
-
-    runs: int = 10
-    primitives: int | None = None
-    rooms: int | None = None
+    runs: int = 10  # training seeds in each room or set
+    primitives: int | None = None  # training budget of a run
+    rooms: int | None = None  # rooms of the test set: to learn in one by one, or to be tested in
     train_sizes: tuple[int, ...] = (64,)
-    eval_episodes: int | None = None
+    """With all protocols but `per-instance`: numbers of training rooms, each a set of its own; in a tower those of
+    every floor."""
+    eval_episodes: int | None = None  # episodes in an evaluation
     observation: str | None = None
-    source: str | None = None
-    trials: int = 8
-    first_seed: int = 0
-    floors: int = 1
+    """Of every agent; by default that of the rung's axis; else `features` with `per-instance`, where nothing need carry
+    over to another room, unless an agent's network reads objects; else `objects`."""
+    source: str | None = None  # with `transfer`: rung to train on
+    trials: int = 8  # with `few-shot`: in each room
+    first_seed: int = 0  # lowest training seed
+    floors: int = 1  # of a tower of one rung, whose floors have one motif of marks in an episode
 
 
 def name_protocol(protocol: Protocol, source: str | None) -> str:
@@ -242,26 +231,19 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
 
 
 class RungStanding(NamedTuple):
-    """Result of one agent on one rung.
+    """Result of one agent on one rung."""
 
-    Attributes:
-        rung: name of the rung.
-        agent: its summary.
-        escapes: share of final test episodes that escaped, with Wilson's interval over all of them.
-        is_passed: the rung is passed, see `judge`.
-        units: efficiencies (runs,) of each room that was learned in, or of each run alone that was tested in others.
-        floors: number of floors of a tower, of which the escapes are the share climbed; 1 on a rung.
-        learned: share of what could be learned across rooms, see `compute_learned_share`; None where searchers and
-            `smdp-bayes` were not run on the rung, or are alike.
-    """
-
-    rung: str
-    agent: AgentSummary
+    rung: str  # name of the rung
+    agent: AgentSummary  # its summary
     escapes: tuple[float, float, float]
-    is_passed: bool
+    """Share of final test episodes that escaped, with Wilson's interval over all of them."""
+    is_passed: bool  # the rung is passed, see `judge`
     units: Scores
-    floors: int = 1
+    """Efficiencies (runs,) of each room that was learned in, or of each run alone that was tested in others."""
+    floors: int = 1  # number of floors of a tower, of which the escapes are the share climbed; 1 on a rung
     learned: float | None = None
+    """Share of what could be learned across rooms, see `compute_learned_share`; None where searchers and `smdp-bayes`
+    were not run on the rung, or are alike."""
 
 
 def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float], bool]:

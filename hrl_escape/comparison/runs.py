@@ -45,44 +45,29 @@ from hrl_escape.version import __version__, find_versions
 
 @dataclass(frozen=True)
 class RunResult:
-    """Result of one run; its `GridRun` says which.
+    """Result of one run; its `GridRun` says which."""
 
-    Attributes:
-        budget: primitives it was to train for; those it did train for where it ended early.
-        primitives: trained for; a last option may carry it beyond the budget.
-        decisions: trained for.
-        episodes: trained for.
-        planner_calls: behind options, in training.
-        first_escape: primitives at the end of the first training episode that escaped; None if none did. A
-            reference's are counted from its first evaluation episode.
-        evaluations: the first before training, the last after it; of a reference, one.
-        solution: course towards the solution, in grids with `until_solved`.
-        seconds: of training when each evaluation was made; left out of comparisons.
-        score_range: best known and worst results, by which its scores are measured.
-        planner_seconds: of training, in planners; left out of comparisons.
-        versions: of the packages that made it; left out of comparisons.
-        seen: last evaluation in rooms that were trained in, where others were tested in.
-        seen_range: its scale.
-        trials: where rooms are tried several times, the evaluation of each trial at the end, over all test rooms.
-        trial_ranges: their scales.
-    """
-
-    budget: int
-    primitives: int
-    decisions: int
-    episodes: int
-    planner_calls: int
+    budget: int  # primitives it was to train for; those it did train for where it ended early
+    primitives: int  # trained for; a last option may carry it beyond the budget
+    decisions: int  # trained for
+    episodes: int  # trained for
+    planner_calls: int  # behind options, in training
     first_escape: int | None
-    evaluations: tuple[Evaluation, ...]
-    score_range: ScoreRange
-    solution: Solution | None
+    """Primitives at the end of the first training episode that escaped; None if none did. A reference's are counted
+    from its first evaluation episode."""
+    evaluations: tuple[Evaluation, ...]  # the first before training, the last after it; of a reference, one
+    score_range: ScoreRange  # best known and worst results, by which its scores are measured
+    solution: Solution | None  # course towards the solution, in grids with `until_solved`
     seconds: tuple[float, ...] = dataclasses.field(compare=False)
-    planner_seconds: float = dataclasses.field(compare=False)
+    """Of training when each evaluation was made; left out of comparisons."""
+    planner_seconds: float = dataclasses.field(compare=False)  # of training, in planners; left out of comparisons
     versions: Mapping[str, str] = dataclasses.field(compare=False)
-    seen: Evaluation | None = None
-    seen_range: ScoreRange | None = None
+    """Of the packages that made it; left out of comparisons."""
+    seen: Evaluation | None = None  # last evaluation in rooms that were trained in, where others were tested in
+    seen_range: ScoreRange | None = None  # its scale
     trials: tuple[Evaluation, ...] = ()
-    trial_ranges: tuple[ScoreRange, ...] = ()
+    """Where rooms are tried several times, the evaluation of each trial at the end, over all test rooms."""
+    trial_ranges: tuple[ScoreRange, ...] = ()  # their scales
 
     @classmethod
     def make(cls, budget: int, result: TrainResult, score_range: ScoreRange, solution: Solution | None) -> RunResult:

@@ -24,30 +24,22 @@ PLANNER, CEILING = "planner", "ceiling"
 
 @dataclass(frozen=True)
 class ScoreRange:
-    """Best known and worst results of a run's evaluation episodes.
+    """Best known and worst results of a run's evaluation episodes."""
 
-    Attributes:
-        worst: return of an episode without escape.
-        starts: pose at the start of each episode: x, y (m), heading (turn steps, and rad beyond them); where rooms
-            differ, also a number that tells them apart.
-        best: best known return of each.
-        reachable: best known return of each by the actions the agent has.
-        fewest: primitives of the best known escape of each, or their expectation.
-        fewest_reachable: the same by the actions the agent has; None where they cannot escape.
-        is_expected: best and fewest are means over rollouts of the planner in rooms with noise or slip; an episode can
-            do better by luck.
-        source: what found `best` and `fewest`: `planner`, or `ceiling` where no plan is known and an escape
-            by the first primitive stands for it.
-    """
-
-    worst: float
+    worst: float  # return of an episode without escape
     starts: tuple[tuple[float, ...], ...]
-    best: tuple[float, ...]
-    reachable: tuple[float, ...]
-    fewest: tuple[float, ...]
-    fewest_reachable: tuple[float | None, ...]
+    """Pose at the start of each episode: x, y (m), heading (turn steps, and rad beyond them); where rooms differ, also
+    a number that tells them apart."""
+    best: tuple[float, ...]  # best known return of each
+    reachable: tuple[float, ...]  # best known return of each by the actions the agent has
+    fewest: tuple[float, ...]  # primitives of the best known escape of each, or their expectation
+    fewest_reachable: tuple[float | None, ...]  # the same by the actions the agent has; None where they cannot escape
     source: str
+    """What found `best` and `fewest`: `planner`, or `ceiling` where no plan is known and an escape by the first
+    primitive stands for it."""
     is_expected: bool = False
+    """Best and fewest are means over rollouts of the planner in rooms with noise or slip; an episode can do better by
+    luck."""
 
 
 def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent: AgentSpec, cache: Path,

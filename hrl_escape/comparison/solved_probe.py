@@ -29,17 +29,13 @@ EdgeSet = frozenset[tuple[int, int]]
 
 @dataclass(frozen=True)
 class Solution:
-    """Course of a run towards its solution.
-
-    Attributes:
-        near_best: primitives at the first of two checks in a row that scored near the best; None without such a pair.
-        edges: number of edges that matter in the room's graph.
-        structure: (primitives, precision, recall) at every change; empty for agents without a graph.
-    """
+    """Course of a run towards its solution."""
 
     near_best: int | None
-    edges: int
+    """Primitives at the first of two checks in a row that scored near the best; None without such a pair."""
+    edges: int  # number of edges that matter in the room's graph
     structure: tuple[tuple[int, float, float], ...]
+    """(primitives, precision, recall) at every change; empty for agents without a graph."""
 
 
 class SolvedProbe(Stateful):

@@ -24,15 +24,11 @@ _Slot = tuple["str | None", int]
 
 
 class CommonSpaces(NamedTuple):
-    """Rows and actions of several environments.
+    """Rows and actions of several environments."""
 
-    Attributes:
-        rows: names of the objects.
-        about: for each action the name of its object, or None; None where actions are about nothing at all.
-    """
-
-    rows: tuple[str, ...]
+    rows: tuple[str, ...]  # names of the objects
     about: tuple[str | None, ...] | None
+    """For each action the name of its object, or None; None where actions are about nothing at all."""
 
 
 def join_spaces(envs: Sequence[gymnasium.Env]) -> CommonSpaces:

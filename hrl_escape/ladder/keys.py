@@ -118,18 +118,13 @@ TURN = math.radians(30)
 
 
 class RoomKeys(NamedTuple):
-    """Keys of one room; hashes are 64 hexadecimal digits of SHA-256.
+    """Keys of one room; hashes are 64 hexadecimal digits of SHA-256."""
 
-    Attributes:
-        content: everything that can be observed or computed in the room.
-        layout: what stands where; of version 1 a hash of places rounded to 0.5 m and directions to 30 degrees, of
-            version 2 points that are compared with a margin, see `layouts.py`.
-        task: the puzzle up to the numbers of its buttons.
-    """
-
-    content: str
+    content: str  # everything that can be observed or computed in the room
     layout: LayoutKey
-    task: str
+    """What stands where; of version 1 a hash of places rounded to 0.5 m and directions to 30 degrees, of version 2
+    points that are compared with a margin, see `layouts.py`."""
+    task: str  # the puzzle up to the numbers of its buttons
 
 
 def compute_keys(room: RoomInstance, layouts: int = 1) -> RoomKeys:

@@ -13,27 +13,17 @@ from hrl_escape.env.robot import Robot
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MotionPath:
-    """Path through coordinates of a robot, in straight lines.
+    """Path through coordinates of a robot, in straight lines."""
 
-    Attributes:
-        names: of the coordinates: joints, or `x`, `y`, `heading` and joints.
-        points: places to go through, shape (n, coordinates), m and rad.
-        scale: metres by which a point of the robot moves at most for each unit of a coordinate, shape (coordinates,).
-        margin: largest deviation from the path without a collision, in metres of motion.
-        planner: planner that found it.
-        checks: places that were tested.
-        seconds: wall time.
-        robot: the robot, whose joints' limits of speed and effort then hold.
-    """
-
-    names: tuple[str, ...]
-    points: NDArray[np.float64]
+    names: tuple[str, ...]  # of the coordinates: joints, or `x`, `y`, `heading` and joints
+    points: NDArray[np.float64]  # places to go through, shape (n, coordinates), m and rad
     scale: NDArray[np.float64]
-    margin: float
-    planner: str
-    checks: int = 0
-    seconds: float = 0.0
-    robot: Robot | None = None
+    """Metres by which a point of the robot moves at most for each unit of a coordinate, shape (coordinates,)."""
+    margin: float  # largest deviation from the path without a collision, in metres of motion
+    planner: str  # planner that found it
+    checks: int = 0  # places that were tested
+    seconds: float = 0.0  # wall time
+    robot: Robot | None = None  # the robot, whose joints' limits of speed and effort then hold
 
     def interpolate(self, step: float) -> NDArray[np.float64]:
         """Points along the path at most `step` apart in every coordinate, corners included; shape (m, coordinates)."""

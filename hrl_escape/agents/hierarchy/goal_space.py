@@ -30,28 +30,18 @@ def measure_straight(start: GoalPoint, end: GoalPoint) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class GoalSpace:
-    """Points that goals lie in, and the finitely many goals that may be named, numbered from 0.
+    """Points that goals lie in, and the finitely many goals that may be named, numbered from 0."""
 
-    Attributes:
-        project: observation -> its point.
-        goals: float64 (count, dimensions).
-        is_relative: goals are displacements from where they are named.
-        distance: from a point to points (..., dimensions), in their unit or in any other, such as primitives along the
-            floor.
-        tolerance: distance at which a goal counts as reached.
-        find_desired: observation -> number of the goal that the episode asks for; None where its end alone tells.
-        view: what of an observation tables and networks see; all by default.
-        privileges: what the space tells an agent that the observation does not.
-    """
-
-    project: Callable[[Any], GoalPoint]
-    goals: NDArray[np.float64]
-    is_relative: bool = False
+    project: Callable[[Any], GoalPoint]  # observation -> its point
+    goals: NDArray[np.float64]  # float64 (count, dimensions)
+    is_relative: bool = False  # goals are displacements from where they are named
     distance: Callable[[GoalPoint, GoalPoint], NDArray[np.float64]] = measure_straight
-    tolerance: float = 1e-6
+    """From a point to points (..., dimensions), in their unit or in any other, such as primitives along the floor."""
+    tolerance: float = 1e-6  # distance at which a goal counts as reached
     find_desired: Callable[[Any], int] | None = None
-    view: GoalView | None = None
-    privileges: tuple[str, ...] = ("goals",)
+    """Observation -> number of the goal that the episode asks for; None where its end alone tells."""
+    view: GoalView | None = None  # what of an observation tables and networks see; all by default
+    privileges: tuple[str, ...] = ("goals",)  # what the space tells an agent that the observation does not
 
     def __post_init__(self) -> None:
         if self.goals.ndim != 2 or not len(self.goals):

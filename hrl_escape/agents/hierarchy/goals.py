@@ -26,31 +26,21 @@ class GoalView:
 
 @dataclass(frozen=True)
 class GoalSet:
-    """Finitely many goals, numbered from 0.
+    """Finitely many goals, numbered from 0."""
 
-    Attributes:
-        count: how many there are.
-        reached: (observation, goal) -> whether it is reached there.
-        is_open: (observation, goal) -> whether the manager may name it there; anywhere by default.
-        policy: (observation, goal) -> the primitive towards it, None where there is none; by default that is learned.
-        manager_view: what of an observation the manager sees; all by default.
-        worker_view: what of it the worker sees, beside the goal.
-        names: of the goals, for options made of them; numbers by default.
-        places: x and y of each goal on the floor, m, for drawings; none by default.
-        source: where the goals come from.
-        privileges: what they tell the agent that the observation does not.
-    """
-
-    count: int
-    reached: Callable[[Any, int], bool]
+    count: int  # how many there are
+    reached: Callable[[Any, int], bool]  # (observation, goal) -> whether it is reached there
     is_open: Callable[[Any, int], bool] | None = None
+    """(observation, goal) -> whether the manager may name it there; anywhere by default."""
     policy: Callable[[Any, int], int | None] | None = None
-    manager_view: GoalView | None = None
-    worker_view: GoalView | None = None
-    names: tuple[str, ...] = ()
+    """(observation, goal) -> the primitive towards it, None where there is none; by default that is learned."""
+    manager_view: GoalView | None = None  # what of an observation the manager sees; all by default
+    worker_view: GoalView | None = None  # what of it the worker sees, beside the goal
+    names: tuple[str, ...] = ()  # of the goals, for options made of them; numbers by default
     places: tuple[tuple[float, float] | None, ...] = ()
-    source: Literal["given", "synthesised"] = "given"
-    privileges: tuple[str, ...] = ("goals",)
+    """X and y of each goal on the floor, m, for drawings; none by default."""
+    source: Literal["given", "synthesised"] = "given"  # where the goals come from
+    privileges: tuple[str, ...] = ("goals",)  # what they tell the agent that the observation does not
 
 
 class Manager(BaseTask):

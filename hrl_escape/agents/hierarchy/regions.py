@@ -32,23 +32,19 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class Quadtree:
-    """A square that is cut into four at every level: at level n into 2^n x 2^n cells.
+    """A square that is cut into four at every level: at level n into 2^n x 2^n cells."""
 
-    Attributes:
-        depth: finest level; level 0 is the whole square.
-        place: observation -> (row, column) in the square, each from 0 up to but not including 1.
-        phase: observation -> what every manager sees beside its cell, as numbers; nothing by default.
-        has_found: (observation at the order, observation) -> whether a search has found what it was for; by default
-            only the end of the episode is that.
-        policy: (observation, cell, order) -> the primitive by which the last level obeys an order about a cell of the
-            finest level, None where none does; by default that is learned.
-    """
-
-    depth: int
+    depth: int  # finest level; level 0 is the whole square
     place: Callable[[Any], tuple[float, float]]
+    """Observation -> (row, column) in the square, each from 0 up to but not including 1."""
     phase: Callable[[Any], tuple[int, ...]] | None = None
+    """Observation -> what every manager sees beside its cell, as numbers; nothing by default."""
     has_found: Callable[[Any, Any], bool] | None = None
+    """(observation at the order, observation) -> whether a search has found what it was for; by default only the end of
+    the episode is that."""
     policy: Callable[[Any, tuple[int, int], int], int | None] | None = None
+    """(observation, cell, order) -> the primitive by which the last level obeys an order about a cell of the finest
+    level, None where none does; by default that is learned."""
 
     def __post_init__(self) -> None:
         if self.depth < 0:

@@ -72,32 +72,21 @@ Stack = tuple[Frame, ...]
 
 
 class Step(NamedTuple):
-    """One primitive: what the world did.
+    """One primitive: what the world did."""
 
-    Attributes:
-        seen: where it was done.
-        action: which primitive.
-        reward: what the environment paid, discounted within the primitive where it lasts several steps (an option of
-            the environment).
-        summed: the same without discount.
-        duration: steps of the environment, 1 for a true primitive.
-        next_seen: the moment reached.
-        terminated: the episode ended in the task's sense.
-        truncated: the episode was cut off.
-        arrival: discount of what is paid at `next_seen`, gamma^(duration - 1); 1 where a sum without discount is asked.
-        cut: truncated inside an option of the environment.
-    """
-
-    seen: Seen
-    action: int
+    seen: Seen  # where it was done
+    action: int  # which primitive
     reward: float
-    summed: float
-    duration: int
-    next_seen: Seen
-    terminated: bool
-    truncated: bool
+    """What the environment paid, discounted within the primitive where it lasts several steps (an option of the
+    environment)."""
+    summed: float  # the same without discount
+    duration: int  # steps of the environment, 1 for a true primitive
+    next_seen: Seen  # the moment reached
+    terminated: bool  # the episode ended in the task's sense
+    truncated: bool  # the episode was cut off
     arrival: float = 1.0
-    cut: bool = False
+    """Discount of what is paid at `next_seen`, gamma^(duration - 1); 1 where a sum without discount is asked."""
+    cut: bool = False  # truncated inside an option of the environment
 
 
 class BaseTask:

@@ -86,48 +86,30 @@ METRICS = {
 
 @dataclass(frozen=True)
 class EpisodeRecord:
-    """One training episode.
+    """One training episode."""
 
-    Attributes:
-        primitives: primitives trained for, at its end.
-        decisions: decisions trained for, at its end.
-        episode_return: undiscounted sum of primitive rewards.
-        length: primitives in it.
-        success: what `read_success` says of its end.
-        end: `terminated`, `truncated`, or `budget` where the run's budget cut it.
-        seconds: seconds of training at its end, without evaluations; left out of comparisons.
-    """
-
-    primitives: int
-    decisions: int
-    episode_return: float
-    length: int
-    success: bool
-    end: str
+    primitives: int  # primitives trained for, at its end
+    decisions: int  # decisions trained for, at its end
+    episode_return: float  # undiscounted sum of primitive rewards
+    length: int  # primitives in it
+    success: bool  # what `read_success` says of its end
+    end: str  # `terminated`, `truncated`, or `budget` where the run's budget cut it
     seconds: float = field(compare=False)
+    """Seconds of training at its end, without evaluations; left out of comparisons."""
 
 
 @dataclass(frozen=True)
 class SegmentRecord:
-    """A stretch of training in many streams, with the episodes that ended in it.
+    """A stretch of training in many streams, with the episodes that ended in it."""
 
-    Attributes:
-        primitives: primitives trained for, at its end, of all streams together.
-        decisions: decisions trained for, at its end.
-        episodes: episodes that ended in it.
-        successes: those of them that succeeded.
-        mean_return: their mean undiscounted return; None where none ended.
-        mean_length: their mean number of primitives; None where none ended.
-        seconds: seconds of training at its end, without evaluations; left out of comparisons.
-    """
-
-    primitives: int
-    decisions: int
-    episodes: int
-    successes: int
-    mean_return: float | None
-    mean_length: float | None
+    primitives: int  # primitives trained for, at its end, of all streams together
+    decisions: int  # decisions trained for, at its end
+    episodes: int  # episodes that ended in it
+    successes: int  # those of them that succeeded
+    mean_return: float | None  # their mean undiscounted return; None where none ended
+    mean_length: float | None  # their mean number of primitives; None where none ended
     seconds: float = field(compare=False)
+    """Seconds of training at its end, without evaluations; left out of comparisons."""
 
 
 def make_evaluation_row(evaluation: Evaluation) -> dict[str, Any]:

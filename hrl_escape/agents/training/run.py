@@ -49,14 +49,7 @@ NO_OPTIONS = (
 
 @dataclasses.dataclass(frozen=True)
 class RunArguments:
-    """Arguments of a run that are part of its identity; see `train`.
-
-    Attributes:
-        agent_state: hash of the state of an agent that was given as an object; None for one made by name.
-        threads: of torch.
-        until_return: mean return of two evaluations in a row that ends the run; None where the budget alone does.
-        eval_trials: parts of an evaluation episode that count as episodes of their own.
-    """
+    """Arguments of a run that are part of its identity; see `train`."""
 
     name: str
     seed: int
@@ -66,9 +59,11 @@ class RunArguments:
     eval_episodes: int
     eval_seed: int
     agent_state: str | None = None
-    threads: int = 1
+    """Hash of the state of an agent that was given as an object; None for one made by name."""
+    threads: int = 1  # of torch
     until_return: float | None = None
-    eval_trials: int = 1
+    """Mean return of two evaluations in a row that ends the run; None where the budget alone does."""
+    eval_trials: int = 1  # parts of an evaluation episode that count as episodes of their own
 
     @property
     def identity(self) -> dict[str, Any]:

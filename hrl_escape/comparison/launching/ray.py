@@ -31,19 +31,14 @@ PROGRESS_SECONDS = 5.0
 
 @dataclass(frozen=True)
 class RayLauncher:
-    """Ray tasks, by default of one core each, every run in a process of its own.
+    """Ray tasks, by default of one core each, every run in a process of its own."""
 
-    Attributes:
-        workers: cores of a Ray that is started here; None for all. A cluster has its own.
-        checkpoint_seconds: between checkpoints of a run, so the most that a kill costs.
-        resources: options of `ray.remote` for each run, such as `num_cpus`, `num_gpus`, `memory` (bytes),
-            `max_retries` (5: a run whose worker or node is lost goes on from its checkpoint elsewhere) and `max_calls`
-            (1: runs in one process, one after another).
-    """
-
-    workers: int | None = None
-    checkpoint_seconds: float = 10.0
+    workers: int | None = None  # cores of a Ray that is started here; None for all. A cluster has its own.
+    checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
     resources: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Options of `ray.remote` for each run, such as `num_cpus`, `num_gpus`, `memory` (bytes), `max_retries` (5: a run
+    whose worker or node is lost goes on from its checkpoint elsewhere) and `max_calls` (1: runs in one process, one
+    after another)."""
 
     def run(self, runs: Sequence[GridRun], out: Path, listener: Listener) -> None:
         """Execute runs of one grid; an interruption cancels the tasks, which can go on another time."""

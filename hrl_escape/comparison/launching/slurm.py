@@ -30,18 +30,13 @@ Errors = dict[str, dict[str, str]]
 
 @dataclass(frozen=True)
 class SlurmLauncher:
-    """Jobs of a Slurm array, each of which makes every n-th run in a folder that all machines share.
+    """Jobs of a Slurm array, each of which makes every n-th run in a folder that all machines share."""
 
-    Attributes:
-        jobs: number of jobs.
-        checkpoint_seconds: between checkpoints of a run, so the most that a kill costs.
-        resources: parameters of submitit's `AutoExecutor` for each job, such as `timeout_min` (240), `mem_gb`,
-            `cpus_per_task` (1: runs at a time), `slurm_partition` and `slurm_array_parallelism`.
-    """
-
-    jobs: int
-    checkpoint_seconds: float = 10.0
+    jobs: int  # number of jobs
+    checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
     resources: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Parameters of submitit's `AutoExecutor` for each job, such as `timeout_min` (240), `mem_gb`, `cpus_per_task` (1:
+    runs at a time), `slurm_partition` and `slurm_array_parallelism`."""
 
     def __post_init__(self) -> None:
         if self.jobs < 1:

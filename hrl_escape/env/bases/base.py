@@ -69,33 +69,26 @@ class TensorBase(Protocol):
 
 @dataclass(frozen=True)
 class Base(ABC):
-    """The outline of a robot on the floor.
+    """The outline of a robot on the floor."""
 
-    Attributes:
-        size: distances of its sides from its axis, m; each grows by the clearance.
-        turns_anywhere: true if it covers the same floor at every heading. Parts that ignore headings need such a base:
-            puzzles with inner doors or props, batched options, paths of places and their smoothing, repaired fields.
-        symmetry: number of headings, evenly spread over a full turn, at which it covers the same; 0 if all do.
-        front_field: name of the setting that gives the distance to its front, for messages.
-        width_field: name of the setting that gives its width, for messages.
-        contact: (x, y, cos, sin, size, dx, dy, footprint) -> share in [0, 1) of a displacement at which it first meets
-            the footprint, or infinity; one that touches already is stopped (0) only if it moves inwards.
-        gap: (x, y, cos, sin, size, footprint) -> gap, negative where they overlap: it has the sign of the distance and
-            is never larger.
-        distance: (x, y, cos, sin, size, footprint) -> distance, 0 where they overlap.
-        blocks_turn: (x, y, cos, sin, to_cos, to_sin, turn, size, footprint) -> whether the footprint, clear of it, is
-            in the way of a turn by an angle about its axis.
-    """
-
-    size: tuple[float, ...]
+    size: tuple[float, ...]  # distances of its sides from its axis, m; each grows by the clearance
     turns_anywhere: ClassVar[bool] = False
+    """True if it covers the same floor at every heading. Parts that ignore headings need such a base: puzzles with
+    inner doors or props, batched options, paths of places and their smoothing, repaired fields."""
     symmetry: ClassVar[int] = 1
-    front_field: ClassVar[str]
-    width_field: ClassVar[str]
+    """Number of headings, evenly spread over a full turn, at which it covers the same; 0 if all do."""
+    front_field: ClassVar[str]  # name of the setting that gives the distance to its front, for messages
+    width_field: ClassVar[str]  # name of the setting that gives its width, for messages
     contact: ClassVar[Callable[..., float]]
+    """(x, y, cos, sin, size, dx, dy, footprint) -> share in [0, 1) of a displacement at which it first meets the
+    footprint, or infinity; one that touches already is stopped (0) only if it moves inwards."""
     gap: ClassVar[Callable[..., float]]
-    distance: ClassVar[Callable[..., float]]
+    """(x, y, cos, sin, size, footprint) -> gap, negative where they overlap: it has the sign of the distance and is
+    never larger."""
+    distance: ClassVar[Callable[..., float]]  # (x, y, cos, sin, size, footprint) -> distance, 0 where they overlap
     blocks_turn: ClassVar[Callable[..., bool]]
+    """(x, y, cos, sin, to_cos, to_sin, turn, size, footprint) -> whether the footprint, clear of it, is in the way of a
+    turn by an angle about its axis."""
 
     @classmethod
     @abstractmethod

@@ -58,25 +58,16 @@ class RoomInfo(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """The result of a step of the batch.
-
-    Attributes:
-        observation: float32 (rooms, numbers), after any automatic reset; numbers of one kind lie together in memory.
-        reward: float32 (rooms,).
-        terminated: bool (rooms,).
-        truncated: bool (rooms,).
-        info: after any automatic reset.
-        final_observation: the observation before it, if rooms are reset in the same step, else None.
-        final_info: `info` before it, if rooms are reset in the same step, else None.
-    """
+    """The result of a step of the batch."""
 
     observation: Tensor
-    reward: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    info: RoomInfo
-    final_observation: Tensor | None = None
-    final_info: RoomInfo | None = None
+    """Float32 (rooms, numbers), after any automatic reset; numbers of one kind lie together in memory."""
+    reward: Tensor  # float32 (rooms,)
+    terminated: Tensor  # bool (rooms,)
+    truncated: Tensor  # bool (rooms,)
+    info: RoomInfo  # after any automatic reset
+    final_observation: Tensor | None = None  # the observation before it, if rooms are reset in the same step, else None
+    final_info: RoomInfo | None = None  # `info` before it, if rooms are reset in the same step, else None
 
 
 def advance(layout: Layout, observation: BatchObservation, autoreset: Autoreset, tables: Tables, state: TensorState,

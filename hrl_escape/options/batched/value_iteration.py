@@ -29,35 +29,25 @@ _BLOCKED = 0.01  # moves shorter than this do not count, m
 
 
 class Moves(NamedTuple):
-    """Ends of all moves from the representative places of a grid's cells; a state is a (heading class, cell).
+    """Ends of all moves from the representative places of a grid's cells; a state is a (heading class, cell)."""
 
-    Attributes:
-        rows: cells along y; a cell's index is i * rows + j.
-        reach: most columns or rows from a cell to one of the four round the end of a move.
-        offsets: index of the lowest of the four, relative to the cell's own, for an unblocked move, int64
-            (classes, translations).
-        shares: weights of the four there, lower row first, float32 (classes, translations, 4).
-        listed: row of each state in the following tables, int32 (classes, cells); -1 where all its moves are free,
-            touch no target and stay out of the exit, and -2 where the body does not fit.
-        corners: lowest of the four cells, int32 (listed, translations); -1 and -2 likewise, of a move.
-        weights: their weights, 0 where the body does not fit, float32 (listed, translations, 4).
-        special: row of each listed state in the last two tables, int32 (listed,); -1 where no move begins to touch a
-            target or ends in the exit.
-        begun: bits of the targets that are touched at a move's end and not at its start, uint64 (special,
-            translations).
-        outside: True unless the move ends in the exit, bool (special, translations).
-    """
-
-    rows: int
-    reach: int
+    rows: int  # cells along y; a cell's index is i * rows + j
+    reach: int  # most columns or rows from a cell to one of the four round the end of a move
     offsets: NDArray[np.int64]
-    shares: NDArray[np.float32]
+    """Index of the lowest of the four, relative to the cell's own, for an unblocked move, int64 (classes,
+    translations)."""
+    shares: NDArray[np.float32]  # weights of the four there, lower row first, float32 (classes, translations, 4)
     listed: NDArray[np.int32]
-    corners: NDArray[np.int32]
-    weights: NDArray[np.float32]
+    """Row of each state in the following tables, int32 (classes, cells); -1 where all its moves are free, touch no
+    target and stay out of the exit, and -2 where the body does not fit."""
+    corners: NDArray[np.int32]  # lowest of the four cells, int32 (listed, translations); -1 and -2 likewise, of a move
+    weights: NDArray[np.float32]  # their weights, 0 where the body does not fit, float32 (listed, translations, 4)
     special: NDArray[np.int32]
+    """Row of each listed state in the last two tables, int32 (listed,); -1 where no move begins to touch a target or
+    ends in the exit."""
     begun: NDArray[np.uint64]
-    outside: NDArray[np.bool_]
+    """Bits of the targets that are touched at a move's end and not at its start, uint64 (special, translations)."""
+    outside: NDArray[np.bool_]  # True unless the move ends in the exit, bool (special, translations)
 
 
 @kernel_part

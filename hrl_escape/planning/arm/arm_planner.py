@@ -45,20 +45,14 @@ _Test: TypeAlias = Callable[[NDArray[np.float64], float], bool]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ArmPosture:
-    """Configuration of the arm that brings the hand to a target.
+    """Configuration of the arm that brings the hand to a target."""
 
-    Attributes:
-        angles: joint angles, shape (joints,), rad.
-        margin: least distance of a joint from its limits, rad.
-        manipulability: Yoshikawa's measure, sqrt(det(J J^T)), of the hand's translation, and of its rotation too if the
-            target was a pose (Yoshikawa 1985); of J^T J for arms with fewer joints than rows.
-        is_free: no link meets a solid, the shut door or another link.
-    """
-
-    angles: NDArray[np.float64]
-    margin: float
+    angles: NDArray[np.float64]  # joint angles, shape (joints,), rad
+    margin: float  # least distance of a joint from its limits, rad
     manipulability: float
-    is_free: bool
+    """Yoshikawa's measure, sqrt(det(J J^T)), of the hand's translation, and of its rotation too if the target was a
+    pose (Yoshikawa 1985); of J^T J for arms with fewer joints than rows."""
+    is_free: bool  # no link meets a solid, the shut door or another link
 
 
 class ArmPlanner:

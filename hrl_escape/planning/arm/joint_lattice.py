@@ -25,23 +25,17 @@ GRID = 12
 
 
 class Halves(NamedTuple):
-    """The lattice of an arm as first and last halves of its configurations.
+    """The lattice of an arm as first and last halves of its configurations."""
 
-    Attributes:
-        first: placements of the last link of each first half in the base, rows (n, 12) of 3 x 4.
-        last: hand points of each last half in that link, (m, 3), m.
-        first_steps: their joint steps, (n, k), int64.
-        last_steps: their joint steps, (m, moving joints - k), int64. Last joints whose axis
-            passes through the hand never move it and are left out.
-        complete_to: joint steps from the central configuration up to which every configuration is a pair of
-            these; NEVER if all are.
-    """
-
-    first: NDArray[np.float64]
-    last: NDArray[np.float64]
-    first_steps: NDArray[np.int64]
+    first: NDArray[np.float64]  # placements of the last link of each first half in the base, rows (n, 12) of 3 x 4
+    last: NDArray[np.float64]  # hand points of each last half in that link, (m, 3), m
+    first_steps: NDArray[np.int64]  # their joint steps, (n, k), int64
     last_steps: NDArray[np.int64]
+    """Their joint steps, (m, moving joints - k), int64. Last joints whose axis passes through the hand never move it
+    and are left out."""
     complete_to: int
+    """Joint steps from the central configuration up to which every configuration is a pair of these; NEVER if all
+    are."""
 
 
 class ArmLattice(NamedTuple):

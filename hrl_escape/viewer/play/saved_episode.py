@@ -20,21 +20,14 @@ SCHEMA = 2
 
 @dataclasses.dataclass(frozen=True)
 class SavedEpisode:
-    """Content of an episode's file.
+    """Content of an episode's file."""
 
-    Attributes:
-        instance: the room.
-        seed: of the episode.
-        moves: name, primitives and ending of each move, in order.
-        total: undiscounted return.
-        end: how the episode ended; None in a file of schema 1, which only says whether the robot escaped.
-    """
-
-    instance: RoomInstance
-    seed: int
-    moves: tuple[tuple[str, tuple[int, ...], str], ...]
-    total: float
+    instance: RoomInstance  # the room
+    seed: int  # of the episode
+    moves: tuple[tuple[str, tuple[int, ...], str], ...]  # name, primitives and ending of each move, in order
+    total: float  # undiscounted return
     end: EpisodeEnd | None
+    """How the episode ended; None in a file of schema 1, which only says whether the robot escaped."""
 
     @property
     def primitives(self) -> tuple[int, ...]:

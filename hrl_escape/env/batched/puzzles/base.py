@@ -187,30 +187,19 @@ PuzzleTables = dict[str, Tensor]
 
 
 class TensorContacts(NamedTuple):
-    """Contacts of one primitive in each room.
+    """Contacts of one primitive in each room."""
 
-    Attributes:
-        pressed: bits of the newly touched targets, int64 (rooms,).
-        uniform: numbers in (0, 1) drawn for this primitive, float64 (rooms,); 0 where no puzzle is random.
-        touching: bits of all targets touched at the primitive's end, int64 (rooms,).
-        grip: 1 where the primitive was `grip`, -1 where it was `release`, 2 where it was `use`, 3 where a move pushes,
-            else 0, int64 (rooms,).
-        has_moved: true where the body's axis has moved, bool (rooms,).
-        x: places of the bodies' axes, m, float64 (rooms,).
-        y: places of the bodies' axes, m, float64 (rooms,).
-        ahead: index of the inner door one move ahead, -1 for none, int64 (rooms,).
-        beyond: index of the inner door two moves ahead, where something is pushed, int64 (rooms,).
-    """
-
-    pressed: Tensor
-    uniform: Tensor
-    touching: Tensor
+    pressed: Tensor  # bits of the newly touched targets, int64 (rooms,)
+    uniform: Tensor  # numbers in (0, 1) drawn for this primitive, float64 (rooms,); 0 where no puzzle is random
+    touching: Tensor  # bits of all targets touched at the primitive's end, int64 (rooms,)
     grip: Tensor
-    has_moved: Tensor
-    x: Tensor
-    y: Tensor
-    ahead: Tensor
-    beyond: Tensor
+    """1 where the primitive was `grip`, -1 where it was `release`, 2 where it was `use`, 3 where a move pushes, else 0,
+    int64 (rooms,)."""
+    has_moved: Tensor  # true where the body's axis has moved, bool (rooms,)
+    x: Tensor  # places of the bodies' axes, m, float64 (rooms,)
+    y: Tensor  # places of the bodies' axes, m, float64 (rooms,)
+    ahead: Tensor  # index of the inner door one move ahead, -1 for none, int64 (rooms,)
+    beyond: Tensor  # index of the inner door two moves ahead, where something is pushed, int64 (rooms,)
 
 
 class TensorPuzzle(ABC):
