@@ -2,7 +2,7 @@
 
     hrl-escape solve --preset clutter --seed 3
     hrl-escape solve --preset paper-two-button --goal button-2 --draw plan.svg
-    hrl-escape solve --preset arm-two-button --draw escape.gif --filmstrip strip.png
+    hrl-escape solve --preset arm-two-button --draw escape.gif
     hrl-escape solve --preset push-block --json
     hrl-escape solve --set dynamics.noise=0.1 dynamics.slip=0.1
 
@@ -20,12 +20,11 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.drawing.video import make_filmstrip, save_picture, save_video
+from hrl_escape.env.drawing.video import save_video
 from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.figures import VIDEO_FORMATS, check_picture_name
 from hrl_escape.names import make_console_text
@@ -36,7 +35,6 @@ from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.symbolic.pddl import save_pddl
 
 ESCAPE = "escape"
-MOST_FRAMES = 60
 MOTION_ENDING = "html"
 
 
@@ -55,10 +53,8 @@ class SolveArgs(RoomChoice):
     draw: tuple[Path, ...] = ()
     """Pictures to write: .svg, .pdf or .png for the map with the way, .gif or .mp4 for a video, .html for the plan as
     motion in 3D, under the default limits of speed and acceleration."""
-    filmstrip: Path | None = None
-    """File for six moments in one .png picture."""
     camera: str = "chase"
-    """Camera of videos and filmstrip; `hrl-escape list cameras` names them."""
+    """Camera of videos; `hrl-escape list cameras` names them."""
     pddl: Path | None = None
     """Folder for the puzzle as domain.pddl and problem.pddl."""
     json: bool = False
@@ -87,10 +83,7 @@ def run(args: SolveArgs) -> int:
     outcome = _solve(args, instance)
     for path in args.draw:
         _draw(path, instance, outcome, args)
-    if args.filmstrip:
-        frames = list(film(instance, _thin(outcome.run.states, MOST_FRAMES), args.camera))
-        save_picture(args.filmstrip, make_filmstrip(frames))
-    files += [*args.draw, *([args.filmstrip] if args.filmstrip else [])]
+    files += args.draw
     report = _describe(instance, args, outcome) | {"files": [str(path) for path in files]}
     print(json.dumps(report, indent=2)) if args.json else _print(report, outcome)
     return 0 if outcome.is_reached else 1
@@ -184,10 +177,3 @@ def _draw(path: Path, instance: RoomInstance, outcome: _Outcome, args: SolveArgs
 
         way = Trajectory([(state.x, state.y) for state in states], f"{len(states) - 1} primitives")
         save_map(path, instance, states[0], [way])
-
-
-def _thin(states: tuple[RoomState, ...], most: int) -> list[RoomState]:
-    """Evenly chosen states, first and last included."""
-    last = len(states) - 1
-    count = min(most, len(states))
-    return [states[round(last * i / max(count - 1, 1))] for i in range(count)]

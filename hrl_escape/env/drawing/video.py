@@ -1,4 +1,4 @@
-"""Frames as files: PNG pictures, filmstrips, GIF animations (always) and MP4 videos (extra `video`).
+"""Frames as files: PNG pictures, GIF animations (always) and MP4 videos (extra `video`).
 
 A frame is an array (height, width, 3), uint8, RGB, from any camera or map. Files are
 written atomically. Nothing here renders.
@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import io
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
-from hrl_escape.env.drawing import palette
 from hrl_escape.errors import FileWriteError, MissingExtraError, UnsupportedError
 from hrl_escape.figures import VIDEO_FORMATS
 from hrl_escape.files import temporary_folder, write_bytes
@@ -90,39 +89,3 @@ def _make_mp4(first: Picture, rest: Iterable[Picture], rate: float) -> bytes:
         finally:
             writer.close()
         return path.read_bytes()
-
-
-def make_filmstrip(frames: Sequence[Picture], captions: Sequence[str] = (), *, count: int = 6, columns: int = 3
-                   ) -> Picture:
-    """Lay out frames of an episode, evenly chosen, first and last included, in reading order.
-
-    Args:
-        frames: all of one size; at least one.
-        captions: one text a frame, written into its corner; empty for none.
-        count: frames to show, at most.
-        columns: frames a row.
-
-    Returns:
-        One picture, (rows, columns, 3), uint8.
-
-    Raises:
-        UnsupportedError: no frames, or captions of another number.
-    """
-    if not frames or (captions and len(captions) != len(frames)):
-        raise UnsupportedError(f"a filmstrip needs frames and a caption for each, or none; "
-                               f"it got {len(frames)} frames and {len(captions)} captions")
-    chosen = np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))
-    height, width = frames[0].shape[:2]
-    gap, columns = max(2, width // 80), min(columns, len(chosen))
-    rows = -(-len(chosen) // columns)
-    sheet = Image.new("RGB", (columns * (width + gap) - gap, rows * (height + gap) - gap), palette.BACKGROUND)
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(max(10, height // 22))
-    for place, number in enumerate(int(n) for n in chosen):
-        x, y = place % columns * (width + gap), place // columns * (height + gap)
-        sheet.paste(Image.fromarray(frames[number]), (x, y))
-        if captions:
-            corner = (x + 2 * gap, y + height - 2 * gap)
-            box = draw.textbbox(corner, captions[number], font=font, anchor="ls")
-            draw.rounded_rectangle((box[0] - gap, box[1] - gap, box[2] + gap, box[3] + gap), gap, palette.BACKGROUND)
-            draw.text(corner, captions[number], palette.INK, font=font, anchor="ls")
-    return np.asarray(sheet)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hrl_escape.env.drawing.video import make_filmstrip, save_picture, save_video
+from hrl_escape.env.drawing.video import save_picture, save_video
 from hrl_escape.errors import FileWriteError, MissingExtraError, UnsupportedError
 
 COLOURS = [(200, 30, 40), (40, 160, 60), (30, 60, 200), (240, 200, 40)]
@@ -68,15 +68,3 @@ def test_clear_errors(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(FileWriteError):
         save_video(tmp_path / "file" / "video.gif", make_frames())
-
-
-def test_filmstrips_show_the_first_and_the_last_frame_in_reading_order():
-    frames = [np.full((20, 30, 3), 10 * number, dtype=np.uint8) for number in range(11)]
-    strip = make_filmstrip(frames, count=6, columns=3)
-    shown = [int(strip[y + 10, x + 15, 0]) for y in (0, 22) for x in (0, 32, 64)]
-    assert shown == [0, 20, 40, 60, 80, 100]
-    assert make_filmstrip(frames[:1]).shape == (20, 30, 3)
-    captioned = make_filmstrip(frames, [str(n) for n in range(11)], count=6)
-    assert captioned.shape == strip.shape and not np.array_equal(captioned, strip)
-    with pytest.raises(UnsupportedError, match="11 frames and 2 captions"):
-        make_filmstrip(frames, ["one", "two"])
