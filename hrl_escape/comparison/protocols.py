@@ -67,6 +67,8 @@ def _draw_ends(units: Scores, rng: np.random.Generator, resamples: int) -> tuple
     return lower, upper
 
 
+# --- protocols ---------------------------------------------------------------------------
+
 Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot", "tower"]
 """`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others of the
 same rung. `transfer`: learn in training rooms of one rung, be tested in rooms of another. `few-shot`: as `generalise`,

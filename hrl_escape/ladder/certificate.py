@@ -63,6 +63,8 @@ def check_proof(leaf: str, proof: Proof, root: str) -> bool:
     return leaf == root
 
 
+# --- certificates ------------------------------------------------------------------------
+
 LEAST_TASKS = 20
 """Different tasks without which a set of unseen tasks says little."""
 

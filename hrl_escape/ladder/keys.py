@@ -111,6 +111,8 @@ def _freeze(sign: object) -> object:
     return tuple(map(_freeze, sign)) if isinstance(sign, (list, tuple)) else sign
 
 
+# --- keys --------------------------------------------------------------------------------
+
 GRAIN = 0.5
 """Places closer than about this, m, are alike."""
 TURN = math.radians(30)

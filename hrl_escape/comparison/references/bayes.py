@@ -179,6 +179,8 @@ def _exchange(parents: NDArray[np.uint64], goals: NDArray[np.int64], first: NDAr
     return moved, others
 
 
+# --- beliefs over graphs that can be listed ----------------------------------------------
+
 MOST_BELIEFS = 3_000_000
 """Largest belief graph, about 1 kB a belief."""
 
@@ -313,6 +315,8 @@ def make_belief_graph(family: GraphFamily, on_violation: ViolationRule) -> Belie
     """The belief graph of a family, kept for the next room."""
     return BeliefGraph(family, on_violation)
 
+
+# --- the searcher ------------------------------------------------------------------------
 
 _NO_WAY = 1e4
 """Primitives of a way that the planner does not find."""

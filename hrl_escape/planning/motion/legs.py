@@ -170,6 +170,8 @@ def _run_profile(length: float | None, begin: float, end: float, limits: NDArray
     return [*phases[:-1], (phases[-1][0], *ends)] if phases and math.isfinite(moment) else []
 
 
+# --- legs --------------------------------------------------------------------------------
+
 ROUNDINGS = (0.3, 0.1, 0.03, 0.0)
 """Largest cuts of a corner, m; the first with which a piece does what it must is taken."""
 LOOK = 0.01

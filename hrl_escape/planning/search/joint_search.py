@@ -171,6 +171,8 @@ def expand_until_escape(shut, opened, query, frontier, expansions):
         _expand(shut, opened, query, frontier, node)
 
 
+# --- the query, and what the search proposes ---------------------------------------------
+
 MOST_PUZZLE_STATES = 64
 """Most puzzle states with fields: all subsets of six buttons. A puzzle with more has them along given orders only."""
 SEARCHES = ((0, 1, 20_000), (2, 1, 100_000)), ((3, 1, 300_000),), ((3, 2, 500_000), (3, 3, 500_000))
