@@ -32,7 +32,7 @@ class PageAddress:
             MissingExtraError: the extra `viewer` is not installed.
             AddressError: the address cannot be served on.
         """
-        from hrl_escape.viewer.server import open_server  # needs the extra, which play in a terminal does without
+        from hrl_escape.viewer.server import open_server  # needs the extra
 
         return open_server(self.host, self.port)
 

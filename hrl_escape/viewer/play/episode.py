@@ -1,6 +1,6 @@
 """An episode that a person plays: primitives, meta-actions, undo, and the next room.
 
-It knows no page and no keys: browser and terminal both play one of these. Undo restores the
+It knows no page and no keys. Undo restores the
 exact state before the last move, however many primitives that move ran.
 
 On a graph of buttons, presses are evidence: of edges that follow from it, and of those that still may be there. A
