@@ -12,10 +12,11 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import VerificationError
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
-from hrl_escape.ladder.certificate import certify_rung, find_overlaps, freeze_manifest
+from hrl_escape.ladder.certificate import certify_rung, find_overlaps
 from hrl_escape.ladder.keys import compute_keys
 from hrl_escape.ladder.layouts import LATEST_LAYOUTS, SeenLayouts, are_alike, list_points
 from hrl_escape.ladder.manifest import Manifest, RungRecord, SetRecord
+from studies.ladder.freezing import freeze_manifest
 from tests.ladder.small import make_config, make_manifest
 
 
