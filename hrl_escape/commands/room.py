@@ -21,7 +21,7 @@ from rich.text import Text
 
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.env.drawing.video import save_picture
-from hrl_escape.env.engine import check_camera, film
+from hrl_escape.env.engine import check_camera, film, make_engine
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
@@ -55,6 +55,7 @@ def run(args: RoomArgs) -> int:
     if args.camera is not None:
         check_camera(args.camera)
     instance = args.make_instance()
+    make_engine(instance).close()  # refuses a robot that cannot be loaded
     report = _describe(instance)
     problem = None
     if args.check:
