@@ -28,7 +28,7 @@ SOURCES = ("agents/factored/compiled_model.py", "agents/factored/search.py", "en
            "env/bases/base.py", "env/bases/disc.py", "env/bases/rectangle.py", "env/floor_grid.py", "env/geometry.py",
            "floor/clearance.py", "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py",
            "planning/arm/joint_lattice.py", "planning/arm/tables.py", "planning/search/a_star.py",
-           "planning/search/joint_search.py")
+           "planning/search/joint_a_star.py")
 """Files, relative to the package, that compiled code is made of: functions, constants and the tuples it is given."""
 
 _PARTS = {"agents": "learners of structure", "env": "the room's geometry", "floor": "ways over the floor",

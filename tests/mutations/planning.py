@@ -82,7 +82,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a joint search takes the way on from the puzzle's state before a press",
-        "planning/search/joint_search.py",
+        "planning/search/joint_a_star.py",
         "heading, after, now, spent, node, action, escapes)",
         "heading, puzzle, now, spent, node, action, escapes)",
         "planning/search/test_joint_search.py",
