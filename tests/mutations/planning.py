@@ -8,14 +8,14 @@ MUTATIONS = [
         "planning/goals.py",
         "return bool(after.touching & ~before.touching & 1 << goal.target)",
         "return bool(after.touching & 1 << goal.target)",
-        "planning/test_planner.py planning/search/test_primitive_search.py",
+        "planning/test_planner.py::test_solve_escapes_and_every_state_is_the_predicted_one",
     ),
     Mutation(
         "headings are compared without the turn round",
         "planning/goals.py",
         "turn = (rules.get_heading(after) - goal.heading + math.pi) % math.tau - math.pi",
         "turn = rules.get_heading(after) - goal.heading",
-        "planning/test_planner.py planning/search/test_primitive_search.py",
+        "planning/test_planner.py::test_solve_escapes_and_every_state_is_the_predicted_one",
     ),
     Mutation(
         "a heading is read in radians",
@@ -43,7 +43,7 @@ MUTATIONS = [
         "planning/routes.py",
         "if not clock.has_stopped:",
         "if True:",
-        "test_clock.py planning/test_planner.py",
+        "planning/test_planner.py::test_a_time_limit_that_passes_says_so_and_is_not_remembered",
     ),
     Mutation(
         "fields of a base that does not strafe take headings for alike that are not",
@@ -120,14 +120,14 @@ MUTATIONS = [
         "planning/lower_bounds.py",
         "return _compute_gap(a, b) <= self._span",
         "return False",
-        "planning/test_escape_bound.py",
+        "planning/test_escape_bound.py::test_targets_that_one_primitive_presses_are_not_counted_twice",
     ),
     Mutation(
         "places of two presses are bounded one by one",
         "planning/lower_bounds.py",
         "found = (costs[node][:, None] + compute_costs(node[1], then[1])).min(axis=0)",
         "found = costs[node].min() + 0 * cells[then[1]][:, 0] + compute_costs(node[1], then[1]).min()",
-        "planning/test_escape_bound.py",
+        "planning/test_escape_bound.py::test_no_plan_is_below_its_bound_and_joint_bounds_are_above_sums_of_legs",
     ),
     Mutation(
         "a search knows the turns of one turn step only",
@@ -176,7 +176,7 @@ MUTATIONS = [
         "planning/symbolic/pddl.py",
         "{write_all(op.preconditions, op.forbidden)}",
         "{write_all(op.preconditions)}",
-        "planning/symbolic/test_pddl.py",
+        "planning/symbolic/test_pddl.py::test_the_text_is_what_planners_read",
     ),
     Mutation(
         "an operator that lights a lamp asks for it to be put out",

@@ -78,14 +78,14 @@ MUTATIONS = [
         "studies/store.py",
         "with taking_turns(self.path.parent):",
         "if taking_turns(self.path.parent):",
-        "studies/test_store.py",
+        "studies/test_store.py::test_who_adds_waits_until_another_has_written",
     ),
     Mutation(
         "of two results of one run the first counts",
         "studies/store.py",
         "found[type(line), line.place] = line",
         "found.setdefault((type(line), line.place), line)",
-        "studies/test_store.py",
+        "studies/test_store.py::test_a_run_made_again_counts_and_its_old_line_stays_in_the_file",
     ),
     Mutation(
         "a price of learning counts rooms in which chance over options is efficient",
@@ -120,7 +120,7 @@ MUTATIONS = [
         "studies/flat.py",
         "reward * self.gamma ** self._duration.float()",
         "reward * self.gamma",
-        "studies/test_flat.py",
+        "studies/test_flat.py::test_repeated_actions_are_decisions_of_that_many_primitives",
     ),
     Mutation(
         "returning by moves costs nothing",
@@ -141,7 +141,7 @@ MUTATIONS = [
         "studies/league/analysis.py",
         'return "whole" if any(run.waits[data["efficient"][0]][1] for run in before) else "first escape"',
         'return "whole"',
-        "studies/test_flat.py",
+        "studies/test_flat.py::test_hopeless_cells_are_not_run",
     ),
     Mutation(
         "a run of the league that never escaped counts as if it had",
