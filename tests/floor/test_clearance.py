@@ -91,6 +91,15 @@ def test_a_move_does_not_jump_over_a_thin_wall():
     assert collision.is_move_free(0, 2, 4, 2)
 
 
+@pytest.mark.parametrize(("x", "y"), [(0.3, 0.0), (3.4, 0.0), (0.0, 0.3), (0.0, 3.4)])
+def test_a_thin_post_near_either_end_of_a_long_move_is_in_the_way(x, y):
+    collision = CollisionMap(make_room(Solid("cylinder", x, y, 0.05, 0.05)), door_shut=True)
+    begin, end, beside = np.array([[-0.5, 0.0], [4.2, 0.0], [0.0, 0.7]])[:, :: 1 if y == 0.0 else -1]
+    assert not collision.is_move_free(*begin.tolist(), *end.tolist())
+    assert not collision.is_move_free(*end.tolist(), *begin.tolist())
+    assert collision.is_move_free(*(begin + beside).tolist(), *(end + beside).tolist())
+
+
 def test_places_off_the_floor_are_not_free():
     collision = CollisionMap(make_room(), door_shut=True)
     assert not any(collision.is_free(x, y) for x, y in ((7, 0), (-7, 0), (0, 7), (0, -7), (math.inf, 0), (1e9, 1e9)))

@@ -38,6 +38,8 @@ def test_the_nearest_takes_what_is_off_and_untried_and_near():
     assert choose("untried-nearest", nothing, lit, also) == "press c"  # all that is off was tried
     others = ("press c", 'Pressed "c": "a" and "b" came on. You are at (3.0, 0.0).')
     assert choose("untried-nearest", others) == "press c"
+    on_the_way = ("press a", 'Pressed "c": it came on. Pressed "a": nothing changed. You are at (3.5, 0.0).')
+    assert choose("untried-nearest", on_the_way) == "press b"  # a was tried after the change
 
 
 def test_where_all_was_tried_in_vain_everything_is_tried_once_more():
