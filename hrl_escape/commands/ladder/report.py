@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.comparison.comparison import read_comparison
-from hrl_escape.comparison.profile import AxisScore, list_references, make_profiles
+from hrl_escape.comparison.profile import AxisScore, draw_radar, list_references, make_profiles
 from hrl_escape.comparison.protocols import (
     TOWER,
     Protocol,
@@ -118,8 +118,6 @@ def _make_profiles(bench: Benchmark, standings: Sequence[RungStanding]) -> dict[
 
 def _tell_profiles(console: Console, bench: Benchmark, profiles: dict[str, dict[str, AxisScore]], path: Path) -> None:
     """Print a row an axis, each rung in parentheses, and draw the radar."""
-    from hrl_escape.comparison.profile import draw_radar  # loads matplotlib
-
     axes = bench.manifest.axes
     table = Table("axis", *profiles, box=None, pad_edge=False)
     for axis in axes:
