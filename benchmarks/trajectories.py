@@ -62,7 +62,7 @@ def list_faults(plan: Plan, trajectory: TimedTrajectory, limits: MotionLimits) -
     """Find what is wrong with a trajectory of a plan."""
     faults, rules = [], Kinematics(plan.instance)
     times, places, _ = trajectory.sample(1000.0)
-    wanted, found = list_presses(plan), list_touches(rules, plan, places)
+    wanted, found = list_presses(plan), list_touches(rules, plan.states[0].touching, places)
     ends = list(itertools.accumulate((len(group) for group in wanted), initial=0))
     if len(found) != ends[-1] or any(set(found[a:b]) != set(group)
                                      for a, b, group in zip(ends, ends[1:], wanted, strict=False)):
@@ -89,9 +89,9 @@ def list_presses(plan: Plan) -> list[tuple[int, ...]]:
     return [tuple(k for k in range(bits.bit_length()) if bits >> k & 1) for bits in begun if bits]
 
 
-def list_touches(rules: Kinematics, plan: Plan, places: NDArray[np.float64]) -> list[int]:
-    """Targets whose touch begins along places (n, coordinates), in order."""
-    found, before, home = [], plan.states[0].touching, np.array(rules.robot.home)
+def list_touches(rules: Kinematics, before: int, places: NDArray[np.float64]) -> list[int]:
+    """Targets whose touch begins along places (n, coordinates), in order; those of the bits `before` are touched."""
+    found, home = [], np.array(rules.robot.home)
     still = (0,) * len(home)
     for x, y, heading, *angles in places.tolist():
         now = rules.compute_touching(x, y, 0, heading, still, tuple((np.array(angles) - home).tolist()))

@@ -1,7 +1,8 @@
 """Pictures drawn while the site is built: rooms by the real generator, learning curves from stored runs.
 
 `{room}` takes the arguments of `hrl-escape room` (or, with `:solve:`, of `hrl-escape solve`, with `:moving:`
-as a trajectory) and shows the map that the command draws, or with `:camera: chase` what a camera sees. `{curve}`
+as a trajectory) and shows the map that the command draws, or with `:camera: chase` what a camera sees; with
+`:sampled: 1` the sampled motion to that target beside that of a plan of primitives. `{curve}`
 draws what `python docs/make_curves.py` has kept, `{data-card}` the picture of a data set.
 """
 
@@ -32,6 +33,9 @@ from hrl_escape.env.engine import film
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.figures import save_figure
+from hrl_escape.planning.goals import PressGoal
+from hrl_escape.planning.motion.limits import MotionLimits
+from hrl_escape.planning.motion.sampled import MotionSampler
 from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.planner import get_planner
 
@@ -68,7 +72,8 @@ class Picture(SphinxDirective):
 class Room(Picture):
     """`{room} --preset clutter --seed 3`."""
 
-    option_spec = {"solve": directives.flag, "moving": directives.flag, "camera": directives.unchanged}
+    option_spec = {"solve": directives.flag, "moving": directives.flag, "camera": directives.unchanged,
+                   "sampled": directives.nonnegative_int}
 
     def run(self) -> list[nodes.Node]:
         """Generate, plan if asked, draw."""
@@ -84,6 +89,8 @@ class Room(Picture):
                 path = self.choose_path(f"moving {self.arguments[0]}")
                 make_trajectory(plan).draw(instance, path)
                 return self.show(path, " ".join(self.content), f"hrl-escape solve {self.arguments[0]} --draw way.html")
+        if "sampled" in self.options:
+            return self._draw_sampled(instance, PressGoal(self.options["sampled"]))
         path = self.choose_path(f"{verb} {self.arguments[0]} {sorted(self.options)}")
         if camera := self.options.get("camera"):
             path = path.with_suffix(".png")
@@ -94,6 +101,18 @@ class Room(Picture):
         save_map(path, instance, state, paths)
         command = f"hrl-escape {verb} {self.arguments[0]} --draw {verb}.svg"
         return self.show(path, " ".join(self.content), command)
+
+
+    def _draw_sampled(self, instance: RoomInstance, goal: PressGoal) -> list[nodes.Node]:
+        """The sampled way to a target beside that of a plan of primitives."""
+        planner, name = get_planner(instance), instance.targets[goal.target].name
+        state = planner.rules.make_state(instance.starts[0])
+        found = {"sampled": MotionSampler(planner, MotionLimits()).plan(state, goal),
+                 "along primitives": make_trajectory(planner.plan(state, goal))}
+        path = self.choose_path(f"sampled {self.arguments[0]} {goal.target}")
+        save_map(path, instance, state, [Trajectory(one.sample(20.0)[1][:, :2], f"{words}, {one.duration:.1f} s")
+                                         for words, one in found.items()])
+        return self.show(path, " ".join(self.content), f"MotionSampler(planner, limits).plan(state, {name})")
 
 
 class Curve(Picture):

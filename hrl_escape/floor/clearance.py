@@ -67,7 +67,7 @@ class CollisionMap:
         self.radius, self.inner = robot.outer_radius + CONTACT_SKIN, robot.inner_radius + CONTACT_SKIN
         self.base = robot.base.grow(CONTACT_SKIN)
         self._rotations = RobotPoses(robot).list_rotations()
-        self._take_solids(instance, door_shut)
+        self._take_solids(_list_footprints(instance, door_shut))
         width, depth = 2 * instance.reach_x, 2 * instance.reach_y
         finest = max(FINEST, min(0.125, robot.inner_radius / 6))
         self.resolution = max(finest, math.sqrt(width * depth / MOST_CELLS))
@@ -81,9 +81,8 @@ class CollisionMap:
             self._lower(footprint)
         self._index()
 
-    def _take_solids(self, instance: RoomInstance, door_shut: bool) -> None:
-        solids = instance.all_solids if door_shut else instance.solids
-        self.footprints: tuple[Footprint, ...] = tuple(solid.footprint for solid in solids)
+    def _take_solids(self, footprints: tuple[Footprint, ...]) -> None:
+        self.footprints = footprints
         self.solids = stack_footprints(self.footprints)
         self._around = np.where(self.solids[:, 0] > 0.5, self.solids[:, 5], np.hypot(*self.solids[:, 5:].T))
 
@@ -101,7 +100,7 @@ class CollisionMap:
         """
         new = copy.copy(self)
         new.__dict__.pop("_labels", None)
-        new._take_solids(instance, door_shut)
+        new._take_solids(_list_footprints(instance, door_shut))
         new.distance = self.distance.copy()
         windows = [self.grid.find_window(shape, self.horizon) for shape in changed]
         for low, high in windows:
@@ -109,6 +108,17 @@ class CollisionMap:
         for low, high in windows:
             for footprint in new.footprints:
                 new._lower(footprint, (low, high))
+        new._index()
+        return new
+
+    def keep_out(self, footprints: Sequence[Footprint]) -> CollisionMap:
+        """Make the map of a room in which these footprints are solid, too."""
+        new = copy.copy(self)
+        new.__dict__.pop("_labels", None)
+        new._take_solids((*self.footprints, *footprints))
+        new.distance = self.distance.copy()
+        for footprint in footprints:
+            new._lower(footprint)
         new._index()
         return new
 
@@ -217,3 +227,7 @@ class CollisionMap:
             return "solid"
         here = int(self.get_parts(np.array([x, y]))[0])
         return None if here == 0 or (there == here).any() else "apart"
+
+
+def _list_footprints(instance: RoomInstance, door_shut: bool) -> tuple[Footprint, ...]:
+    return tuple(solid.footprint for solid in (instance.all_solids if door_shut else instance.solids))

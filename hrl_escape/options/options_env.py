@@ -96,7 +96,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         observation: `pass`, or `options` to append per option two numbers to a flat observation: 1 if it is
             legal, 1 if it is running (see `interruptible`).
         planner: with `options=None`: method of their plans by name, as in `RoomPlanner`: `auto`, `fields`, or a
-            path planner such as `RRTConnect`.
+            path planner such as `RRTConnect`. Over velocities `auto` is OMPL's Informed RRT*, see `MotionSampler`.
         domain: env -> its `OptionDomain`, such as a class derived from it; None for that of a room, or of any
             environment by its observation.
 

@@ -1,4 +1,4 @@
-"""Options over velocities: a plan's trajectory, driven step by step in the continuous environment."""
+"""Options over velocities: a trajectory to each goal, driven step by step in the continuous environment."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.errors import PlanningReason, UnsupportedError
+from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
 from hrl_escape.options.meta_actions import AbsentOption, list_goals, name_object
 from hrl_escape.options.option import Option
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, is_reached
 from hrl_escape.planning.motion.limits import MotionLimits
+from hrl_escape.planning.motion.sampled import WAY_PLANNER, MotionSampler
 from hrl_escape.planning.motion.tracking import Tracker
-from hrl_escape.planning.motion.trajectory import make_trajectory
+from hrl_escape.planning.motion.trajectory import TimedTrajectory, make_trajectory
 from hrl_escape.planning.planner import RoomPlanner, get_planner
+from hrl_escape.planning.routes import check_method
+from hrl_escape.planning.search.primitive_search import METHODS
 
 if TYPE_CHECKING:
     from hrl_escape.env.continuous import EscapeRoomContinuousEnv
@@ -29,7 +32,7 @@ HEADROOM = 0.9
 
 
 class TrackedOption(Option):
-    """Reach one goal by a trajectory of its plan; where it ends short of the goal, by another from there.
+    """Reach one goal by a trajectory; where it ends short of the goal, by another from there.
 
     Args:
         name: stable name.
@@ -37,10 +40,13 @@ class TrackedOption(Option):
         goal: goal of the option.
         limits: of the trajectories.
         time_step: of the environment, s.
+        sampler: finds trajectories first; None for those of plans of primitives alone.
     """
 
-    def __init__(self, name: str, planner: RoomPlanner, goal: Goal, limits: MotionLimits, time_step: float) -> None:
+    def __init__(self, name: str, planner: RoomPlanner, goal: Goal, limits: MotionLimits, time_step: float,
+                 sampler: MotionSampler | None = None) -> None:
         super().__init__(name)
+        self._sampler = sampler
         self.instance, self.goal, self.about = planner.instance, goal, name_object(goal, planner.instance)
         self.targets = (goal.target,) if isinstance(goal, PressGoal) else ()
         self._planner, self._limits, self._time_step = planner, limits, time_step
@@ -60,13 +66,21 @@ class TrackedOption(Option):
             raise self._planner.routes.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
                                                     nearest=f"{MOST_TRIES} trajectories driven")
         self._tries += 1
+        self._tracker = Tracker(self._find_trajectory(state), self._planner.rules, self._time_step, state)
+
+    def _find_trajectory(self, state: RoomState) -> TimedTrajectory:
+        """The sampler's trajectory, if there is a sampler and it finds one; else that of a plan of primitives."""
+        try:
+            if self._sampler is not None:
+                return self._sampler.plan(state, self.goal)
+        except PlanningFailed:
+            pass
         plan = self._planner.plan(state, self.goal)
         try:
-            trajectory = make_trajectory(plan, self._limits)
+            return make_trajectory(plan, self._limits)
         except UnsupportedError as error:
             raise self._planner.routes.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, self.goal,
                                                     nearest=str(error)) from None
-        self._tracker = Tracker(trajectory, self._planner.rules, self._time_step, state)
 
     def policy(self, state: RoomState) -> NDArray[Any]:
         """Velocities of the next step."""
@@ -88,7 +102,9 @@ class TrackedSource:
 
     limits: MotionLimits
     time_step: float
-    planner: str = "auto"  # method of their plans, as in `RoomPlanner`
+    planner: str = "auto"
+    """`auto`: by OMPL and Pinocchio (`MotionSampler`); another of OMPL's planners by name for the base's way; `fields`
+    or `corridor`: trajectories of plans of primitives, which are shorter and found sooner."""
 
     @classmethod
     def of(cls, env: EscapeRoomContinuousEnv, planner: str) -> TrackedSource:
@@ -98,9 +114,12 @@ class TrackedSource:
 
     def __call__(self, instance: RoomInstance) -> Sequence[Option]:
         """The meta-actions of a room: `meta-01` and so on press one target each, `meta-exit` leaves."""
-        planner = get_planner(instance, self.planner)
+        planner, way = get_planner(instance, self.planner if self.planner in METHODS else "auto"), self.planner
+        check_method(way)
+        sampler = None if way in METHODS and way != "auto" else MotionSampler(
+            planner, self.limits, WAY_PLANNER if way == "auto" else way)
         goals = [goal for goal in list_goals(instance) if isinstance(goal, PressGoal)]
         names = [*(f"meta-{n:02d}" for n in range(1, len(goals) + 1)), "meta-exit"]
         return [AbsentOption(name) if isinstance(goal, PressGoal) and goal.target >= len(instance.targets)
-                else TrackedOption(name, planner, goal, self.limits, self.time_step)
+                else TrackedOption(name, planner, goal, self.limits, self.time_step, sampler)
                 for name, goal in zip(names, [*goals, ExitGoal()], strict=True)]

@@ -3,6 +3,7 @@ from .arm.reacher import Reacher
 from .best_known import BestKnown, best_known_return, find_best_known, record_return
 from .goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
 from .motion.limits import MotionLimits
+from .motion.sampled import MotionSampler
 from .motion.tracking import Tracking, track
 from .motion.trajectory import TimedTrajectory, make_trajectory
 from .paths.navigator import Navigator
@@ -25,6 +26,7 @@ __all__ = [
     "Goal",
     "GripGoal",
     "MotionLimits",
+    "MotionSampler",
     "Navigator",
     "PathProblem",
     "PathResult",

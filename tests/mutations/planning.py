@@ -210,8 +210,8 @@ MUTATIONS = [
     Mutation(
         "what a trajectory presses is not looked at",
         "planning/motion/legs.py",
-        "if contacts is not None and sorted(c.target for c in contacts) == list(list_touched(wanted)):",
-        "if contacts is not None:",
+        "if played is not None and sorted(c.target for c in played[0]) == list(list_touched(wanted)):",
+        "if played is not None:",
         "planning/motion/test_trajectory.py::test_a_trajectory_that_would_press_more_than_its_plan_is_refused",
     ),
     Mutation(
@@ -276,5 +276,19 @@ MUTATIONS = [
         "(int(tape.duration.min()) < 1 or int(tape.decisions.min()) < 1)",
         "int(tape.decisions.min()) < 1",
         "data/test_tape.py",
+    ),
+    Mutation(
+        "a sampled motion may press other targets on its way",
+        "planning/motion/sampled.py",
+        "return presses if pressed == [wanted] else None",
+        "return presses if wanted in pressed else None",
+        "planning/motion/test_sampled.py::test_a_motion_that_presses_another_target_too_is_not_taken",
+    ),
+    Mutation(
+        "a sampled way to a region ends on its edge",
+        "planning/motion/sampled.py",
+        "half - min(INSIDE, half / 2.0)",
+        "half",
+        "options/test_tracked.py::test_random_options_escape_and_each_presses_its_own_target",
     ),
 ]

@@ -27,6 +27,7 @@ from scipy.interpolate import CubicHermiteSpline
 from hrl_escape.clock import NO_LIMIT
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Glide, Kinematics, RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
@@ -250,26 +251,12 @@ class _Legs:
             margins = ROUNDINGS if self._strafes and len(path.points) > 2 else (0.0,)
             for margin in margins:
                 motion = time_path(dataclasses.replace(path, margin=margin), self._rates)
-                contacts = self._play(motion, states[begin])
-                if contacts is not None and sorted(c.target for c in contacts) == list(list_touched(wanted)):
-                    return Press(_rest(motion) if wanted else motion, contacts)
+                played = play(self._rules, motion, states[begin])
+                if played is not None and sorted(c.target for c in played[0]) == list(list_touched(wanted)):
+                    return Press(rest(motion) if wanted else motion, played[0])
         targets = ", ".join(self._room.targets[t].name for t in list_touched(wanted)) or "nothing"
         raise UnsupportedError(f"no trajectory was found for the leg {name!r} of {self._plan.name!r} that presses "
                                f"{targets} and nothing else on its way: follow its primitives instead")
-
-    def _play(self, motion: TimedPath, state: RoomState) -> tuple[Contact, ...] | None:
-        """Touches that begin when the room's kinematics follows a motion; None where a solid is in the way."""
-        contacts = []
-        for time, at in zip(*list_looks(motion), strict=True):
-            x, y, heading, *angles = at
-            turn = math.remainder(heading - self._rules.get_heading(state), math.tau)
-            joints = tuple(a - b for a, b in zip(angles, self._rules.get_angles(state), strict=True))
-            state, _, _, _, pressed = self._rules.glide(state, Glide(x - state.x, y - state.y, turn, joints, 0.0))
-            if (math.hypot(x - state.x, y - state.y) > _LOST
-                    or abs(math.remainder(heading - self._rules.get_heading(state), math.tau)) > _LOST):
-                return None
-            contacts += [Contact(time, target) for target in pressed]
-        return tuple(contacts)
 
     # --- ways ----------------------------------------------------------------------------
 
@@ -329,9 +316,7 @@ class _Legs:
 
     def _list_solids(self, state: RoomState) -> list[Footprint]:
         """Solids and shut doors."""
-        room = self._room
-        shut = get_trait(room.puzzle, Barring).get_shut(state.puzzle) if room.inner_doors else 0
-        doors = [door.footprint for number, door in enumerate(room.inner_doors) if shut >> number & 1]
+        room, doors = self._room, list_shut_doors(self._room, state)
         if room.door is not None and not room.puzzle.is_solved(state.puzzle):
             doors.append(room.door.footprint)
         return [*self._rules.footprints, *doors]
@@ -362,6 +347,36 @@ class _Legs:
         return MotionPath(self._names, points, np.ones(len(self._names)), 0.0, self._plan.planner)
 
 
+def play(rules: Kinematics, motion: TimedPath, state: RoomState) -> tuple[tuple[Contact, ...], RoomState] | None:
+    """Follow a motion by the room's kinematics.
+
+    Args:
+        rules: the room's, without noise.
+        motion: of base and arm.
+        state: where it begins.
+
+    Returns:
+        Touches that begin, and the last state; None where a solid is in the way.
+    """
+    contacts = []
+    for time, at in zip(*list_looks(motion), strict=True):
+        x, y, heading, *angles = at
+        turn = math.remainder(heading - rules.get_heading(state), math.tau)
+        joints = tuple(a - b for a, b in zip(angles, rules.get_angles(state), strict=True))
+        state, _, _, _, pressed = rules.glide(state, Glide(x - state.x, y - state.y, turn, joints, 0.0))
+        if (math.hypot(x - state.x, y - state.y) > _LOST
+                or abs(math.remainder(heading - rules.get_heading(state), math.tau)) > _LOST):
+            return None
+        contacts += [Contact(time, target) for target in pressed]
+    return tuple(contacts), state
+
+
+def list_shut_doors(room: RoomInstance, state: RoomState) -> list[Footprint]:
+    """Footprints of the inner doors that are shut."""
+    shut = get_trait(room.puzzle, Barring).get_shut(state.puzzle) if room.inner_doors else 0
+    return [door.footprint for number, door in enumerate(room.inner_doors) if shut >> number & 1]
+
+
 def list_looks(motion: TimedPath) -> tuple[list[float], list[list[float]]]:
     """Times after the start, and positions there, between which nothing moves by more than `LOOK`."""
     spans, moved = np.diff(motion.times), np.abs(np.diff(motion.positions, axis=0)).max(axis=1, initial=0.0)
@@ -376,7 +391,7 @@ def list_looks(motion: TimedPath) -> tuple[list[float], list[list[float]]]:
     return times.tolist(), places.tolist()
 
 
-def _rest(motion: TimedPath) -> TimedPath:
+def rest(motion: TimedPath) -> TimedPath:
     """A motion that waits at its end."""
     times, positions, velocities = motion
     return TimedPath(np.append(times, times[-1] + PRESS_SECONDS), np.concatenate([positions, positions[-1:]]),

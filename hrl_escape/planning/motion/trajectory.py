@@ -166,6 +166,23 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
     else:
         robot, names = motion.robot, motion.names
         parts = [Press(time_path(motion, limits.stack(names, robot)), ())]
+    return join_presses(names, parts, limits, robot, getattr(motion, "name", "path"))
+
+
+def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionLimits, robot: Robot | None, name: str
+                 ) -> TimedTrajectory:
+    """Join pieces, each of which begins where the one before ends, and slow them down until the arm can do it.
+
+    Args:
+        names: of the coordinates.
+        parts: the pieces.
+        limits: that they keep.
+        robot: the robot; None for a bare path.
+        name: of the motion, for errors.
+
+    Raises:
+        ConfigError: see `make_trajectory`.
+    """
     _check_joints(names, parts, robot)
     contacts, begin = [], 0.0
     times, knots, speeds = [np.zeros(1)], [parts[0].motion.positions[:1]], [parts[0].motion.velocities[:1]]
@@ -176,7 +193,7 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
         contacts += [Contact(begin + contact.time, contact.target) for contact in begun]
         begin += float(part_times[-1])
     if len(times[-1]) < 1 and sum(map(len, times)) < 2:
-        raise ConfigError("motion", getattr(motion, "name", "path"), "a motion that moves something")
+        raise ConfigError("motion", name, "a motion that moves something")
     trajectory = TimedTrajectory(names, np.concatenate(times), _unwind(names, knots), np.concatenate(speeds), limits,
                                  tuple(contacts))
     return _keep_efforts(trajectory, robot) if robot and robot.joint_names else trajectory

@@ -1,0 +1,104 @@
+"""Trajectories by OMPL and Pinocchio beside those of plans of primitives, from the same states to the same goals.
+
+Run: `python -m benchmarks.sampled_motions --rooms 4`; exits with 1 if a trajectory is wrong. Every leg of every escape
+is asked for. What was found is checked as in `benchmarks/trajectories.py`: touches at 1 kHz, limits, gaps to solids.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.trajectories import SLACK, list_schematics, list_touches, measure_peaks, solve
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import EscapeError
+from hrl_escape.planning.goals import Goal, PressGoal
+from hrl_escape.planning.motion.limits import MotionLimits
+from hrl_escape.planning.motion.sampled import MotionSampler
+from hrl_escape.planning.motion.trajectory import TimedTrajectory, make_trajectory
+from hrl_escape.planning.planner import RoomPlanner
+
+NAMES = ("paper-two-button", "clutter", "ten-button", "inner-doors", "four-rooms", "arm-two-button", "arm-four-joints",
+         "clutter, differential", "clutter, rectangle")
+
+
+class Leg(NamedTuple):
+    """One goal from one state: seconds of both motions, nan where none was found, CPU seconds of both, and faults."""
+
+    sampled: float
+    planned: float
+    sampled_cpu: float
+    planned_cpu: float
+    faults: tuple[str, ...]
+
+
+def list_faults(rules: Kinematics, state: RoomState, goal: Goal, trajectory: TimedTrajectory) -> list[str]:
+    """Find what is wrong with a trajectory to a goal."""
+    _, places, _ = trajectory.sample(1000.0)
+    found, wanted = list_touches(rules, state.touching, places), [goal.target] if isinstance(goal, PressGoal) else []
+    faults = [f"presses {found} for {wanted}"] if found != wanted else []
+    if (peak := max(measure_peaks(trajectory, trajectory.limits).values())) > 1.0 + SLACK:
+        faults.append(f"reaches {peak:.4f} of a limit")
+    base, shapes = rules.instance.robot.base, rules.footprints
+    if any(base.measure_gap(x, y, (math.cos(heading), math.sin(heading)), shapes) <= 0.0
+           for x, y, heading in places[::20, :3].tolist()):
+        faults.append("meets a solid")
+    return faults
+
+
+def measure(name: str, seed: int) -> list[Leg]:
+    """Measure the legs of one room's escape."""
+    plan, limits = solve(generate(list_schematics()[name], seed)), MotionLimits()
+    planner, rules = RoomPlanner(plan.instance), Kinematics(plan.instance)
+    sampler, legs = MotionSampler(planner, limits), []
+    for part in plan.parts:
+        state = plan.states[part.start]
+        sampled, sampled_cpu = clock(lambda s=state, g=part.goal: sampler.plan(s, g))
+        planned, planned_cpu = clock(lambda s=state, g=part.goal: make_trajectory(planner.plan(s, g), limits))
+        faults = list_faults(rules, state, part.goal, sampled) if sampled else []
+        legs.append(Leg(sampled.duration if sampled else math.nan, planned.duration if planned else math.nan,
+                        sampled_cpu, planned_cpu, tuple(faults)))
+    return legs
+
+
+def clock(make: Callable[[], TimedTrajectory]) -> tuple[TimedTrajectory | None, float]:
+    """A trajectory, None where none was found, and the CPU seconds of the call."""
+    began = time.process_time()
+    try:
+        found = make()
+    except EscapeError:
+        found = None
+    return found, time.process_time() - began
+
+
+def main() -> None:
+    """Print a row a schematic."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rooms", type=int, default=4)
+    parser.add_argument("--names", nargs="*", default=NAMES)
+    chosen, wrong = parser.parse_args(), 0
+    print(f"{'':24s} found  of  planned  seconds of motion  CPU ms sampled  planned")
+    for name in chosen.names:
+        legs = [leg for seed in range(chosen.rooms) for leg in measure(name, seed)]
+        both = np.array([leg[:4] for leg in legs if not math.isnan(leg.sampled + leg.planned)])
+        ratio = np.exp(np.mean(np.log(both[:, 0] / both[:, 1]))) if len(both) else math.nan
+        sampled, planned = 1000 * np.median(np.array([leg[2:4] for leg in legs]), axis=0)
+        print(f"{name:24s} {sum(not math.isnan(leg.sampled) for leg in legs):5d} {len(legs):3d} "
+              f"{sum(not math.isnan(leg.planned) for leg in legs):8d} {ratio:18.3f} {sampled:15.0f} {planned:8.0f}",
+              flush=True)
+        for leg in legs:
+            wrong += bool(leg.faults)
+            if leg.faults:
+                print("   ", "; ".join(leg.faults))
+    sys.exit(wrong > 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,290 @@
+"""Trajectories by sampling, without a plan of primitives: the base's way by OMPL, a press by Pinocchio and OMPL.
+
+A disc's way is planned in the plane and a rectangle's in SE(2), round every target that is not to be pressed. A hand is
+brought to its target by inverse kinematics, from a place of the base where that has an answer, and the arm's motion is
+planned in joint space. What was found is played by the room's kinematics, and taken if it presses the target alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.clock import NO_LIMIT
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.geometry import compute_distance
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.errors import PlanningFailed, PlanningReason
+from hrl_escape.floor.clearance import CollisionMap
+from hrl_escape.planning.areas import Area, compute_goal_area, sample_places
+from hrl_escape.planning.arm.joint_lattice import NEVER
+from hrl_escape.planning.goals import Goal, PressGoal, is_reached
+from hrl_escape.planning.motion.legs import MISSED_BY, ROUNDINGS, Press, list_shut_doors, play, rest
+from hrl_escape.planning.motion.limits import MotionLimits
+from hrl_escape.planning.motion.timing import time_path
+from hrl_escape.planning.motion.trajectory import TimedTrajectory, join_presses
+from hrl_escape.planning.motion_path import MotionPath
+from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
+from hrl_escape.planning.plan import make_planned_room
+from hrl_escape.planning.planner import RoomPlanner
+
+WAY_PLANNER = "InformedRRTstar"
+"""Planner of the base's way: asymptotically optimal."""
+WAY_CHECKS = 40_000
+"""Places that are tested for one way: the shortest found until then is taken. Where none was, as many for the first
+that RRT-Connect finds."""
+ARM_CHECKS = 20_000
+"""Configurations that are tested for one motion of the arm."""
+PLACES = 12
+"""Places of the base at which inverse kinematics looks for postures."""
+IK_SEEDS = 8
+INSIDE = 0.2
+"""Distance from the edge of a region at which a way into it ends, m."""
+SQUARE = 0.15
+"""Length of the straight line that ends at a target, m."""
+
+
+class _Place(NamedTuple):
+    """A place of the base, m, its heading there, rad, and joint angles that press a target, (postures, joints), rad."""
+
+    at: tuple[float, float]
+    heading: float
+    postures: NDArray[np.float64]
+
+
+class MotionSampler:
+    """Plans trajectories to the goals of one room. Not thread-safe.
+
+    Args:
+        planner: the room's planner, whose clearances it shares.
+        limits: of the trajectories.
+        way_planner: OMPL's planner of the base's way, one of `OMPL_PLANNERS`.
+        seed: the same seed gives the same trajectory.
+    """
+
+    def __init__(self, planner: RoomPlanner, limits: MotionLimits, way_planner: str = WAY_PLANNER, seed: int = 0
+                 ) -> None:
+        self._planner, self._limits, self._way_planner, self._seed = planner, limits, way_planner, seed
+        self._room = make_planned_room(planner.instance)
+        self._rules = Kinematics(self._room, is_still=True)
+        self._names = ("x", "y", "heading", *self._rules.robot.joint_names)
+        self._rates = limits.stack(self._names, self._rules.robot)
+        self._by_hand = self._room.dynamics.press_with == "hand"
+
+    def plan(self, state: RoomState, goal: Goal) -> TimedTrajectory:
+        """Plan a trajectory that reaches a goal, and presses no target but its own.
+
+        Raises:
+            PlanningFailed: none was found, which does not prove that there is none.
+        """
+        if self._by_hand and isinstance(goal, PressGoal):
+            ways = self._list_presses(state, goal)
+        else:
+            ways = ([way] for way in self._list_ways(state, goal))
+        for way in ways:
+            presses = self._time(way, state, goal)
+            if presses is not None:
+                return join_presses(self._names, presses, self._limits, self._rules.robot, str(goal))
+        raise self._planner.routes.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, goal,
+                                                planners=(self._way_planner,))
+
+    def _time(self, paths: Sequence[MotionPath], state: RoomState, goal: Goal) -> list[Press] | None:
+        """Time paths one after another; None unless together they reach the goal and press nothing else."""
+        wanted, pressed, presses, before = getattr(goal, "target", None), [], [], state
+        for path in paths:
+            motion = time_path(path, self._rates)
+            played = play(self._rules, motion, state)
+            if played is None:
+                return None
+            contacts, state = played
+            pressed += [contact.target for contact in contacts]
+            presses.append(Press(rest(motion) if contacts else motion, contacts))
+        if wanted is None:
+            return presses if not pressed and is_reached(goal, before, state, self._rules) else None
+        return presses if pressed == [wanted] else None
+
+    # --- the base ------------------------------------------------------------------------
+
+    def _list_ways(self, state: RoomState, goal: Goal | Sequence[_Place]) -> Iterator[MotionPath]:
+        """Ways of the base to a goal or to any of some places, with corners rounded less and less."""
+        points = self._find_way(state, goal)
+        if points is not None:
+            rounds = self._room.robot.drive == "strafing" and len(points) > 2
+            for margin in ROUNDINGS if rounds else (0.0,):
+                yield MotionPath(self._names, points, np.ones(len(self._names)), margin, self._way_planner)
+
+    def _find_way(self, state: RoomState, goal: Goal | Sequence[_Place]) -> NDArray[np.float64] | None:
+        """Poses (n, coordinates) that OMPL finds for the base, the arm at rest; None where it finds none."""
+        from hrl_escape.planning.paths.navigator import Navigator  # loads OMPL
+
+        heading, angles = self._rules.get_heading(state), self._rules.get_angles(state)
+        strafes, is_disc = self._room.robot.drive == "strafing", self._room.robot.base.turns_anywhere
+        if not (strafes or is_disc):
+            return None  # a path in SE(2) goes sideways
+        shut = self._room.door is not None and not self._room.puzzle.is_solved(state.puzzle)
+        floor = self._avoid(state, getattr(goal, "target", None), shut)
+        navigator = Navigator(self._room, lambda _: floor)
+        aim = np.array([place.at for place in goal]) if isinstance(goal, Sequence) else self._aim(goal, floor)
+        tries = (navigator.plan((state.x, state.y), aim, planner, seed=self._seed, optimise=True, budget=WAY_CHECKS,
+                                clock=NO_LIMIT, door_shut=shut, heading=heading)
+                 for planner in dict.fromkeys((self._way_planner, DEFAULT_PLANNER)))
+        found = next((way for way in tries if way.status == "exact" and len(way.path) > 1), None)
+        if found is None:
+            return None
+        last = _find_place(goal, found.path[-1]).heading if isinstance(goal, Sequence) else None
+        if len(found.headings):
+            poses = np.column_stack([found.path, found.headings])
+        else:
+            path = found.path
+            if isinstance(goal, PressGoal):
+                path = self._press_head_on(path, goal.target, state, floor)
+            poses = (_strafe if strafes else _drive)(path, heading, last)
+        return np.column_stack([poses, np.tile(angles, (len(poses), 1))])
+
+    def _aim(self, goal: Goal, floor: CollisionMap) -> Goal | NDArray[np.float64]:
+        """Places well inside a region, where a small error does no harm; the goal itself where there are none."""
+        shape, reach = compute_goal_area(goal, self._room)
+        if isinstance(goal, PressGoal) or not self._room.robot.base.turns_anywhere:
+            return goal
+        half_x, half_y = (half - min(INSIDE, half / 2.0) for half in (shape.half_x, shape.half_y))
+        places = sample_places(Area(shape._replace(half_x=half_x, half_y=half_y), reach / 2.0), floor)
+        return places if len(places) else goal
+
+    def _press_head_on(self, path: NDArray[np.float64], target: int, state: RoomState, floor: CollisionMap
+                       ) -> NDArray[np.float64]:
+        """A path (n, 2) whose last line goes for the target by the shortest way, `INSIDE` beyond the first touch.
+
+        That line begins at the last corner if nothing is in its way, else `SQUARE` before the path's end.
+        """
+        shape, reach = self._room.targets[target].footprint, self._room.compute_press_reach(self._room.targets[target])
+        turn = np.array([[shape.cos, shape.sin], [-shape.sin, shape.cos]])
+
+        def go_on(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            """Direction of the shortest way to the target, and where the base comes to on it."""
+            local, half = turn @ (place - (shape.x, shape.y)), np.array([shape.half_x, shape.half_y])
+            ahead = turn.T @ (np.clip(local, -half, half) - local)
+            (x, y), (dx, dy), gap = place.tolist(), ahead.tolist(), max(math.hypot(*ahead), 1e-9)
+            share = min(self._rules.compute_free_fraction(x, y, dx, dy, state.puzzle),
+                        max(0.0, 1.0 - max(0.0, reach - INSIDE) / gap))
+            return ahead, place + share * ahead
+
+        ahead, end = go_on(path[-1])
+        if shape.is_disc or (gap := math.hypot(*ahead)) < 1e-9:
+            return path
+        (x, y), (to_x, to_y) = path[-2].tolist(), go_on(path[-2])[1].tolist()
+        if compute_distance(to_x, to_y, shape) <= reach and floor.is_move_free(x, y, to_x, to_y):
+            return np.concatenate([path[:-1], [(to_x, to_y)]])
+        back = path[-1] - SQUARE / gap * ahead
+        (to_x, to_y), (last_x, last_y) = back.tolist(), path[-1].tolist()
+        has_room = floor.is_move_free(x, y, to_x, to_y) and floor.is_move_free(to_x, to_y, last_x, last_y)
+        return np.concatenate([path[:-1], [back, end]] if has_room else [path, [end]])
+
+    def _avoid(self, state: RoomState, wanted: int | None, door_shut: bool) -> CollisionMap:
+        """Clearances, with what must not be touched on the way as solids: other targets of the body, shut doors."""
+        room, grown = self._room, list_shut_doors(self._room, state)
+        for number, target in enumerate(() if self._by_hand else room.targets):
+            if number != wanted and not state.touching >> number & 1:
+                more = max(0.0, room.compute_press_reach(target) - room.robot.outer_radius - CONTACT_SKIN) + MISSED_BY
+                shape = target.footprint
+                grown.append(shape._replace(half_x=shape.half_x + more, half_y=shape.half_y + more))
+        floor = self._planner.routes.search.get_collision(door_shut=door_shut)
+        return floor.keep_out(grown) if grown else floor
+
+    # --- the arm -------------------------------------------------------------------------
+
+    @cached_property
+    def _arm(self):
+        from hrl_escape.planning.arm.arm_planner import ArmPlanner  # loads Pinocchio and OMPL
+
+        return ArmPlanner(self._room)
+
+    def _list_presses(self, state: RoomState, goal: PressGoal) -> Iterator[list[MotionPath]]:
+        """The arm's motion from where the base stands, then ways to places from which the hand gets to a target."""
+        target = self._room.targets[goal.target]
+
+        def find_postures(at: RoomState) -> NDArray[np.float64]:
+            return self._find_postures(at, (target.x, target.y, target.z))
+
+        for path in self._move_arm(state, find_postures(state)):
+            yield [path]
+        places = self._list_places(state, goal, find_postures)
+        for way in self._list_ways(state, places) if places else ():
+            played = play(self._rules, time_path(way, self._rates), state)
+            if played is not None and played[0]:
+                yield [way]  # taken if the hand, carried along, presses the target alone
+            elif played is not None:
+                for path in self._move_arm(played[1], _find_place(places, way.points[-1, :2]).postures):
+                    yield [way, path]
+
+    def _list_places(self, state: RoomState, goal: PressGoal,
+                     find_postures: Callable[[RoomState], NDArray[np.float64]]) -> list[_Place]:
+        """Places of the base, and the heading there with the fewest joint steps, that have postures for a press."""
+        rules, reacher = self._rules, self._planner.routes.search.reacher
+        table = reacher.make_table(goal.target, state.joint_steps, joint_offsets=state.joint_offsets,
+                                   heading_offset=state.heading_offset)
+        floor = self._avoid(state, goal.target, True)
+        costs = np.where(table.costs >= 0, table.costs, NEVER)
+        within = costs.min(axis=2) < NEVER
+        within[within] = floor.are_free(table.get_centres()[within])
+        cells = np.argwhere(within)
+        away = np.hypot(*(table.get_centres()[within] - (state.x, state.y)).T)
+        cells = cells[np.argsort(away, kind="stable")]
+        found = []
+        for i, j in cells[np.linspace(0, len(cells) - 1, min(PLACES, len(cells))).astype(int)].tolist():
+            x, y = table.get_centres()[i, j].tolist()
+            at = state._replace(x=x, y=y, heading_steps=int(costs[i, j].argmin()))
+            if len(postures := find_postures(at)):
+                found.append(_Place((x, y), rules.get_heading(at), postures))
+        return found
+
+    def _find_postures(self, state: RoomState, point: tuple[float, float, float]) -> NDArray[np.float64]:
+        """Joint angles (postures, joints) that bring the hand to a target's middle, the nearest first."""
+        tolerance = 0.9 * self._planner.routes.search.reacher.limit
+        found = self._arm.solve_ik(point, state, seeds=IK_SEEDS, tolerance=tolerance,
+                                   only_free=self._room.dynamics.kind == "physics")
+        here = np.array(self._rules.get_angles(state))
+        angles = np.array([posture.angles for posture in found]).reshape(-1, len(here))
+        return angles[np.argsort(np.abs(angles - here).max(axis=1, initial=0.0), kind="stable")]
+
+    def _move_arm(self, state: RoomState, postures: NDArray[np.float64]) -> Iterator[MotionPath]:
+        """Motions of the arm alone: OMPL's, then straight ones, as kinematic arms pass through solids."""
+        base, here = [state.x, state.y, self._rules.get_heading(state)], np.array(self._rules.get_angles(state))
+        found: list[NDArray[np.float64]] = []
+        try:
+            if len(postures):
+                found.append(self._arm.plan(state, postures, planner=DEFAULT_PLANNER, seed=self._seed,
+                                            budget=ARM_CHECKS).points)
+        except PlanningFailed:
+            pass
+        if self._room.dynamics.kind == "kinematic":
+            found += [np.stack([here, posture]) for posture in postures]
+        for points in found:
+            yield MotionPath(self._names, np.column_stack([np.tile(base, (len(points), 1)), points]),
+                             np.ones(len(self._names)), 0.0, self._way_planner)
+
+
+def _find_place(places: Sequence[_Place], at: NDArray[np.float64]) -> _Place:
+    return min(places, key=lambda place: math.dist(place.at, at))
+
+
+def _strafe(path: NDArray[np.float64], heading: float, last: float | None) -> NDArray[np.float64]:
+    """Poses (n, 3) along a path (n, 2) of a base that turns evenly to its last heading."""
+    gone = np.append(0.0, np.cumsum(np.hypot(*np.diff(path, axis=0).T)))
+    turn = 0.0 if last is None else math.remainder(last - heading, math.tau)
+    return np.column_stack([path, heading + turn * gone / gone[-1]])
+
+
+def _drive(path: NDArray[np.float64], heading: float, last: float | None) -> NDArray[np.float64]:
+    """Poses (n, 3) along a path (n, 2) of a base that turns on the spot and drives ahead."""
+    poses = [(*path[0], heading)]
+    for (x, y), (to_x, to_y) in zip(path[:-1].tolist(), path[1:].tolist(), strict=True):
+        heading += math.remainder(math.atan2(to_y - y, to_x - x) - heading, math.tau)
+        poses += [(x, y, heading), (to_x, to_y, heading)]
+    if last is not None:
+        poses.append((*path[-1], heading + math.remainder(last - heading, math.tau)))
+    return np.array(poses)

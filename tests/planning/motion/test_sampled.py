@@ -1,0 +1,109 @@
+"""Motions by OMPL and Pinocchio: what they press, checked by what made no part of them, and options over them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.sampled_motions import measure
+from benchmarks.trajectories import change_robot, list_schematics
+from hrl_escape.env.continuous import EscapeRoomContinuousEnv
+from hrl_escape.env.geometry import compute_distance, make_footprint
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import PlanningFailed
+from hrl_escape.floor.clearance import CollisionMap
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.goals import ExitGoal, PressGoal
+from hrl_escape.planning.motion.limits import MotionLimits
+from hrl_escape.planning.motion.sampled import MotionSampler
+from hrl_escape.planning.motion.tracking import track
+from hrl_escape.planning.planner import RoomPlanner
+
+LIMITS = MotionLimits(speed=0.8, turn_speed=1.2, joint_speed=0.8)
+
+
+def make(config, seed: int = 0, **settings):
+    planner = RoomPlanner(generate(config, seed))
+    return planner, MotionSampler(planner, LIMITS, **settings), planner.rules.make_state(planner.instance.starts[0])
+
+
+@pytest.mark.parametrize("name", ["paper-two-button", "inner-doors", *(
+    pytest.param(name, marks=pytest.mark.slow)
+    for name in ("clutter", "arm-two-button", "arm-four-joints", "clutter, differential", "clutter, rectangle"))])
+def test_every_leg_of_an_escape_presses_its_target_alone_and_keeps_all_limits(name):
+    legs = measure(name, 0)
+    assert all(not leg.faults and not math.isnan(leg.sampled) for leg in legs)
+    assert len(legs) > 1 and sum(leg.sampled for leg in legs) < 1.3 * sum(leg.planned for leg in legs)
+
+
+def test_the_way_of_a_disc_is_nearly_as_short_as_it_can_be():
+    planner, sampler, state = make(get_preset("paper-two-button"))
+    button = planner.instance.targets[0]
+    trajectory = sampler.plan(state, PressGoal(0))
+    length = np.hypot(*np.diff(trajectory.sample(100.0)[1][:, :2], axis=0).T).sum()
+    straight = compute_distance(state.x, state.y, button.footprint) - planner.instance.robot.body_radius
+    assert straight <= length + 0.1 and length < 1.05 * straight + 0.2
+
+
+def test_one_seed_gives_one_motion_and_the_planner_of_the_way_can_be_chosen():
+    config = get_preset("clutter")
+    first, again, other = (make(config, **settings)[1] for settings in ({}, {}, {"way_planner": "RRTConnect"}))
+    state = make(config)[2]
+    found = [sampler.plan(state, PressGoal(1)) for sampler in (first, again, other)]
+    assert (found[0].positions == found[1].positions).all() and found[0].duration <= found[2].duration
+
+
+def test_a_sampled_motion_is_tracked_to_the_press():
+    planner, sampler, state = make(get_preset("arm-two-button"))
+    env = EscapeRoomContinuousEnv(instance=planner.instance)
+    env.reset(options={"state": state})
+    tracking = track(sampler.plan(state, PressGoal(1)), env)
+    assert tracking.pressed == (1,) and tracking.distance < 1e-6
+
+
+def test_what_no_way_leads_to_is_a_failure_by_name():
+    planner, sampler, state = make(get_preset("clutter"))
+    with pytest.raises(PlanningFailed, match="exit"):  # its door is shut
+        sampler.plan(state, ExitGoal())
+    rectangle = change_robot(list_schematics()["clutter, rectangle"], drive="differential")
+    _, sampler, state = make(rectangle)
+    with pytest.raises(PlanningFailed, match="InformedRRTstar"):  # a way in SE(2) would go sideways
+        sampler.plan(state, PressGoal(0))
+
+
+def test_options_take_the_plan_of_primitives_where_nothing_is_sampled_or_where_they_are_told_to():
+    rectangle = change_robot(list_schematics()["clutter, rectangle"], drive="differential")
+    seconds = {}
+    for name, config, planner in (("rectangle", rectangle, "auto"), ("rectangle", rectangle, "fields"),
+                                  ("disc", get_preset("clutter"), "auto"), ("disc", get_preset("clutter"), "fields")):
+        env = OptionsEnv(EscapeRoomContinuousEnv(config), planner=planner)
+        env.reset(seed=0)
+        _, _, _, _, info = env.step(1)
+        assert info["option"]["ended"] == "reached" and info["option"]["pressed"] == ("button-2",)
+        seconds[name, planner] = info["duration"]
+    assert seconds["rectangle", "auto"] == seconds["rectangle", "fields"]
+    assert seconds["disc", "auto"] != seconds["disc", "fields"]
+
+
+def test_a_map_keeps_out_of_more_footprints():
+    room = generate(get_preset("clutter"), 0)
+    plain, shape = CollisionMap(room, door_shut=True), make_footprint(1.0, 2.0, 1.5, 0.4, 0.3)
+    more = plain.keep_out([shape])
+    places = np.random.default_rng(0).uniform(-6.0, 6.0, (4_000, 2))
+    away = np.array([compute_distance(x, y, shape) for x, y in places.tolist()])
+    assert (more.are_free(places) == (plain.are_free(places) & (away >= plain.radius - 1e-9))).all()
+    assert 20 < (more.are_free(places) != plain.are_free(places)).sum()
+
+
+def test_a_motion_that_presses_another_target_too_is_not_taken():
+    config = get_preset("paper-two-button")
+    room = generate(config, 0)
+    first, second = room.targets
+    between = dataclasses.replace(second, x=first.x, y=first.y, yaw=first.yaw)  # both where the first is
+    planner = RoomPlanner(dataclasses.replace(room, targets=(first, between)))
+    with pytest.raises(PlanningFailed):
+        MotionSampler(planner, LIMITS).plan(planner.rules.make_state(room.starts[0]), PressGoal(0))
