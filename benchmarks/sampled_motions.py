@@ -57,7 +57,7 @@ def measure(name: str, seed: int) -> list[Leg]:
     """Measure the legs of one room's escape."""
     plan, limits = solve(generate(list_schematics()[name], seed)), MotionLimits()
     planner, rules = RoomPlanner(plan.instance), Kinematics(plan.instance)
-    sampler, legs = MotionSampler(planner, limits), []
+    sampler, legs = MotionSampler(plan.instance, limits), []
     for part in plan.parts:
         state = plan.states[part.start]
         sampled, sampled_cpu = clock(lambda s=state, g=part.goal: sampler.plan(s, g))

@@ -107,12 +107,12 @@ class Room(Picture):
         """The sampled way to a target beside that of a plan of primitives."""
         planner, name = get_planner(instance), instance.targets[goal.target].name
         state = planner.rules.make_state(instance.starts[0])
-        found = {"sampled": MotionSampler(planner, MotionLimits()).plan(state, goal),
+        found = {"sampled": MotionSampler(instance, MotionLimits()).plan(state, goal),
                  "along primitives": make_trajectory(planner.plan(state, goal))}
         path = self.choose_path(f"sampled {self.arguments[0]} {goal.target}")
         save_map(path, instance, state, [Trajectory(one.sample(20.0)[1][:, :2], f"{words}, {one.duration:.1f} s")
                                          for words, one in found.items()])
-        return self.show(path, " ".join(self.content), f"MotionSampler(planner, limits).plan(state, {name})")
+        return self.show(path, " ".join(self.content), f"MotionSampler(room, limits).plan(state, {name})")
 
 
 class Curve(Picture):

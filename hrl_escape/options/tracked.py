@@ -117,7 +117,7 @@ class TrackedSource:
         planner, way = get_planner(instance, self.planner if self.planner in METHODS else "auto"), self.planner
         check_method(way)
         sampler = None if way in METHODS and way != "auto" else MotionSampler(
-            planner, self.limits, WAY_PLANNER if way == "auto" else way)
+            instance, self.limits, WAY_PLANNER if way == "auto" else way)
         goals = [goal for goal in list_goals(instance) if isinstance(goal, PressGoal)]
         names = [*(f"meta-{n:02d}" for n in range(1, len(goals) + 1)), "meta-exit"]
         return [AbsentOption(name) if isinstance(goal, PressGoal) and goal.target >= len(instance.targets)

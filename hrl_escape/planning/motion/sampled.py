@@ -18,20 +18,20 @@ from numpy.typing import NDArray
 from hrl_escape.clock import NO_LIMIT
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import compute_distance
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.areas import Area, compute_goal_area, sample_places
 from hrl_escape.planning.arm.joint_lattice import NEVER
-from hrl_escape.planning.goals import Goal, PressGoal, is_reached
-from hrl_escape.planning.motion.legs import MISSED_BY, ROUNDINGS, Press, list_shut_doors, play, rest
+from hrl_escape.planning.arm.reacher import Reacher
+from hrl_escape.planning.goals import Goal, PressGoal, describe_goal, is_reached
+from hrl_escape.planning.motion.legs import MISSED_BY, ROUNDINGS, Press, list_shut_doors, play, rest, time_path
 from hrl_escape.planning.motion.limits import MotionLimits
-from hrl_escape.planning.motion.timing import time_path
 from hrl_escape.planning.motion.trajectory import TimedTrajectory, join_presses
 from hrl_escape.planning.motion_path import MotionPath
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.plan import make_planned_room
-from hrl_escape.planning.planner import RoomPlanner
 
 WAY_PLANNER = "InformedRRTstar"
 """Planner of the base's way: asymptotically optimal."""
@@ -61,16 +61,16 @@ class MotionSampler:
     """Plans trajectories to the goals of one room. Not thread-safe.
 
     Args:
-        planner: the room's planner, whose clearances it shares.
+        instance: the room.
         limits: of the trajectories.
         way_planner: OMPL's planner of the base's way, one of `OMPL_PLANNERS`.
         seed: the same seed gives the same trajectory.
     """
 
-    def __init__(self, planner: RoomPlanner, limits: MotionLimits, way_planner: str = WAY_PLANNER, seed: int = 0
+    def __init__(self, instance: RoomInstance, limits: MotionLimits, way_planner: str = WAY_PLANNER, seed: int = 0
                  ) -> None:
-        self._planner, self._limits, self._way_planner, self._seed = planner, limits, way_planner, seed
-        self._room = make_planned_room(planner.instance)
+        self._limits, self._way_planner, self._seed = limits, way_planner, seed
+        self._room, self._floors = make_planned_room(instance), dict[bool, CollisionMap]()
         self._rules = Kinematics(self._room, is_still=True)
         self._names = ("x", "y", "heading", *self._rules.robot.joint_names)
         self._rates = limits.stack(self._names, self._rules.robot)
@@ -82,6 +82,7 @@ class MotionSampler:
         Raises:
             PlanningFailed: none was found, which does not prove that there is none.
         """
+        name = describe_goal(goal, self._room)
         if self._by_hand and isinstance(goal, PressGoal):
             ways = self._list_presses(state, goal)
         else:
@@ -89,9 +90,9 @@ class MotionSampler:
         for way in ways:
             presses = self._time(way, state, goal)
             if presses is not None:
-                return join_presses(self._names, presses, self._limits, self._rules.robot, str(goal))
-        raise self._planner.routes.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, goal,
-                                                planners=(self._way_planner,))
+                return join_presses(self._names, presses, self._limits, self._rules.robot, name)
+        raise PlanningFailed(PlanningReason.UNREACHABLE_AT_RESOLUTION, name,
+                             (state.x, state.y, self._rules.get_heading(state)), 0.0, (self._way_planner,))
 
     def _time(self, paths: Sequence[MotionPath], state: RoomState, goal: Goal) -> list[Press] | None:
         """Time paths one after another; None unless together they reach the goal and press nothing else."""
@@ -192,16 +193,15 @@ class MotionSampler:
                 more = max(0.0, room.compute_press_reach(target) - room.robot.outer_radius - CONTACT_SKIN) + MISSED_BY
                 shape = target.footprint
                 grown.append(shape._replace(half_x=shape.half_x + more, half_y=shape.half_y + more))
-        floor = self._planner.routes.search.get_collision(door_shut=door_shut)
-        return floor.keep_out(grown) if grown else floor
+        if door_shut not in self._floors:
+            self._floors[door_shut] = CollisionMap(room, door_shut=door_shut)
+        return self._floors[door_shut].keep_out(grown) if grown else self._floors[door_shut]
 
     # --- the arm -------------------------------------------------------------------------
 
     @cached_property
-    def _arm(self):
-        from hrl_escape.planning.arm.arm_planner import ArmPlanner  # loads Pinocchio and OMPL
-
-        return ArmPlanner(self._room)
+    def _reacher(self) -> Reacher:
+        return Reacher(self._room)
 
     def _list_presses(self, state: RoomState, goal: PressGoal) -> Iterator[list[MotionPath]]:
         """The arm's motion from where the base stands, then ways to places from which the hand gets to a target."""
@@ -224,8 +224,8 @@ class MotionSampler:
     def _list_places(self, state: RoomState, goal: PressGoal,
                      find_postures: Callable[[RoomState], NDArray[np.float64]]) -> list[_Place]:
         """Places of the base, and the heading there with the fewest joint steps, that have postures for a press."""
-        rules, reacher = self._rules, self._planner.routes.search.reacher
-        table = reacher.make_table(goal.target, state.joint_steps, joint_offsets=state.joint_offsets,
+        rules = self._rules
+        table = self._reacher.make_table(goal.target, state.joint_steps, joint_offsets=state.joint_offsets,
                                    heading_offset=state.heading_offset)
         floor = self._avoid(state, goal.target, True)
         costs = np.where(table.costs >= 0, table.costs, NEVER)
@@ -244,8 +244,8 @@ class MotionSampler:
 
     def _find_postures(self, state: RoomState, point: tuple[float, float, float]) -> NDArray[np.float64]:
         """Joint angles (postures, joints) that bring the hand to a target's middle, the nearest first."""
-        tolerance = 0.9 * self._planner.routes.search.reacher.limit
-        found = self._arm.solve_ik(point, state, seeds=IK_SEEDS, tolerance=tolerance,
+        tolerance = 0.9 * self._reacher.limit
+        found = self._reacher.planner.solve_ik(point, state, seeds=IK_SEEDS, tolerance=tolerance,
                                    only_free=self._room.dynamics.kind == "physics")
         here = np.array(self._rules.get_angles(state))
         angles = np.array([posture.angles for posture in found]).reshape(-1, len(here))
@@ -257,7 +257,7 @@ class MotionSampler:
         found: list[NDArray[np.float64]] = []
         try:
             if len(postures):
-                found.append(self._arm.plan(state, postures, planner=DEFAULT_PLANNER, seed=self._seed,
+                found.append(self._reacher.planner.plan(state, postures, planner=DEFAULT_PLANNER, seed=self._seed,
                                             budget=ARM_CHECKS).points)
         except PlanningFailed:
             pass

@@ -28,7 +28,8 @@ LIMITS = MotionLimits(speed=0.8, turn_speed=1.2, joint_speed=0.8)
 
 def make(config, seed: int = 0, **settings):
     planner = RoomPlanner(generate(config, seed))
-    return planner, MotionSampler(planner, LIMITS, **settings), planner.rules.make_state(planner.instance.starts[0])
+    state = planner.rules.make_state(planner.instance.starts[0])
+    return planner, MotionSampler(planner.instance, LIMITS, **settings), state
 
 
 @pytest.mark.parametrize("name", ["paper-two-button", "inner-doors", *(
@@ -106,4 +107,4 @@ def test_a_motion_that_presses_another_target_too_is_not_taken():
     between = dataclasses.replace(second, x=first.x, y=first.y, yaw=first.yaw)  # both where the first is
     planner = RoomPlanner(dataclasses.replace(room, targets=(first, between)))
     with pytest.raises(PlanningFailed):
-        MotionSampler(planner, LIMITS).plan(planner.rules.make_state(room.starts[0]), PressGoal(0))
+        MotionSampler(planner.instance, LIMITS).plan(planner.rules.make_state(room.starts[0]), PressGoal(0))
