@@ -68,6 +68,12 @@ def test_a_tape_of_another_engine_or_that_contradicts_itself_is_refused_by_name(
         load_tape(tmp_path / "wrong.npz")
 
 
+def test_an_episode_of_one_decision_is_whole(tmp_path):
+    first, second, *others = make_tape().decisions.tolist()
+    save_tape(tmp_path / "short.npz", change(decisions=np.array([first + second - 1, 1, *others], np.int32)))
+    assert load_tape(tmp_path / "short.npz").decisions[1] == 1
+
+
 def test_other_rooms_than_the_tapes_are_refused():
     about = {**make_tape().about, "rooms": "ladder-1/chain-3/train[:2]"}
     with pytest.raises(FileReadError, match="ladder-1/chain-3/train.*not those of this version"):

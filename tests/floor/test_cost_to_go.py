@@ -132,6 +132,7 @@ def test_a_shut_door_is_in_the_way_and_an_open_one_is_not():
     _, opened = make_maker(get_preset("clutter"), 0, door_shut=False)
     state = rules.make_state(rules.instance.starts[0])
     area = compute_goal_area(ExitGoal(), rules.instance)
+    assert shut.door_shut and not opened.door_shut
     assert shut.get_cost(shut.make_field(shut.find_seeds(*area)), state) == -1
     assert opened.get_cost(opened.make_field(opened.find_seeds(*area)), state) > 0
 
