@@ -22,13 +22,15 @@ __all__ = ["make_table", "render", "write_page"]
 
 
 def write_page(study: Study, page: Page, docs: Path) -> Page:
-    """Write a study's page and figures into a folder.
+    """Write a study's page into a folder, and figures and files into its `figures`.
 
     Raises:
         FileWriteError: a file cannot be written.
     """
     for name, figure in page.figures.items():
-        save_figure(docs / "figures" / f"{name}.svg", figure)
+        save_figure(docs / "figures" / (name if "." in name else f"{name}.svg"), figure)
+    for name, text in page.files.items():
+        write_text(docs / "figures" / name, text)
     write_text(docs / f"{study.page}.md", render(study, page))
     return page
 

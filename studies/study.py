@@ -39,13 +39,15 @@ class Page(NamedTuple):
 
     Attributes:
         values: names in the template -> their values.
-        figures: name without ending -> figure.
+        figures: name -> figure; without ending it is drawn as SVG.
         conclusions: sentences that the command prints.
+        files: name -> text, written beside the figures.
     """
 
     values: Mapping[str, Any]
     figures: Mapping[str, Figure] = {}
     conclusions: Sequence[str] = ()
+    files: Mapping[str, str] = {}
 
 
 @dataclass(frozen=True)
