@@ -17,8 +17,9 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import PLANNER, make_reference
 from hrl_escape.comparison.runs import make_env
-from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.ladder.instance_set import InstanceSet
@@ -40,13 +41,12 @@ from studies.parts.figure import draw
 from studies.parts.runs import Cell, LearnerSettings, play_cell
 from studies.price.words import tell_number
 from studies.running import StudyArgs
-from studies.scaling.results import RoomKind
-from studies.scaling.rounds import make_room
 from studies.statistics import compute_restricted_mean
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["LINES", "REGISTERED", "Args", "analyse", "compute_design", "list_jobs", "make_latex", "measure", "run_job"]
+__all__ = ["LINES", "REGISTERED", "Args", "analyse", "compute_design", "list_jobs", "make_config", "make_latex",
+           "measure", "run_job"]
 
 LINES = (PartsRun,)
 REGISTERED = ("study.toml", "questions.md")
@@ -126,10 +126,10 @@ def list_jobs(data: Mapping[str, Any], slice_: str, design: str, cells: Sequence
 def run_job(job: PartsRun, data: Mapping[str, Any]) -> PartsRun:
     """Make the run that a line without results stands for."""
     cell = next(cell for cell in data["cells"] if cell["name"] == job.cell)
+    config = make_config(data["room"], job.buttons, job.rule)
     if "reference" in cell:
-        config = make_room(RoomKind(data["graph"], job.buttons, job.rule))
         return dataclasses.replace(job, first_escape=_search(cell["reference"], config, job.seed, data["budget"]))
-    room, near = _make_room(data["graph"], job.buttons, job.rule, job.seed), data["near"]
+    room, near = _make_room(config, job.seed), data["near"]
     fewest = _find_fewest(room) if job.buttons in near["sizes"] and not job.failure else None
     parts = Cell(**{name: cell[name] for name in ("walks", "memory", "structure") if name in cell}, failure=job.failure)
     found = play_cell(parts, LearnerSettings(**data["learner"]), room, job.seed, data["budget"], fewest, near["budget"])
@@ -137,14 +137,21 @@ def run_job(job: PartsRun, data: Mapping[str, Any]) -> PartsRun:
 
 
 @lru_cache(maxsize=8)
-def _make_room(graph: str, buttons: int, rule: str, seed: int) -> RoomInstance:
-    return generate(make_room(RoomKind(graph, buttons, rule)), seed)
+def _make_room(config: RoomConfig, seed: int) -> RoomInstance:
+    return generate(config, seed)
 
 
 @lru_cache(maxsize=8)
 def _find_fewest(room: RoomInstance) -> int | None:
     """Primitives of the best known plan."""
     return find_first_escape(PLANNER, room, 0, 1_000)
+
+
+def make_config(room: Mapping[str, Any], buttons: int, rule: str) -> RoomConfig:
+    """Schematic of a square room, as large for many buttons as for few."""
+    puzzle = {"count": buttons, "graph": room["graph"], "on_violation": rule, "buttons": {"width": room["button"]}}
+    return RoomConfig(name=f"parts-{buttons}-{rule}", room=ShapeConfig(width=room["width"], depth=room["width"]),
+                      robot=RobotConfig(body_radius=room["body"]), puzzle=ButtonsConfig.from_dict(puzzle))
 
 
 def _search(reference: str, config: RoomConfig, seed: int, budget: int) -> int | None:

@@ -4,6 +4,27 @@ from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
     Mutation(
+        "a cell that was given up is left out of the comparison",
+        "studies/parts/answers.py",
+        "if room not in logs and given_up.get(room[0])}",
+        "if False}",
+        "studies/test_parts.py::test_runs_that_gave_up_stay_in_the_denominator",
+    ),
+    Mutation(
+        "sixteen answers of the registered study are given one by one, uncorrected",
+        "studies/parts/answers.py",
+        "choose_holm_levels(p), correct_by_holm(p), strict=True):\n        gains",
+        "[1 - ALPHA] * len(p), p, strict=True):\n        gains",
+        "studies/test_parts.py::test_all_answers_are_one_family",
+    ),
+    Mutation(
+        "lines of another design count",
+        "studies/parts/analysis.py",
+        "if line.design != design]",
+        "if not line.design]",
+        "studies/test_parts.py::test_lines_of_another_design_are_refused",
+    ),
+    Mutation(
         "any rise across rooms is one of 0.2",
         "studies/marks/analysis.py",
         "return least >= RISE and",

@@ -31,6 +31,7 @@ from studies.parts.runs import Cell, LearnerSettings, play_cell
 from studies.running import open_store
 from studies.scaling.results import RoomKind
 from studies.scaling.rounds import make_room
+from studies.statistics import compute_sign_flip_p
 from studies.study import find_study
 from tests.studies.pages import save
 
@@ -129,6 +130,19 @@ def test_runs_that_gave_up_stay_in_the_denominator():
     left_out = [run for run in hard if run.cell != "flat" or (
         run.buttons == 2 and run.seed < DATA["slices"]["first"]["first_seed"] + DATA["hopeless"])]
     assert answer(left_out, DATA)[0] == other, "what was given up counts as having given up"
+
+
+def test_all_answers_are_one_family():
+    """A difference that one test alone would show is open among sixteen, and its interval holds 1."""
+    rng = np.random.default_rng(11)
+    runs = [dataclasses.replace(run, first_escape=round(2_000 * math.exp(0.5 * rng.normal() - (
+        0.26 if run.cell == "options + memory" else 0)))) for run in make_runs({})]
+    one = next(one for one in answer(runs, DATA) if one.more == "options + memory")
+    gains = [math.log(other.first_escape / run.first_escape) for run in runs for other in runs
+             if (run.cell, other.cell) == ("options + memory", "options")
+             and run.place[1:] == other.place[1:] and run.rule == "ignore" and run.first_escape and other.first_escape]
+    alone = 2 * compute_sign_flip_p(gains, "above")
+    assert alone < 0.05 < one.p and one.verdict == "open" and one.low < 1 < one.high
 
 
 def test_rooms_from_which_neither_escaped_say_nothing():

@@ -1,0 +1,37 @@
+"""Redraw a study's figure from its runs.
+
+A study keeps one line of JSON a run, so its figure can be drawn anew, and questions can be asked that it did not ask.
+Here: [which part of a hierarchy pays](../results/parts.md). Run this from a checkout, in which `studies` lies.
+"""
+
+import json
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+
+import hrl_escape
+from hrl_escape.figures import LINES, get_figure_class
+
+raw = Path(hrl_escape.__file__).parents[1] / "studies" / "parts" / "raw.jsonl"
+runs = [json.loads(line) for line in raw.read_text().splitlines()]
+first = [run for run in runs if run["seed"] < 2_000 and not run["failure"]]  # later seeds are the confirmation's
+print(f"{len(first):,} runs of design {first[0]['design']}")
+
+# A run that gave up has no first escape. It stays in the median as one that takes for ever.
+
+ends = defaultdict(list)
+for run in first:
+    ends[run["cell"], run["rule"], run["buttons"]].append(run["first_escape"] or np.inf)
+cells = ["flat", "flat + commitment", "learned walks", "options", "options + structure", "options + both"]
+
+figure = get_figure_class()(figsize=(7.6, 3.2), layout="constrained")
+for axes, rule in zip(figure.subplots(1, 2, sharey=True), ("ignore", "reset"), strict=True):
+    for cell, colour in zip(cells, LINES, strict=True):
+        medians = {size: np.median(found) for (name, its, size), found in sorted(ends.items())
+                   if (name, its) == (cell, rule)}
+        print(f"{rule}, {cell}: " + ", ".join(f"{size}: {middle:,.0f}" for size, middle in medians.items()))
+        axes.loglog(list(medians), list(medians.values()), "o-", color=colour, label=cell, markersize=4)
+    axes.set(title=f"rule {rule}", xlabel="buttons", ylabel="primitives to the first escape" if rule == "ignore" else "")
+axes.legend(fontsize=7, frameon=False)
+figure
