@@ -32,6 +32,7 @@ for axes, rule in zip(figure.subplots(1, 2, sharey=True), ("ignore", "reset"), s
                    if (name, its) == (cell, rule)}
         print(f"{rule}, {cell}: " + ", ".join(f"{size}: {middle:,.0f}" for size, middle in medians.items()))
         axes.loglog(list(medians), list(medians.values()), "o-", color=colour, label=cell, markersize=4)
-    axes.set(title=f"rule {rule}", xlabel="buttons", ylabel="primitives to the first escape" if rule == "ignore" else "")
+    axes.set(title=f"rule {rule}", xlabel="buttons")
+figure.supylabel("primitives to the first escape", fontsize=9)
 axes.legend(fontsize=7, frameon=False)
 figure

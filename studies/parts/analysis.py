@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -34,8 +34,10 @@ from studies.parts.answers import (
     fit_law,
     is_given_up,
     tell_abstract,
+    tell_bar,
     tell_finding,
     tell_law,
+    tell_ratio,
 )
 from studies.parts.figure import draw
 from studies.parts.runs import Cell, LearnerSettings, play_cell
@@ -45,8 +47,8 @@ from studies.statistics import compute_restricted_mean
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["LINES", "REGISTERED", "Args", "analyse", "compute_design", "list_jobs", "make_config", "make_latex",
-           "measure", "run_job"]
+__all__ = ["LINES", "REGISTERED", "Args", "analyse", "compute_design", "list_jobs", "list_missing", "make_config",
+           "make_latex", "measure", "run_job"]
 
 LINES = (PartsRun,)
 REGISTERED = ("study.toml", "questions.md")
@@ -84,15 +86,12 @@ def measure(study: Study, args: Args, store: Store) -> None:
     known = {cell["name"] for cell in data["cells"]}
     if unknown := [name for name in args.cells if name not in known]:
         raise UnknownNameError("cell", unknown[0], known)
+    slice_ = "confirmation" if args.confirmation else "first"
     runs = {run.place: run for run in _check(study, store.load())}
     console, end = Console(stderr=True, highlight=False), time.monotonic() + 60 * (args.minutes or math.inf)
     begun, seconds = len(runs), time.monotonic()
-    for job in list_jobs(data, "confirmation" if args.confirmation else "first", design, args.cells):
-        if job.place in runs:
-            continue
-        own = [run for run in runs.values() if (run.cell, run.rule, run.failure) == (job.cell, job.rule, job.failure)
-               and _get_slice(data, run.seed) == _get_slice(data, job.seed)]
-        if is_given_up(own, job.buttons, data["hopeless"]):
+    for job in list_jobs(data, slice_, design, args.cells):
+        if job.place in runs or _is_given_up(job, runs.values(), data):
             continue
         if time.monotonic() > end:
             console.print("time is up: the same command goes on")
@@ -102,6 +101,19 @@ def measure(study: Study, args: Args, store: Store) -> None:
         if len(runs) % 50 == 0:
             rate = (len(runs) - begun) / (time.monotonic() - seconds)
             console.print(f"{job.buttons} buttons, {len(runs):,} runs, {rate:.1f} a second")
+
+
+def _is_given_up(job: PartsRun, runs: Iterable[PartsRun], data: Mapping[str, Any]) -> bool:
+    """The cell of a run was given up with so many buttons or fewer, in the same slice."""
+    own = [run for run in runs if (run.cell, run.rule, run.failure) == (job.cell, job.rule, job.failure)
+           and _get_slice(data, run.seed) == _get_slice(data, job.seed)]
+    return is_given_up(own, job.buttons, data["hopeless"])
+
+
+def list_missing(data: Mapping[str, Any], slice_: str, runs: Sequence[PartsRun]) -> list[PartsRun]:
+    """Registered runs of a slice that are still to be made, as lines without results."""
+    there = {run.place for run in runs}
+    return [job for job in list_jobs(data, slice_, "") if job.place not in there and not _is_given_up(job, runs, data)]
 
 
 def list_jobs(data: Mapping[str, Any], slice_: str, design: str, cells: Sequence[str] = ()) -> Iterator[PartsRun]:
@@ -200,9 +212,11 @@ def analyse(study: Study, lines: Sequence[PartsRun]) -> Page:
         raise ComparisonError("there are no runs to tell of")
     answers, laws, abstract = _conclude(slices["first"], data)
     again, _, confirmed = _conclude(slices["confirmation"], data) if slices["confirmation"] else ([], {}, [])
-    rows = _list_rows(answers, again)
+    rows, missing = _list_rows(answers, again), {name: len(list_missing(data, name, own))
+                                                 for name, own in slices.items()}
     return Page({
-        "finding": tell_finding(answers), "abstract": abstract, "confirmed": confirmed,
+        "missing": missing, "finding": f"{tell_finding(answers)} {tell_bar(answers)}",
+        "abstract": abstract, "confirmed": confirmed,
         "agree": sum(one.verdict == other.verdict for one, other in zip(answers, again, strict=False)),
         "answers": make_table(HEADER, rows), "count": len(answers), "design": compute_design(study),
         "growth": make_table(["cell", *(f"`{rule}`" for rule in data["rules"])], [
@@ -220,7 +234,8 @@ def analyse(study: Study, lines: Sequence[PartsRun]) -> Page:
             [f"{one['more']} against {one['less']}", one["rooms"], one["spread"], f"{one['power']:.2f}"]
             for one in data["questions"]]),
     }, {"parts": (figure := draw(slices["first"], laws, answers, data)), "parts.pdf": figure},
-        [tell_finding(answers), *abstract], {"parts.tex": make_latex(HEADER[:5], [row[:5] for row in rows])})
+        [tell_finding(answers), tell_bar(answers), *abstract],
+        {"parts.tex": make_latex(HEADER[:5], [row[:5] for row in rows])})
 
 
 HEADER = ["part", "with it", "without it", "rule", "times fewer primitives", "changes the exponent by", "p, Holm",
@@ -247,7 +262,7 @@ def _list_rows(answers: Sequence[Answer], again: Sequence[Answer]) -> list[list[
 def _describe_factor(one: Answer) -> str:
     if math.isnan(one.factor):
         return "-"
-    words = f"{tell_number(one.factor)} ({tell_number(one.low)} to {tell_number(one.high)})"
+    words = f"{tell_ratio(one.factor)} ({tell_ratio(one.low)} to {tell_ratio(one.high)})"
     return words if one.verdict == "open" else f"**{words}**"
 
 

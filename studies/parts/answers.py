@@ -5,27 +5,22 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import correct_by_holm
-from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.inference import ALPHA, LEVEL, correct_by_holm
 from hrl_escape.names import join_words
+from studies.price.ratios import Middle, find_middle
 from studies.price.words import tell_number
-from studies.statistics import (
-    choose_holm_levels,
-    compute_sign_flip_p,
-    cut_signs,
-    find_visible_difference,
-    find_visible_shift,
-)
+from studies.statistics import choose_holm_levels, find_visible_difference, find_visible_shift
 
 __all__ = ["Answer", "Exchange", "Law", "PartsRun", "answer", "choose_slope", "compute_power", "find_exchange",
-           "fit_law", "is_given_up", "tell_abstract", "tell_finding", "tell_law"]
+           "fit_law", "is_given_up", "tell_abstract", "tell_bar", "tell_finding", "tell_law",
+           "tell_ratio"]
 
 RESAMPLES = 2_000
 LEAST_SIZES = 3
@@ -134,28 +129,27 @@ def answer(runs: Sequence[PartsRun], data: Mapping[str, Any]) -> list[Answer]:
             found.append((Answer(question["part"], question["more"], less, rule, len(gains)), gains,
                           choose_slope(gains, with_it, without, limit, 1 - ALPHA / (2 * len(data["questions"])))))
     asked = [index for index, (one, _, _) in enumerate(found) if one.rooms >= data["least"]]
-    p = [_test(list(found[index][1].values())) for index in asked]
+    p = [_find_middle(found[index][1]).p for index in asked]
     answers = [one._replace(slope=slope) for one, _, slope in found]
     for index, level, corrected in zip(asked, choose_holm_levels(p), correct_by_holm(p), strict=True):
-        gains = np.array(list(found[index][1].values()))
-        low, high = cut_signs(gains, level)
+        middle, gains = _find_middle(found[index][1], level), np.array(list(found[index][1].values()))
         answers[index] = answers[index]._replace(
-            factor=math.exp(gains.mean()), low=math.exp(low), high=math.exp(high), p=corrected,
+            factor=middle.factor, low=middle.low, high=middle.high, p=corrected,
             visible=math.exp(find_visible_difference([gains], 1 - level)))
     return answers
 
 
-def _list_logs(runs: Sequence[PartsRun], cell: str, rule: str, data: Mapping[str, Any]) -> Logs:
+def _list_logs(runs: Sequence[PartsRun], cell: str, rule: str, data: Mapping[str, Any], failure: float = 0.0) -> Logs:
     """Logarithms of restricted primitives of a cell in every room in which any cell was run; see `answer`."""
-    own = [run for run in runs if (run.cell, run.rule, run.failure) == (cell, rule, 0)]
+    own = [run for run in runs if (run.cell, run.rule, run.failure) == (cell, rule, failure)]
     logs = {(run.buttons, run.seed): math.log(min(run.first_escape or data["budget"], data["budget"])) for run in own}
     rooms = {(run.buttons, run.seed) for run in runs if run.rule == rule}
     given_up = {size: is_given_up(own, size, data["hopeless"]) for size in data["sizes"]}
     return logs | {room: math.log(data["budget"]) for room in rooms if room not in logs and given_up.get(room[0])}
 
 
-def _test(gains: Sequence[float]) -> float:
-    return min(1.0, 2 * min(compute_sign_flip_p(gains, "above"), compute_sign_flip_p(gains, "below")))
+def _find_middle(gains: Logs, level: float = LEVEL) -> Middle:
+    return find_middle([(gain, gain) for gain in gains.values()], level)
 
 
 def choose_slope(gains: Logs, with_it: Logs, without: Logs, limit: float, level: float
@@ -293,17 +287,13 @@ def find_exchange(runs: Sequence[PartsRun], data: Mapping[str, Any], rule: str) 
     """
     dial = data["dial"]
     failures = [0.0, *dial["failures"]]
-    limit = data["budget"]
-    known = {(run.cell, run.failure, run.seed): math.log(min(run.first_escape or limit, limit)) for run in runs
-             if (run.rule, run.buttons) == (rule, dial["buttons"])}
-    plain = {seed: log for (cell, failure, seed), log in known.items() if (cell, failure) == (dial["plain"], 0.0)}
-    if not plain and is_given_up([run for run in runs if (run.cell, run.rule, run.failure) == (dial["plain"], rule, 0)],
-                                 dial["buttons"], data["hopeless"]):
-        plain = {seed: math.log(limit) for _, _, seed in known}
-    seeds = [seed for seed in sorted(plain) if all((dial["better"], failure, seed) in known for failure in failures)]
+    plain, *better = ({seed: log for (size, seed), log in _list_logs(runs, cell, rule, data, failure).items()
+                       if size == dial["buttons"]}
+                      for cell, failure in ((dial["plain"], 0.0), *((dial["better"], each) for each in failures)))
+    seeds = [seed for seed in sorted(plain) if all(seed in logs for logs in better)]
     if len(seeds) < data["least"]:
         return Exchange(rule, math.nan, 0.0, 1.0, failures[-1], len(seeds))
-    gains = np.array([[plain[seed] - known[dial["better"], failure, seed] for failure in failures] for seed in seeds])
+    gains = np.array([[plain[seed] - logs[seed] for logs in better] for seed in seeds])
     rng = np.random.default_rng(2019)
     drawn = gains[rng.integers(len(seeds), size=(RESAMPLES, len(seeds)))].mean(axis=1)
     crossings = [_find_crossing(row, failures) for row in drawn]
@@ -341,9 +331,29 @@ def tell_finding(answers: Sequence[Answer]) -> str:
     idle = [part for part in PARTS if part in best and not best[part]]
     if not paying:
         return f"No part of a hierarchy is shown to pay: neither {', nor '.join(idle)}."
-    told = join_words([f"{part} (up to {tell_number(best[part])} times fewer primitives)" for part in paying])
-    return (f"What pays is {told}"
-            + (f"; {join_words(idle)} {'is' if len(idle) == 1 else 'are'} not shown to." if idle else "."))
+    first, *rest = paying
+    told = [f"{first} (up to {tell_ratio(best[first])} times fewer primitives)",
+            *(f"{part} ({tell_ratio(best[part])})" for part in rest)]
+    return f"What pays is {join_words(told)}" + (
+        f"; {join_words(idle)} {'is' if len(idle) == 1 else 'are'} not shown to." if idle else ".")
+
+
+def tell_bar(answers: Sequence[Answer]) -> str:
+    """The learner with all parts beside the best searcher, in one breath."""
+    asked = [one for one in answers if one.part == "learning"]
+    costs, pays = ([one for one in asked if one.verdict == verdict] for verdict in ("costs", "pays"))
+    if costs:
+        return (f"With all of these the learner still needs up to {tell_ratio(max(1 / one.factor for one in costs))} "
+                "times the primitives of a searcher that learns nothing.")
+    if pays:
+        return (f"With all of these the learner needs up to {tell_ratio(max(one.factor for one in pays))} times fewer "
+                "primitives than a searcher that learns nothing.")
+    return "With all of these the learner is not shown to differ from a searcher that learns nothing."
+
+
+def tell_ratio(value: float) -> str:
+    """A ratio in words, with two decimals near 1."""
+    return f"{value:.2f}" if 0.8 < value < 1.25 else tell_number(value)
 
 
 PARTS = ("commitment", "geometry", "memory", "structure")
@@ -374,25 +384,28 @@ def tell_abstract(answers: Sequence[Answer], laws: Mapping[tuple[str, str], Law 
                 ("over learned walks", [one for one in of["structure"] if one.less == "learned walks"]),
                 ("over options", [one for one in of["structure"] if one.less != "learned walks"]))) + ".",
         _tell_growth(answers, laws),
-        _tell_bar(of["learning"], exchanges),
+        _tell_searchers(of["learning"], exchanges),
     ]
 
 
 def _tell_verdicts(answers: Sequence[Answer]) -> str:
-    """Words such as `saves a factor of 12 (8.0 to 20) under ignore, and is not shown to matter under reset`."""
-    return ", and ".join(f"{_tell_verdict(one)} under `{one.rule}`" for one in answers)
-
-
-def _tell_verdict(one: Answer) -> str:
-    if math.isnan(one.factor):
-        return "is not told, as too few rooms were escaped from,"
-    between = f"({tell_number(one.low)} to {tell_number(one.high)})"
-    if one.verdict == "open":
-        return f"is not shown to matter {between}"
-    if one.verdict == "costs":
-        return f"costs a factor of {tell_number(1 / one.factor)} ({tell_number(1 / one.high)} to " + (
-            f"{tell_number(1 / one.low)})")
-    return f"saves a factor of {tell_number(one.factor)} {between}"
+    """Words such as `saves a factor of 12 (8 to 20) under ignore and 2 (1.5 to 3) under reset`."""
+    told, last = [], ""
+    for one in answers:
+        verb = {"open": "is not shown to matter", "pays": "saves a factor of",
+                "costs": "costs a factor of"}[one.verdict]
+        if math.isnan(one.factor):
+            verb, words = "is not told", "too few rooms were escaped from"
+        elif one.verdict == "open":
+            words = f"{tell_ratio(one.low)} to {tell_ratio(one.high)}"
+        else:
+            low, middle, high = sorted((value if one.verdict == "pays" else 1 / value)
+                                       for value in (one.low, one.factor, one.high))
+            words = f"{tell_ratio(middle)} ({tell_ratio(low)} to {tell_ratio(high)})"
+        words = words if words.endswith(")") else f"({words})"
+        told.append(f"{'' if verb == last else f'{verb} '}{words} under `{one.rule}`")
+        last = verb
+    return " and ".join(told)
 
 
 def _tell_growth(answers: Sequence[Answer], laws: Mapping[tuple[str, str], Law | None]) -> str:
@@ -409,23 +422,28 @@ def _tell_growth(answers: Sequence[Answer], laws: Mapping[tuple[str, str], Law |
         parts.append(f"only the constant is shown to fall with {only}")
     if untold:
         parts.append(f"too few sizes tell of {untold}")
-    return (f"With the buttons, {'; '.join(parts)}; of {len(known)} growths {power} "
+    return (f"With the number of buttons, {'; '.join(parts)}; of {len(known)} growths {power} "
             f"{'is' if power == 1 else 'are'} told to be a power law and {steep} an exponential.")
 
 
-def _name_parts(answers: Iterator[Answer] | Sequence[Answer]) -> str:
-    return join_words([f"{one.part} ({one.more}, `{one.rule}`)" for one in answers])
+def _name_parts(answers: Sequence[Answer]) -> str:
+    """Words such as `structure over options (ignore, reset)`."""
+    rules: dict[str, list[str]] = defaultdict(list)
+    for one in answers:
+        over = "" if one.part in ("commitment", "geometry") else f" over {one.less}"
+        rules[one.part + over].append(f"`{one.rule}`")
+    return join_words([f"{name} ({', '.join(own)})" for name, own in rules.items()])
 
 
-def _tell_bar(answers: Sequence[Answer], exchanges: Sequence[Exchange]) -> str:
+def _tell_searchers(answers: Sequence[Answer], exchanges: Sequence[Exchange]) -> str:
     """One sentence: the learner with all parts beside the best searcher, and the exchange rate."""
-    beside = ", and ".join(
-        (f"needs {tell_number(one.factor)} times fewer primitives than {one.less}" if one.verdict == "pays" else
-         f"needs {tell_number(1 / one.factor)} times the primitives of {one.less}" if one.verdict == "costs" else
+    beside = " and ".join(
+        (f"needs {tell_ratio(one.factor)} times fewer primitives than {one.less}" if one.verdict == "pays" else
+         f"needs {tell_ratio(1 / one.factor)} times the primitives of {one.less}" if one.verdict == "costs" else
          f"is not shown to need more or fewer primitives than {one.less}") + f" under `{one.rule}`" for one in answers)
-    rates = ", and ".join(f"{_tell_exchange(one)} under `{one.rule}`" for one in exchanges)
-    return (f"With all parts the learner {beside}, which learns nothing; memory and structure together are worth "
-            f"walks that fail {rates}.")
+    rates = " and ".join(f"{_tell_exchange(one)} under `{one.rule}`" for one in exchanges)
+    return (f"Beside searchers that learn nothing, the learner with all parts {beside}; memory and structure together "
+            f"are worth walks that fail {rates}.")
 
 
 def _tell_exchange(one: Exchange) -> str:
@@ -435,4 +453,4 @@ def _tell_exchange(one: Exchange) -> str:
         return "none of the time"
     if one.failure == 1:
         return f"more than {one.most:.0%} of the time"
-    return f"{one.failure:.0%} ({one.low:.0%} to {'more' if one.high == 1 else format(one.high, '.0%')}) of the time"
+    return f"{one.failure:.0%} of the time ({one.low:.0%} to {'more' if one.high == 1 else format(one.high, '.0%')})"

@@ -10,9 +10,10 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from hrl_escape.env.drawing import palette
+from hrl_escape.names import join_words
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.parts.answers import Answer, Law, PartsRun
 
@@ -33,7 +34,7 @@ def draw(runs: Sequence[PartsRun], laws: Mapping[tuple[str, str], Law | None], a
         for axes in panels[1:]:
             axes.sharey(panels[0])
             axes.set_ylabel("")
-        _draw_forest(forest, answers)
+        _draw_forest(forest, answers, data["rules"])
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize=8)
     return figure
@@ -55,24 +56,34 @@ def _draw_growth(axes: Axes, runs: Sequence[PartsRun], laws: Mapping[tuple[str, 
             axes.fill_between(law.sizes, *law.band, color=colour, alpha=0.12, linewidth=0)
     finish_axes(axes)
     axes.set(xscale="log", yscale="log", xlabel="buttons", ylabel="primitives to the first escape (median)")
-    axes.set_title(f"rule `{rule}`", fontsize=9, loc="left")
+    axes.set_title(f"rule: {rule}", fontsize=9, loc="left")
     axes.set_xticks(data["sizes"], [str(size) for size in data["sizes"]])
     axes.xaxis.set_minor_locator(NullLocator())
     axes.axhline(data["budget"], color=palette.MUTED, linewidth=0.8, linestyle="--")
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
 
 
-def _draw_forest(axes: Axes, answers: Sequence[Answer]) -> None:
-    """Ratios with their intervals, those that pay to the right of 1."""
-    shown = [one for one in answers if not math.isnan(one.factor)]
-    for row, one in enumerate(shown):
+def _draw_forest(axes: Axes, answers: Sequence[Answer], rules: Sequence[str]) -> None:
+    """Ratios with their intervals, a row a question; those that pay to the right of 1, hollow under further rules."""
+    rows = list(dict.fromkeys((one.part, one.more) for one in answers))
+    names = {row: f"{row[1]} against\n{join_words(list(dict.fromkeys(one.less for one in answers if one[:2] == row)))}"
+             for row in rows}
+    for one in answers:
+        if math.isnan(one.factor):
+            continue
+        place = rules.index(one.rule)
+        row = rows.index((one.part, one.more)) + 0.3 * (place - (len(rules) - 1) / 2)
         colour = {"pays": palette.LINES[2], "costs": palette.LINES[1]}.get(one.verdict, palette.MUTED)
         axes.plot([one.low, one.high], [row, row], color=colour, linewidth=1.5)
-        axes.plot(one.factor, row, "o", color=colour, markersize=4.5)
+        axes.plot(one.factor, row, "o", color=colour, markersize=5,
+                  markerfacecolor=palette.BACKGROUND if place else colour)
     finish_axes(axes)
     axes.axvline(1.0, color=palette.INK, linewidth=0.8)
     axes.set(xscale="log", xlabel="times fewer primitives with the part")
-    axes.set_yticks(range(len(shown)), [f"{one.more}\nagainst {one.less}, {one.rule}" for one in shown], fontsize=6.5)
+    axes.set_title(f"● {rules[0]}   " + "   ".join(f"○ {rule}" for rule in rules[1:]), fontsize=9, loc="left")
+    axes.set_yticks(range(len(rows)), [names[row] for row in rows], fontsize=7.5)
     axes.yaxis.tick_right()
     axes.invert_yaxis()
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())

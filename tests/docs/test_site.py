@@ -115,6 +115,7 @@ TUTORIALS = {
     "torchrl_options": r"5,120 decisions: +[1-9]\d+ escapes .* targets of long walks: -?\d+\.\d with durations",
     "own_play": r"142 primitives, 16 decisions, 3 episodes.* smdp-fitted-q: return 64 after 36 primitives",
     "language_model_tools": r"Wrong call: There is no such tool.* The game is over: escaped.* invalid_calls=1",
+    "parts_of_a_hierarchy": r"[\d,]+ runs of design [0-9a-f]{16} ignore, flat: 2: .* reset, options \+ both: 2: \d\d, ",
     "new_puzzle": r"combination: button-4, button-3, button-1, button-2 plan: press-button-4, .* return [1-9]\d",
 }
 

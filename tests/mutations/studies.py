@@ -13,8 +13,8 @@ MUTATIONS = [
     Mutation(
         "sixteen answers of the registered study are given one by one, uncorrected",
         "studies/parts/answers.py",
-        "choose_holm_levels(p), correct_by_holm(p), strict=True):\n        gains",
-        "[1 - ALPHA] * len(p), p, strict=True):\n        gains",
+        "zip(asked, choose_holm_levels(p), correct_by_holm(p), strict=True)",
+        "zip(asked, [1 - ALPHA] * len(p), p, strict=True)",
         "studies/test_parts.py::test_all_answers_are_one_family",
     ),
     Mutation(
