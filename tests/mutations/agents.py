@@ -270,7 +270,7 @@ MUTATIONS = [
         "agents/streams.py",
         "cut=bool(truncated and not terminated and k > 1)",
         "cut=False",
-        "agents/algorithms/given/test_many_rooms.py::test_values_of_choices_are_exact",
+        "agents/training/test_streams.py::test_an_option_that_a_time_limit_cut_does_not_show_where_it_leads",
     ),
     Mutation(
         "sarsa in many environments values the best action",

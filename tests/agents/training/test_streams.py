@@ -8,7 +8,7 @@ import pytest
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from hrl_escape.agents import evaluate, load_agent, load_env, train
+from hrl_escape.agents import evaluate, load_agent, load_env, make_agent, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
 from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.components.policy_gradient import compute_advantages, compute_log_policy, compute_next_values
@@ -468,3 +468,15 @@ def test_counts_of_a_batch_are_those_of_one_visit_after_another():
                                                   one.state_dict()["counts"], strict=True)} == {
         key: int(count) for key, count in zip(map(bytes, many.state_dict()["keys"]), many.state_dict()["counts"],
                                               strict=True)}
+
+
+@pytest.mark.parametrize(("k", "terminated", "is_whole"), [(2, False, False), (1, False, True), (2, True, True)])
+def test_an_option_that_a_time_limit_cut_does_not_show_where_it_leads(k, terminated, is_whole):
+    agent = make_agent("r-max", gymnasium.spaces.Discrete(3), gymnasium.spaces.Discrete(2), 0)
+    agent.begin_streams(1, CPU)
+    legal, here = torch.ones(1, 2, dtype=torch.bool), torch.zeros(1, dtype=torch.int64)
+    agent.act_streams(here, legal, here)
+    last = torch.ones(1, dtype=torch.bool)
+    logged = agent.observe_streams(StreamTransitions(here, here, here, -torch.ones(1), -torch.ones(1), here + k,
+                                                     here + 1, legal, last & terminated, last))
+    assert bool(logged) is is_whole
