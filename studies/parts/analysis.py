@@ -200,7 +200,7 @@ def _check(study: Study, lines: Sequence[PartsRun]) -> Sequence[PartsRun]:
 
 
 def analyse(study: Study, lines: Sequence[PartsRun]) -> Page:
-    """Abstract, figure and tables of the first runs, and the abstract of the confirmation beside it.
+    """Abstract, figure and tables of the first runs, and the abstract of the confirmation once all of it is there.
 
     Raises:
         ComparisonError: there are no runs, or some of another design.
@@ -211,9 +211,9 @@ def analyse(study: Study, lines: Sequence[PartsRun]) -> Page:
     if not slices["first"]:
         raise ComparisonError("there are no runs to tell of")
     answers, laws, abstract = _conclude(slices["first"], data)
-    again, _, confirmed = _conclude(slices["confirmation"], data) if slices["confirmation"] else ([], {}, [])
-    rows, missing = _list_rows(answers, again), {name: len(list_missing(data, name, own))
-                                                 for name, own in slices.items()}
+    missing = {name: len(list_missing(data, name, own)) for name, own in slices.items()}
+    again, _, confirmed = ([], {}, []) if missing["confirmation"] else _conclude(slices["confirmation"], data)
+    rows = _list_rows(answers, again)
     return Page({
         "missing": missing, "finding": f"{tell_finding(answers)} {tell_bar(answers)}",
         "abstract": abstract, "confirmed": confirmed,

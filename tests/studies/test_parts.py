@@ -196,7 +196,8 @@ def test_the_page_says_how_many_runs_are_still_to_be_made():
     assert not list_missing(DATA, "first", kept), "what was given up is not missing"
     assert {(run.cell, run.buttons) for run in list_missing(DATA, "first", given_up)} == {
         ("flat", size) for size in DATA["sizes"] if size >= 8}
-    page = analyse(STUDY, given_up).values
+    page = analyse(STUDY, [*given_up, *make_runs({}, "confirmation")[1:]]).values
+    assert page["missing"]["confirmation"] == 1, "a confirmation is told whole or not at all"
     assert page["missing"]["first"] == 4 * 2 * DATA["slices"]["first"]["runs"] and not page["confirmed"]
 
 
