@@ -54,7 +54,7 @@ def kernel_in_place(function: Callable[..., Any]) -> Any:
 
 
 class SourceLocator(UserProvidedCacheLocator):
-    """Where a kernel's compiled code lies: by its place in the package, wherever the package is."""
+    """Place of a kernel's compiled code: by its place in the package, wherever the package is."""
 
     @classmethod
     def get_suitable_cache_subpath(cls, py_file: str) -> str:

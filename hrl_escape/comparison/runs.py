@@ -66,7 +66,7 @@ class RunResult:
     seen: Evaluation | None = None  # last evaluation in rooms that were trained in, where others were tested in
     seen_range: ScoreRange | None = None  # its scale
     trials: tuple[Evaluation, ...] = ()
-    """Where rooms are tried several times, the evaluation of each trial at the end, over all test rooms."""
+    """Evaluation of each trial at the end, over all test rooms, if rooms are tried several times."""
     trial_ranges: tuple[ScoreRange, ...] = ()  # their scales
 
     @classmethod

@@ -35,7 +35,7 @@ class ScoreRange:
     fewest: tuple[float, ...]  # primitives of the best known escape of each, or their expectation
     fewest_reachable: tuple[float | None, ...]  # the same by the actions the agent has; None where they cannot escape
     source: str
-    """What found `best` and `fewest`: `planner`, or `ceiling` where no plan is known and an escape by the first
+    """Source of `best` and `fewest`: `planner`, or `ceiling` where no plan is known and an escape by the first
     primitive stands for it."""
     is_expected: bool = False
     """Best and fewest are means over rollouts of the planner in rooms with noise or slip; an episode can do better by

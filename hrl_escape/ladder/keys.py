@@ -124,7 +124,7 @@ class RoomKeys(NamedTuple):
 
     content: str  # everything that can be observed or computed in the room
     layout: LayoutKey
-    """What stands where; of version 1 a hash of places rounded to 0.5 m and directions to 30 degrees, of version 2
+    """Places of all things; of version 1 a hash of places rounded to 0.5 m and directions to 30 degrees, of version 2
     points that are compared with a margin, see `layouts.py`."""
     task: str  # the puzzle up to the numbers of its buttons
 

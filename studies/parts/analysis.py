@@ -1,4 +1,4 @@
-"""Which part of a hierarchy pays: registered runs, answers by rule, and a page with its abstract of eight sentences."""
+"""Parts of a hierarchy: registered runs, answers by rule, and a page with its abstract of eight sentences."""
 
 from __future__ import annotations
 

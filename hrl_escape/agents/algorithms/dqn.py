@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from hrl_escape.agents.agent import GoalRule, SMDPTransition, count_actions, count_steps
-from hrl_escape.agents.components.bonuses import NoveltySettings, make_bonus
+from hrl_escape.agents.components.bonuses import NoveltySettings
+from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
-from hrl_escape.agents.components.bonuses import NoveltySettings, make_bonus
+from hrl_escape.agents.components.bonuses import NoveltySettings
+from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.memory import cut_stretches, make_memory
 from hrl_escape.agents.components.networks import (

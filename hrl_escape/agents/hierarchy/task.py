@@ -77,7 +77,7 @@ class Step(NamedTuple):
     seen: Seen  # where it was done
     action: int  # which primitive
     reward: float
-    """What the environment paid, discounted within the primitive where it lasts several steps (an option of the
+    """Reward of the environment, discounted within the primitive where it lasts several steps (an option of the
     environment)."""
     summed: float  # the same without discount
     duration: int  # steps of the environment, 1 for a true primitive

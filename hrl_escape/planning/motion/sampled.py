@@ -40,7 +40,7 @@ WAY_CHECKS = 40_000
 that RRT-Connect finds."""
 ARM_CHECKS = 20_000
 """Configurations that are tested for one motion of the arm."""
-PLACES = 12
+STANDS = 12
 """Places of the base at which inverse kinematics looks for postures."""
 IK_SEEDS = 8
 INSIDE = 0.2
@@ -235,7 +235,7 @@ class MotionSampler:
         away = np.hypot(*(table.get_centres()[within] - (state.x, state.y)).T)
         cells = cells[np.argsort(away, kind="stable")]
         found = []
-        for i, j in cells[np.linspace(0, len(cells) - 1, min(PLACES, len(cells))).astype(int)].tolist():
+        for i, j in cells[np.linspace(0, len(cells) - 1, min(STANDS, len(cells))).astype(int)].tolist():
             x, y = table.get_centres()[i, j].tolist()
             at = state._replace(x=x, y=y, heading_steps=int(costs[i, j].argmin()))
             if len(postures := find_postures(at)):

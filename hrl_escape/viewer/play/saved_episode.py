@@ -27,7 +27,7 @@ class SavedEpisode:
     moves: tuple[tuple[str, tuple[int, ...], str], ...]  # name, primitives and ending of each move, in order
     total: float  # undiscounted return
     end: EpisodeEnd | None
-    """How the episode ended; None in a file of schema 1, which only says whether the robot escaped."""
+    """The episode's end; None in a file of schema 1, which only says whether the robot escaped."""
 
     @property
     def primitives(self) -> tuple[int, ...]:

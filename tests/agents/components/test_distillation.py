@@ -11,7 +11,8 @@ import pytest
 
 from hrl_escape.agents import make_agent
 from hrl_escape.agents.algorithms.dqn import DQNSettings
-from hrl_escape.agents.components.bonuses import CountBonus, DistillationBonus, make_bonus
+from hrl_escape.agents.components.bonuses import CountBonus
+from hrl_escape.agents.components.distillation import DistillationBonus, make_bonus
 from tests.agents.running import interact, learn
 from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
 

@@ -1,0 +1,150 @@
+"""Exploration by random network distillation (Burda et al. 2018), beside counts.
+
+A network learns to predict the outputs of another whose random weights never change. Its error is large at
+observations unlike those it has learned from, so it stands in for counts where no cells can be made, as with pictures.
+
+As in the paper, observations are whitened by their running mean and deviation and clipped to +-5. The paper gives
+novelty a value of its own that ignores the ends of episodes, for an agent paid for novelty in the same value puts off
+the end to collect more. Here one value holds both rewards, so the bonus is never positive, as with counts: the error is
+divided by its running mean, capped at 1, and 1 is taken off.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hrl_escape.agents.components.bonuses import CountBonus
+from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.components.networks import (
+    Learner,
+    ObservationEncoder,
+    make_forward,
+    make_generator,
+    make_network,
+)
+from hrl_escape.agents.state import Kept, Stateful
+
+FEATURES = 32
+"""Outputs of the random network."""
+BATCH = 32
+"""Observations in an update of the predictor, each learned from once."""
+LARGE_BATCH = 256
+"""Most observations in an update, where streams show many at once."""
+CLIP = 5.0
+"""Bound on whitened observations."""
+
+
+class DistillationBonus(Stateful):
+    """Prediction error of a random network's outputs, and the bonus that it gives.
+
+    Args:
+        space: of the observations, vectors or pictures.
+        seed: of the agent; the weights follow from it and from nothing else.
+        weight: largest cost of a familiar observation, in units of return.
+        settings: of the agent's networks; the predictor learns at their learning rate.
+        agent: name of the agent, for messages.
+    """
+
+    STATE = ("_learner", "_visits", "_errors", "_mean", "_squares", Kept("_kept_batch", "batch"))
+
+    def __init__(
+        self, space: gymnasium.Space, seed: int, weight: float, settings: Any, agent: str
+    ) -> None:
+        self._weight = weight
+        self._encoder = encoder = ObservationEncoder(space, settings.scale_observations)
+        generator = make_generator(make_rng(seed, "distillation"))
+        self._random = make_network(encoder, FEATURES, settings, generator).requires_grad_(False)
+        self._predictor = make_network(encoder, FEATURES, settings, generator)
+        self._forward_random, self._forward = make_forward(self._random), make_forward(self._predictor)
+        networks = {"random": self._random, "predictor": self._predictor}
+        self._learner = Learner(agent, networks, ["predictor"], settings)
+        self._visits, self._errors = 0, 0.0
+        self._mean, self._squares = np.zeros(encoder.shape), np.zeros(encoder.shape)
+        self._batch: list[NDArray] = []
+
+    def visit(self, observation: Any) -> float:
+        """Learn from an observation; returns the bonus that it gives before, 0 or below, in units of return."""
+        whitened = self._whiten(self._encoder.encode(observation))
+        error = float(((self._forward(whitened) - self._forward_random(whitened)) ** 2).mean())
+        self._errors += error
+        self._batch.append(whitened)
+        if len(self._batch) == BATCH:
+            batch, self._batch = torch.from_numpy(np.stack(self._batch)), []
+            self._learner.minimise(((self._predictor(batch) - self._random(batch)) ** 2).mean())
+        share = error * self._visits / self._errors if self._errors else 1.0
+        return self._weight * (min(share, 1.0) - 1.0)
+
+    def visit_many(self, observation: NDArray) -> NDArray[np.float32]:
+        """Learn from a batch of observations (n, ...); returns the bonuses that they give before, (n,).
+
+        The predictor makes one update, on at most `LARGE_BATCH` of them, evenly spaced.
+        """
+        if not len(observation):
+            return np.zeros(0, np.float32)
+        whitened = torch.from_numpy(self._whiten_many(self._encoder.encode_many(torch.from_numpy(observation)).numpy()))
+        with torch.no_grad():
+            errors = ((self._predictor(whitened) - self._random(whitened)) ** 2).mean(dim=1).numpy()
+        self._errors += float(errors.sum())
+        some = whitened[:: -(-len(whitened) // LARGE_BATCH)]
+        self._learner.minimise(((self._predictor(some) - self._random(some)) ** 2).mean())
+        shares = errors * (self._visits / self._errors) if self._errors else np.ones_like(errors)
+        return (self._weight * (np.minimum(shares, 1.0) - 1.0)).astype(np.float32)
+
+    def _whiten_many(self, encoded: NDArray) -> NDArray:
+        """The same as `_whiten` for a batch, with moments that count all of it (Chan, Golub and LeVeque 1983)."""
+        before, self._visits = self._visits, self._visits + len(encoded)
+        if self._encoder.is_image:
+            return encoded
+        mean = encoded.mean(axis=0, dtype=np.float64)
+        apart = mean - self._mean
+        self._mean = self._mean + apart * (len(encoded) / self._visits)
+        self._squares = (self._squares + ((encoded - mean) ** 2).sum(axis=0)
+                         + apart**2 * (before * len(encoded) / self._visits))
+        return self._scale(encoded)
+
+    def _scale(self, encoded: NDArray) -> NDArray:
+        deviation = np.sqrt(self._squares / self._visits)
+        return np.clip((encoded - self._mean) / np.maximum(deviation, 1e-6), -CLIP, CLIP).astype(np.float32)
+
+    def _whiten(self, encoded: NDArray) -> NDArray:
+        """Count an encoded observation in the running moments (Welford 1962), then whiten it; pictures stay bytes."""
+        self._visits += 1
+        if self._encoder.is_image:
+            return encoded
+        before = encoded - self._mean
+        self._mean = self._mean + before / self._visits
+        self._squares = self._squares + before * (encoded - self._mean)
+        return self._scale(encoded)
+
+    @property
+    def _kept_batch(self) -> NDArray:
+        """Whitened observations that wait for the predictor's next update, (n, *observation shape)."""
+        return np.array(self._batch, self._encoder.dtype).reshape(-1, *self._encoder.shape)
+
+    @_kept_batch.setter
+    def _kept_batch(self, saved: NDArray) -> None:
+        self._batch = list(saved)
+
+
+def make_bonus(
+    space: gymnasium.Space, seed: int, settings: Any, agent: str
+) -> CountBonus | DistillationBonus:
+    """The bonus that an agent's settings ask for; with a weight of 0 it counts nothing.
+
+    Args:
+        space: of the observations.
+        seed: of the agent.
+        settings: of the agent: `bonus`, `bonus_weight`, `bonus_bins` and those of networks.
+        agent: its name, for messages.
+
+    Raises:
+        UnsupportedSpaceError: observations that the bonus cannot use.
+    """
+    if settings.bonus_weight and settings.bonus == "distillation":
+        return DistillationBonus(space, seed, settings.bonus_weight, settings, agent)
+    return CountBonus(space, settings, agent)
