@@ -101,10 +101,9 @@ def test_a_map_keeps_out_of_more_footprints():
 
 
 def test_a_motion_that_presses_another_target_too_is_not_taken():
-    config = get_preset("paper-two-button")
-    room = generate(config, 0)
+    room = generate(get_preset("arm-two-button"), 0)
     first, second = room.targets
-    between = dataclasses.replace(second, x=first.x, y=first.y, yaw=first.yaw)  # both where the first is
-    planner = RoomPlanner(dataclasses.replace(room, targets=(first, between)))
+    there = dataclasses.replace(second, x=first.x, y=first.y, z=first.z, yaw=first.yaw)  # both in one place
+    planner = RoomPlanner(dataclasses.replace(room, targets=(first, there)))
     with pytest.raises(PlanningFailed):
         MotionSampler(planner.instance, LIMITS).plan(planner.rules.make_state(room.starts[0]), PressGoal(0))
