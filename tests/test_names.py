@@ -6,7 +6,7 @@ import io
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -31,6 +31,7 @@ def test_a_hostile_name_stays_in_its_folder(name: str, tmp_path: Path):
 
 
 @given(st.lists(st.text(), min_size=2, max_size=2, unique=True))
+@example(["a/b", "a?b"])
 def test_different_names_have_different_files(names: list[str]):
     assert make_file_name(names[0]) != make_file_name(names[1])
 

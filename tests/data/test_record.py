@@ -11,8 +11,9 @@ import hrl_escape.data
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
 from hrl_escape.data.catalogue import DataSpec, parse_spec
 from hrl_escape.data.materialise import load_data
-from hrl_escape.data.record import record
+from hrl_escape.data.record import record, train_medium
 from hrl_escape.data.tape import Tape, load_tape, save_tape
+from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 from tests.data.small import make_tape, save_small
 
@@ -61,6 +62,12 @@ def test_exploration_is_of_primitives_alone():
     assert tape.primitive_count == len(tape.about["actions"]) == 6
     assert np.array_equal(tape.option, tape.action) and (tape.duration == 1).all()
     np.testing.assert_allclose(np.bincount(tape.action) / len(tape.action), 1 / 6, atol=0.04)
+
+
+def test_medium_learns_as_it_is_recorded_exploring_a_tenth_of_the_time(tmp_path, monkeypatch):
+    monkeypatch.setitem(train_medium.__globals__, "MEDIUM_PRIMITIVES", 40)
+    agent = train_medium(load_benchmark("ladder-1")["pair"].train[:2], tmp_path / "run")
+    assert agent.settings.epsilon_start == agent.settings.epsilon_end == 0.1
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ MUTATIONS = [
         "data/record.py",
         '"epsilon_start": RANDOM_SHARE, "epsilon_end": RANDOM_SHARE',
         "",
-        "data/test_record.py::test_medium_is_half_way_between_what_learns_nothing_and_the_planner",
+        "data/test_record.py::test_medium_learns_as_it_is_recorded_exploring_a_tenth_of_the_time",
     ),
     Mutation(
         "a table discounts by one gamma a decision",
