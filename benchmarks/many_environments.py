@@ -4,6 +4,7 @@
     python -m benchmarks.many_environments rates --counts 4096 --threads 2    # both cores at work
     python -m benchmarks.many_environments options             # options a second, beside the single environment
     python -m benchmarks.many_environments pixels              # frames of the robot's camera, beside Bullet's
+    python -m benchmarks.many_environments rates --device cuda --counts 4096 65536 --contenders "1 epoch"
     python -m benchmarks.many_environments rates --quick       # seconds: shows that everything runs
 
 `ppo` at its default settings but for the epochs, `dqn` at its own, Stable-Baselines3's PPO (`sb3`) at its own (10
@@ -39,12 +40,12 @@ RATED: dict[str, tuple[str, dict[str, Any]]] = {
 """Contender -> agent and settings."""
 
 
-def measure_ours(contender: str, count: int, budget: int, threads: int) -> dict[str, float]:
+def measure_ours(contender: str, count: int, budget: int, threads: int, device: str = "cpu") -> dict[str, float]:
     """Primitives of a room that an agent learns from in a second."""
     agent, settings = RATED[contender]
     env: Any = (gymnasium.make(RATES, observation="features") if count == 1 else
                 gymnasium.make_vec(RATES, num_envs=count, output="torch", observation="features",
-                                   compile=count >= COMPILED))
+                                   compile=count >= COMPILED, device=device))
 
     def run(primitives: int) -> int:
         return train(agent, env, primitives=primitives, eval_episodes=0, progress=False, settings=settings,
@@ -53,56 +54,60 @@ def measure_ours(contender: str, count: int, budget: int, threads: int) -> dict[
     run(min(budget, 8 * 2048))
     started, clock = time.process_time(), time.perf_counter()
     primitives = run(budget)
-    return {"rate": primitives / (time.process_time() - started), "wall": primitives / (time.perf_counter() - clock)}
+    return _tell_rates(primitives, started, clock)
 
 
-def measure_peer(count: int, budget: int, threads: int) -> dict[str, float]:
+def measure_peer(count: int, budget: int, threads: int, device: str = "cpu") -> dict[str, float]:
     """The same of Stable-Baselines3's PPO."""
     from stable_baselines3 import PPO
     from stable_baselines3.common.env_util import make_vec_env
 
     env = make_vec_env(lambda: gymnasium.make(RATES, observation="features"), n_envs=count)
-    model = PPO("MlpPolicy", env, n_steps=2048 // count, device="cpu")
+    model = PPO("MlpPolicy", env, n_steps=2048 // count, device=device)
     torch.set_num_threads(threads)
     started, clock = time.process_time(), time.perf_counter()
     model.learn(budget)
     torch.set_num_threads(1)
-    return {"rate": model.num_timesteps / (time.process_time() - started),
-            "wall": model.num_timesteps / (time.perf_counter() - clock)}
+    return _tell_rates(model.num_timesteps, started, clock)
 
 
-def measure_options(contender: str, count: int, room: str, quick: bool) -> float:
-    """Masked random options that end in a second of processor time."""
+def measure_options(contender: str, count: int, room: str, quick: bool, device: str = "cpu") -> dict[str, float]:
+    """Masked random options that end in a second."""
     name, arguments = f"hrl_escape/{room}Options-v1", {"observation": "features", "include_primitives": False}
     rng, steps = np.random.default_rng(0), 20 if quick else 60
     if contender == "single":
         env: Any = gymnasium.make(name, **arguments)
         _, info = env.reset(seed=0)
-        started = 0.0
+        started, clock = 0.0, 0.0
         for number in range(50 + 10 * steps):
             if number == 50:  # kernels are loaded, and some plans remembered
-                started = time.process_time()
+                started, clock = time.process_time(), time.perf_counter()
             *_, terminated, truncated, info = env.step(int(rng.choice(np.flatnonzero(info["action_mask"]))))
             if terminated or truncated:
                 _, info = env.reset()
-        return 10 * steps / (time.process_time() - started)
+        return _tell_rates(10 * steps, started, clock)
     env = gymnasium.make_vec(name, num_envs=count, output="torch", autoreset_mode="SameStep",
-                             compile=contender.endswith("compiled"), **arguments)
+                             compile=contender.endswith("compiled"), device=device, **arguments)
     if contender == "vector environment":
         _, info = env.reset(seed=0)
-        started = time.process_time()
+        started, clock = time.process_time(), time.perf_counter()
         for _ in range(steps // 5):
             *_, info = env.step(torch.multinomial(info["action_mask"].float(), 1).squeeze(1))
-        return count * (steps // 5) / (time.process_time() - started)
+        return _tell_rates(count * (steps // 5), started, clock)
     streams: Any = env.unwrapped
     streams, ended = streams.get_streams(), 0
     streams.reset(0)
     for _ in range(2):  # kernels are compiled or loaded
         streams.step(torch.multinomial(streams.action_mask.float(), 1).squeeze(1))
-    started = time.process_time()
+    started, clock = time.process_time(), time.perf_counter()
     for _ in range(steps):
         ended += int(streams.step(torch.multinomial(streams.action_mask.float(), 1).squeeze(1)).where.sum())
-    return ended / (time.process_time() - started)
+    return _tell_rates(ended, started, clock)
+
+
+def _tell_rates(count: int, started: float, clock: float) -> dict[str, float]:
+    """So many in a second of processor time, and of wall time, since then."""
+    return {"rate": count / (time.process_time() - started), "wall": count / (time.perf_counter() - clock)}
 
 
 def measure_pixels(contender: str, count: int, room: str, quick: bool) -> float:
@@ -128,34 +133,33 @@ def measure_pixels(contender: str, count: int, room: str, quick: bool) -> float:
 
 def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """What each run is, without its outcome."""
-    if arguments.what == "options":
-        return [{"what": "options", "contender": contender, "count": count, "round": number, "room": room}
-                for number in range(arguments.rounds) for room in arguments.rooms
-                for contender, counts in (("single", [1]), ("vector environment", arguments.counts),
-                                          ("own pace", arguments.counts), ("own pace, compiled", arguments.counts))
-                for count in counts]
-    if arguments.what == "pixels":
-        return [{"what": "pixels", "contender": contender, "count": count, "round": number, "room": room}
-                for number in range(arguments.rounds) for room in arguments.rooms
-                for contender, counts in (("single", [1]), ("batch", arguments.counts))
-                for count in counts]
-    return [{"what": "rates", "contender": contender, "count": count, "round": number, "threads": arguments.threads}
-            for number in range(arguments.rounds)
-            for contender, counts in (*((name, arguments.counts) for name in RATED), ("sb3", PEERS))
-            for count in counts]
+    what, counts = arguments.what, arguments.counts
+    if what == "options":
+        contenders = [("single", [1]), ("vector environment", counts), ("own pace", counts),
+                      ("own pace, compiled", counts)]
+    elif what == "pixels":
+        contenders = [("single", [1]), ("batch", counts)]
+    else:
+        contenders = [*((name, counts) for name in RATED), ("sb3", PEERS)]
+    own = {"threads": arguments.threads} if what == "rates" else {}
+    return [{"what": what, "contender": contender, "count": count, "round": number, "device": arguments.device,
+             **({} if room is None else {"room": room}), **own}
+            for number in range(arguments.rounds) for room in arguments.rooms
+            for contender, several in contenders if not arguments.contenders or contender in arguments.contenders
+            for count in several]
 
 
 def execute(run: dict[str, Any], quick: bool) -> dict[str, Any]:
     """Outcome of a run."""
-    count, peer = run["count"], run["contender"] == "sb3"
+    count, peer, device = run["count"], run["contender"] == "sb3", run["device"]
     if run["what"] == "options":
-        return {"rate": measure_options(run["contender"], count, run["room"], quick)}
+        return measure_options(run["contender"], count, run["room"], quick, device)
     if run["what"] == "pixels":
         return {"rate": measure_pixels(run["contender"], count, run["room"], quick)}
     budget = 4_096 if quick or peer or count <= 8 else 512 * count
     if peer:
-        return measure_peer(count, budget, run["threads"])
-    return measure_ours(run["contender"], count, budget, run["threads"])
+        return measure_peer(count, budget, run["threads"], device)
+    return measure_ours(run["contender"], count, budget, run["threads"], device)
 
 
 def summarise(rows: list[dict[str, Any]], what: str) -> str:
@@ -183,6 +187,8 @@ def main() -> None:
     parser.add_argument("what", choices=["rates", "options", "pixels"])
     parser.add_argument("--counts", nargs="+", type=int, help="numbers of environments")
     parser.add_argument("--rooms", nargs="+", help="rooms of options and pixels")
+    parser.add_argument("--contenders", nargs="+", default=(), help="lines of the table to measure; by default all")
+    parser.add_argument("--device", default="cpu", help="of rooms and networks: cpu, cuda, ...")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=1, help="threads of torch, for rates")
     parser.add_argument("--out", type=Path, default=Path("many_environments.jsonl"), help="where runs are kept")
@@ -205,7 +211,8 @@ def main() -> None:
     for room in arguments.rooms:
         print(*([] if room is None else [f"\n{room}\n"]), sep="", end="")
         kept = [row for row in rows
-                if row.get("room") == room and row.get("threads", arguments.threads) == arguments.threads]
+                if row.get("room") == room and row.get("threads", arguments.threads) == arguments.threads
+                and row["device"] == arguments.device]
         print(summarise(kept, arguments.what))
 
 
