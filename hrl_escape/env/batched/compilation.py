@@ -26,6 +26,8 @@ from hrl_escape.errors import BatchError, UnsupportedError
 # step (`python -m benchmarks.batch`). Shapes are compared here, and indices come from the tables.
 _OPTIONS: dict[str, bool] = {"size_asserts": False, "assert_indirect_indexing": False}
 _CPU_OPTIONS: dict[str, int] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
+# An accelerator's kernels are not tried out while they are compiled: on made-up indices they leave the tables.
+_ACCELERATOR_OPTIONS: dict[str, bool] = {"triton.autotune_at_compile_time": False}
 
 
 def check_compiler(device: torch.device) -> None:
@@ -56,7 +58,8 @@ class CompiledStep:
                 cache on disk ignores them unless they are part of its key.
         """
         self._step = step
-        self._options = _OPTIONS | (_CPU_OPTIONS | {"cpp.threads": threads} if device == "cpu" else {})
+        self._options = _OPTIONS | (_CPU_OPTIONS | {"cpp.threads": threads} if device == "cpu" else
+                                    _ACCELERATOR_OPTIONS)
         self._kernel: Callable[..., Any] | None = None
         self._forms: list[tuple[torch.Size, torch.dtype]] = []
         self._flags: list[int] = []
