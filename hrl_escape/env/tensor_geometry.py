@@ -34,6 +34,15 @@ def store(value: Tensor) -> Tensor:
     return value.as_strided(value.shape, value.stride())
 
 
+def wrap(number: Tensor, period: Tensor | int) -> Tensor:
+    """Remainder of whole numbers, 0 or more, of the same dtype; exact below 2^22.
+
+    In single precision: vectors have no division of whole numbers.
+    """
+    whole = number.to(torch.float32)
+    return (whole - torch.floor((whole + 0.5) / period) * period).to(number.dtype)
+
+
 def as_flags(where: Tensor) -> Tensor:
     """The same truth values, found in double precision, in the form in which kernels combine truth values, bool.
 

@@ -23,6 +23,7 @@ from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.tables import Layout, pick
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.tensor_geometry import wrap
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.batched.field_grid import FieldGrid
 from hrl_escape.options.batched.postures import FAR, POSTURES, PostureLibrary, choose_postures
@@ -222,7 +223,7 @@ def interpolate_cost(layout: Layout, fields: CostFields, instance: Tensor, field
     aside = pick(layout, fields.shape, instance)[1] * fields.classes
     layers = [(heading, torch.ones_like(place.across))]
     if between is not None:
-        layers = [(heading, 1.0 - between), (torch.remainder(heading + 1, fields.classes), between)]
+        layers = [(heading, 1.0 - between), (wrap(heading + 1, fields.classes), between)]
     total, weight = torch.zeros_like(place.across), torch.zeros_like(place.across)
     for layer, part in layers:
         for far_x in (False, True):
@@ -245,8 +246,8 @@ def classify_headings(layout: Layout, fields: CostFields, state: TensorState) ->
     """Heading class of each room, int64 (rooms,), and the share of the way to the next class."""
     steps = state.heading_steps.to(torch.int64)
     if not layout.has_offsets:
-        return torch.remainder(steps, fields.classes), None
+        return wrap(steps, fields.classes), None
     beyond = (state.heading_offset - pick(layout, fields.offsets, state.instance)[0]) * (layout.headings / math.tau)
     whole = torch.floor(beyond + 1e-9)
     share = (beyond - whole).clamp(min=0.0).to(torch.float32)
-    return torch.remainder(steps + whole.to(torch.int64), fields.classes), share
+    return wrap(steps + whole.to(torch.int64), fields.classes), share

@@ -21,7 +21,7 @@ from hrl_escape.env.batched.compilation import CompiledStep
 from hrl_escape.env.batched.engine import TensorRoom, list_shapes
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors
-from hrl_escape.env.tensor_geometry import Shapes, store
+from hrl_escape.env.tensor_geometry import Shapes, store, wrap
 from hrl_escape.options.batched.cost_to_go import CostFields, classify_headings, interpolate_cost, locate
 from hrl_escape.options.batched.decisions import CHOSEN, OpenDecisions
 from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
@@ -102,7 +102,7 @@ def estimate_hand_costs(layout: Layout, tables: Tables, fields: CostFields, stat
     shifts = reach.shifts.gather(1, best.expand(2, 1, -1))
     cos, sin = rotate(layout, tables, state, turn)
     place = locate(layout, fields, state.instance, *_displace(x, y, cos, sin, *shifts))
-    facing = torch.remainder(heading + turn, fields.classes).expand_as(x)
+    facing = wrap(heading + turn, fields.classes).expand_as(x)
     way = interpolate_cost(layout, fields, state.instance, reach.fields.gather(0, best), place, facing, between)
     touch, _ = _find_least_steps(tables, reach, x, y, cos, sin)
     return torch.minimum(torch.where(is_held, UNREACHABLE, touch), way.clamp(min=1.0) + reach.chosen.gather(0, best))

@@ -23,6 +23,7 @@ from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rules import is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables, pick
 from hrl_escape.env.observations.base import BatchObservation
+from hrl_escape.env.tensor_geometry import wrap
 from hrl_escape.options.batched.cost_to_go import CostFields, classify_headings, interpolate_cost, locate
 from hrl_escape.options.batched.decisions import (
     CHOSEN,
@@ -53,8 +54,9 @@ PLAN_AFTER = 4
 """Primitives without progress after which an option follows a plan instead of its field."""
 FAIL_AFTER = 120
 """Primitives without progress after which it fails; more where primitives slip."""
-_OF_GOAL = ("age", "postures", "least", "stalled", "cells", "costs", "plan", "plan_left")
-_OF_RUN = (*_OF_GOAL, "option", "run", "goal", "order", "order_left")
+_OF_GOAL = ("age", "postures", "least", "stalled", "cells", "costs", "plan_left")
+_OF_RUN = (*_OF_GOAL, "option", "run", "goal", "order_left")
+_UNREAD = ("plan", "order")  # while nothing of them is left: they stay as they are
 _MASK = 0xFFFFFFFF
 REACHED, TIMEOUT, EPISODE_OVER, FAILED, INTERRUPTED = range(len(ENDINGS))
 
@@ -179,7 +181,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
 def _watch_progress(running: OpenDecisions, choice: Choice, is_wasting: Tensor) -> OpenDecisions:
     """Remember the choice's cell and cost, and count primitives without progress."""
     is_nearer = choice.cost < running.least - 0.5
-    slot = torch.arange(MEMORY, device=is_nearer.device).unsqueeze(1) == running.age % MEMORY
+    slot = torch.arange(MEMORY, device=is_nearer.device).unsqueeze(1) == wrap(running.age, MEMORY)
     slot = slot & ~is_wasting
     return running._replace(
         least=torch.where(is_wasting, running.least, torch.minimum(running.least, choice.cost)),
@@ -215,6 +217,7 @@ def begin_decisions(layout: Layout, settings: StepSettings, running: OpenDecisio
     fresh = make_decisions(observation)._replace(action=action, option=option, goal=goal)
     is_new_run = where & ((option < 0) | (option != running.option))
     return OpenDecisions(*(
+        old if name in _UNREAD else
         torch.where(is_new_run if name in _OF_RUN else where.unsqueeze(1) if new is observation else where, new, old)
         for name, new, old in zip(OpenDecisions._fields, fresh, running, strict=True)))
 
@@ -333,7 +336,7 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
     if depth == 1:
         place = locate(layout, fields, instance, x, y)
         heading, between = classify_headings(layout, fields, state)
-        facing = torch.remainder(heading + turn, fields.classes)
+        facing = wrap(heading + turn, fields.classes)
         way_out = len(fields.begins) - 1
         field = torch.where(is_press if reach is None else torch.zeros_like(is_press), 2 * goal + is_open, way_out)
         after = interpolate_cost(layout, fields, instance, field, place, facing, between)
@@ -342,8 +345,9 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
                                         touched & own != 0)
             after = torch.where(is_press, press, after)
         keys = place.cell * fields.classes + facing
-        found = torch.where(cells.unsqueeze(1) == keys, costs.unsqueeze(1), 0.0).amax(0)
-        after = torch.maximum(after, found).clamp(min=1.0) + (touched & own != 0)
+        for cell, cost in zip(cells, costs, strict=True):
+            after = torch.maximum(after, torch.where(cell == keys, cost, 0.0))
+        after = after.clamp(min=1.0) + (touched & own != 0)
     else:
         after = _estimate_from_successors(layout, tables, fields, state, goal, postures, cells, costs, depth, x, y,
                                           touched, turn)
@@ -359,7 +363,7 @@ def _estimate_from_successors(layout: Layout, tables: Tables, fields: CostFields
     """Cost-to-go after each base primitive: one more than that of the best primitive to follow it."""
     count = len(x)
     later = TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
-    headings = torch.remainder(state.heading_steps + turn, layout.headings).to(torch.int32)
+    headings = wrap(state.heading_steps + turn, layout.headings).to(torch.int32)
     later = later._replace(x=x.flatten(), y=y.flatten(), heading_steps=headings.flatten(), touching=touched.flatten())
     goals, later_postures = goal.repeat(count), postures.repeat(1, count)
     reach = find_reach(layout, tables, fields, later, goals, later_postures) if presses_by_hand(layout) else None

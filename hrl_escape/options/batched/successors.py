@@ -7,15 +7,16 @@ rooms last.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.arm import compute_hand
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
-from hrl_escape.env.batched.tables import Layout, Tables, pick, pick_rules
+from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, compute_distance, compute_first_contact
+from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, compute_distance, compute_first_contact, store, wrap
 
 
 def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
@@ -42,7 +43,7 @@ def compute_resting_hand(layout: Layout, state: TensorState) -> list[Tensor | fl
 
 def rotate(layout: Layout, tables: Tables, state: TensorState, turn: Tensor) -> tuple[Tensor, Tensor]:
     """Cosine and sine of the headings after turns, int64 (cases, 1), in turn steps; (cases, rooms) each."""
-    headings = torch.remainder(state.heading_steps + turn, layout.headings)
+    headings = wrap(state.heading_steps + turn, layout.headings)
     return compute_rotation(layout, tables, state._replace(heading_steps=headings))
 
 
@@ -78,11 +79,9 @@ def find_touched_by_body(layout: Layout, tables: Tables, state: TensorState, x: 
     """Bits of the targets that the body touches at positions (primitives, rooms), int64."""
     if not layout.targets:
         return torch.zeros_like(x, dtype=torch.int64)
-    targets: Shapes = pick(layout, tables.round_targets, state.instance)
-    reach = pick(layout, tables.target_reach, state.instance)
-    touched = compute_distance(x.unsqueeze(1), y.unsqueeze(1), targets) <= reach  # (primitives, targets, rooms)
-    places = torch.arange(layout.targets, device=x.device).unsqueeze(1)
-    return (touched.to(torch.int64) << places).sum(1)
+    targets, reach = _add_cases((pick(layout, tables.round_targets, state.instance),
+                                 pick(layout, tables.target_reach, state.instance)))
+    return _pack(compute_distance(x, y, targets) <= reach)
 
 
 def find_touched_by_hand(layout: Layout, tables: Tables, instance: Tensor, hand: Sequence[Tensor | float], x: Tensor,
@@ -101,11 +100,20 @@ def find_touched_by_hand(layout: Layout, tables: Tables, instance: Tensor, hand:
     """
     ahead, left, up = hand
     room_x, room_y = x + cos * ahead - sin * left, y + sin * ahead + cos * left
-    targets: Shapes = pick(layout, tables.round_targets, instance)
-    away = compute_distance(room_x.unsqueeze(1), room_y.unsqueeze(1), targets)  # (cases, targets, rooms)
-    height = up.unsqueeze(-2) if isinstance(up, Tensor) else up
-    beyond = (height - pick(layout, tables.target_z, instance)).abs() - pick(layout, tables.target_half_z, instance)
-    above = beyond.clamp(min=0.0)
-    touched = torch.sqrt(away * away + above * above) <= layout.robot.hand_radius + layout.dynamics.press_margin
-    places = torch.arange(layout.targets, device=x.device).unsqueeze(1)
-    return (touched.to(torch.int64) << places).sum(1)
+    targets, z, half_z = _add_cases((pick(layout, tables.round_targets, instance),
+                                     pick(layout, tables.target_z, instance),
+                                     pick(layout, tables.target_half_z, instance)))
+    away, above = compute_distance(room_x, room_y, targets), ((up - z).abs() - half_z).clamp(min=0.0)
+    return _pack(torch.sqrt(away * away + above * above) <= layout.robot.hand_radius + layout.dynamics.press_margin)
+
+
+def _add_cases(table: Any) -> Any:
+    """Tables (targets, rooms) as (targets, 1, rooms), so that sums over targets come before rooms."""
+    return map_tensors(lambda column: column.unsqueeze(1), table)
+
+
+def _pack(touched: Tensor) -> Tensor:
+    """Bits of truth values (targets, cases, rooms), int64 (cases, rooms)."""
+    word = torch.int32 if len(touched) < 32 else torch.int64
+    places = torch.arange(len(touched), dtype=word, device=touched.device).view(-1, 1, 1)
+    return store(touched.to(word) << places).sum(0, dtype=word).to(torch.int64)
