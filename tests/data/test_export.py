@@ -28,6 +28,16 @@ def test_ogbench_files_have_a_row_a_state_and_one_trajectory_in_ten_is_for_valid
     assert (training["masks"] == 0).sum() + (validation["masks"] == 0).sum() == whole.terminated.sum()
 
 
+def test_few_trajectories_leave_one_for_validation_and_a_single_one_is_refused(tmp_path):
+    data = load_data(make_tape(primitives=200), observation="features")
+    count = int(data.read().trajectory[-1]) + 1
+    assert 1 < count < 10
+    training, validation = (dict(np.load(path)) for path in to_ogbench(data, tmp_path))
+    assert (training["terminals"].sum(), validation["terminals"].sum()) == (count - 1, 1)
+    with pytest.raises(UnsupportedError, match="two or more"):
+        to_ogbench(load_data(make_tape(primitives=5), observation="features"), tmp_path)
+
+
 def test_ogbenchs_own_loader_gives_the_transitions(tmp_path):
     utils = pytest.importorskip("ogbench.utils")
     data = load_data(make_tape(), observation="features")

@@ -255,7 +255,7 @@ def find_schematic(instance: RoomInstance) -> RoomConfig:
         if instance.seed is not None and sample_puzzle(config, instance.seed)[1] == instance.puzzle:
             return config
     raise UnsupportedError(f"which schematic room {instance.id} ({instance.name}) was drawn from is not known: take a "
-                           "preset or a rung of the ladder")
+                           "preset, a rung of the ladder, or an InstanceSet, which holds its schematic")
 
 
 def _list_schematics(name: str) -> Iterator[RoomConfig]:
