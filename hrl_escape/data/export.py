@@ -103,9 +103,10 @@ def _make_buffer(kind: Any, number: int, part: Any, data: DataSet) -> Any:
 def to_ogbench(data: DataSet, folder: str | PathLike[str]) -> tuple[Path, Path]:
     """Write `NAME.npz` and `NAME-val.npz` as OGBench's loader reads them; returns the two paths.
 
-    Every tenth trajectory is for validation; of fewer than ten, the last. Every trajectory has a row a state: float32 `observations`, `actions`, and `terminals`, 1 in its last row, whose
-    action is none. Beside these are `rewards`, `masks` (0 where the task ended, 1 where it was cut), and, of decisions,
-    `durations`, `discounts` and `action_masks`.
+    Every tenth trajectory is for validation; of fewer than ten, the last. A trajectory has a row a state: float32
+    `observations`, `actions`, and `terminals`, 1 in its last row, whose action is none. Beside these are `rewards`,
+    `masks` (0 where the task ended, 1 where it was cut), and, of decisions, `durations`, `discounts` and
+    `action_masks`.
 
     Raises:
         UnsupportedError: a single trajectory, of which nothing can be left for validation.
@@ -119,8 +120,8 @@ def to_ogbench(data: DataSet, folder: str | PathLike[str]) -> tuple[Path, Path]:
     if not validation:
         validation.update({name: [values.pop()] for name, values in training.items() if len(values) > 1})
     if not validation:
-        raise UnsupportedError(f"{data.name} has one trajectory or none, and OGBench's format wants two or more: one is "
-                               "for validation")
+        raise UnsupportedError(f"{data.name} has one trajectory or none, and OGBench's format wants two or more: one "
+                               "is for validation")
     paths = Path(folder) / f"{data.name}.npz", Path(folder) / f"{data.name}-val.npz"
     for path, parts in zip(paths, split, strict=True):
         arrays = {name: np.concatenate(values) for name, values in parts.items()}
