@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
@@ -17,7 +18,7 @@ from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from studies.baseline import BaselineRun, collect_baselines
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.generalisation.findings import advise, tell_best, tell_puzzle_depths, tell_room_numbers
@@ -25,6 +26,7 @@ from studies.generalisation.grids import (
     DEPTHS,
     FLAT,
     FLAT_CHANCE,
+    MANY,
     MEMORY,
     NAMES,
     OBJECTS,
@@ -34,6 +36,7 @@ from studies.generalisation.grids import (
     make_depth_grid,
     make_sizes_grid,
 )
+from studies.generalisation.many import measure_many
 from studies.ladder.calibration import CHANCE
 from studies.page import make_table
 from studies.running import refuse_failures
@@ -44,7 +47,7 @@ __all__ = ["Args", "analyse", "draw_sizes", "measure"]
 
 Args = GeneralisationArgs
 _CHANCES = dict.fromkeys(NAMES, CHANCE) | {FLAT: FLAT_CHANCE}
-_COLOURS = dict(zip(NAMES, ("#777777", "#0072b2", "#e69f00", "#d55e00"), strict=True))
+_COLOURS = dict(zip(NAMES, ("#777777", "#0072b2", "#e69f00", "#d55e00", "#009e73"), strict=True))
 _Key = TypeVar("_Key")
 
 
@@ -52,12 +55,28 @@ def measure(study: Study, args: GeneralisationArgs, store: Store) -> None:
     """Run the parts that are asked for; in the part `depth` a line's rung is the kind of room tested in."""
     bench, out = load_benchmark(study.data["benchmark"]), args.out / "generalisation"
     for part in args.part:
+        if part == "many":
+            _measure_many(bench, args, store)
+            continue
         grid = make_sizes_grid(bench, args) if part == "sizes" else make_depth_grid(bench, args, out / "sets")
         comparison = run_grid(grid, out / part, LocalLauncher(args.workers))
         refuse_failures(comparison)
         lines = collect_baselines(comparison, part, args.rung)
         store.add(lines if part == "sizes" else [dataclasses.replace(line, rung=line.rooms.split(" > ")[1])
                                                  for line in lines])
+
+
+def _measure_many(bench: Benchmark, args: GeneralisationArgs, store: Store) -> None:
+    """Runs from many rooms at once that are missing, each kept as soon as it is done."""
+    sizes = [size for size in args.sizes if size <= bench[args.rung].record.train.count]
+    own = (MANY, args.rung, args.primitives, args.rooms)
+    known = {(_count_rooms(line), line.seed) for line in store.load()
+             if (line.agent, line.rung, line.primitives, line.episodes) == own}
+    jobs = [job for size in sizes for seed in range(args.first_seed, args.first_seed + args.runs)
+            if (job := (size, seed)) not in known]
+    for line in measure_many(bench.name, args.rung, jobs, args.primitives, args.rooms, args.workers or 1):
+        store.add([line])
+        print(f"{_count_rooms(line)} rooms, seed {line.seed}: {line.efficiency:.3f}", file=sys.stderr)
 
 
 def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
@@ -67,7 +86,8 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     depth = [line for line in lines if line.protocol == "depth"]
     rungs = {rung: [line for line in sizes if line.rung == rung] for rung in dict.fromkeys(line.rung for line in sizes)}
     return Page({
-        "rungs": {rung: _describe(own) | {
+        "rungs": {rung: _describe([line for line in own if line.agent != MANY] or own) | {
+            "many": _describe(many) if (many := [line for line in own if line.agent == MANY]) else None,
             "ends": _summarise(own), "table": _tabulate_sizes(own), "best": tell_best(
                 _group((line.agent, _count_rooms(line), line) for line in own), tuple(NAMES)),
             "told": tell_room_numbers(_group((line.agent, _count_rooms(line), line) for line in own), tuple(NAMES),

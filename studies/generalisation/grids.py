@@ -18,14 +18,14 @@ from hrl_escape.ladder.instance_set import InstanceSet
 from studies.ladder.calibration import CHANCE, KNOWN
 from studies.running import GridArgs
 
-__all__ = ["DEPTHS", "FLAT", "FLAT_CHANCE", "MEMORY", "OBJECTS", "NAMES", "SEARCHERS", "TRAINED", "VECTORS",
+__all__ = ["DEPTHS", "FLAT", "FLAT_CHANCE", "MANY", "MEMORY", "OBJECTS", "NAMES", "SEARCHERS", "TRAINED", "VECTORS",
            "GeneralisationArgs", "make_depth_grid", "make_sizes_grid"]
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
 DEPTHS: dict[str, dict[str, Any]] = _DATA["depths"]
 TRAINED: str = _DATA["trained"]
 NAMES: dict[str, str] = _DATA["names"]
-FLAT, VECTORS, OBJECTS, MEMORY = NAMES
+FLAT, VECTORS, OBJECTS, MEMORY, MANY = NAMES
 FLAT_CHANCE = "random"
 SEARCHERS: dict[str, str] = _DATA["searchers"]
 
@@ -34,8 +34,8 @@ SEARCHERS: dict[str, str] = _DATA["searchers"]
 class GeneralisationArgs(GridArgs):
     """Options of the study of generalisation."""
 
-    part: tuple[Literal["sizes", "depth"], ...] = ("sizes", "depth")
-    """Parts: numbers of training rooms, deeper puzzles."""
+    part: tuple[Literal["sizes", "depth", "many"], ...] = ("sizes", "depth", "many")
+    """Parts: numbers of training rooms, deeper puzzles, and numbers again for one learner, from many rooms at once."""
     rung: str = "lattice"
     """Rung of the numbers of training rooms."""
     agents: tuple[str, ...] = ()
@@ -58,7 +58,7 @@ def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
     Raises:
         EscapeError: no such rung, or more rooms than it has.
     """
-    names = args.agents or (*NAMES, *SEARCHERS, CHANCE, FLAT_CHANCE)
+    names = args.agents or (*(name for name in NAMES if name != MANY), *SEARCHERS, CHANCE, FLAT_CHANCE)
     agents = tuple(map(AgentSpec.parse, names))
     sizes = tuple(size for size in args.sizes if size <= bench[args.rung].record.train.count)
     settings = LadderSettings(args.runs, args.primitives, args.rooms, sizes, first_seed=args.first_seed)

@@ -15,6 +15,7 @@ from studies.generalisation.grids import (
     DEPTHS,
     FLAT,
     FLAT_CHANCE,
+    MANY,
     MEMORY,
     OBJECTS,
     SEARCHERS,
@@ -23,6 +24,7 @@ from studies.generalisation.grids import (
     make_depth_grid,
     make_sizes_grid,
 )
+from studies.generalisation.many import run_many
 from studies.ladder.calibration import CHANCE
 from tests.studies.pages import tell
 
@@ -81,6 +83,22 @@ def test_rungs_have_tables_and_commands_of_their_own_and_seeds_are_counted_by_ce
     assert "2 runs: 1 training seed, 500" in page and "4 runs: 1 to 3 training seeds, 500" in page
     assert "--rung pair --primitives 500 --rooms 3 --runs 1\n" in page
     assert "--rung chain-3 --primitives 500 --rooms 3 --runs 3\n" in page
+
+
+def test_a_learner_from_many_rooms_at_once_is_told_beside_the_others_with_its_own_budget(tmp_path: Path):
+    many = dataclasses.replace(LINE, agent=MANY, primitives=1_000_000, efficiency=0.8)
+    page = tell("generalisation", [LINE, many], tmp_path)
+    assert "the same at the rung's budget 0.80 with 1" in page and f"| `{MANY}` | 0.80 (1.00) |" in page
+    assert "1 run: 1 training seed, 500 primitives" in page
+    assert "The last learner: 1 run: 1 training seed, 1,000,000 primitives" in page
+    assert "--part many --rung pair --primitives 1000000 --rooms 3 --runs 1 --workers 2\n" in page
+
+
+@pytest.mark.slow
+def test_many_rooms_at_once_teach_what_helps_in_unseen_ones():
+    short, longer = (run_many("ladder-1", "chain-3", 16, 0, primitives, 8) for primitives in (2_000, 200_000))
+    assert longer.efficiency > short.efficiency + 0.1 and longer.escapes == 1.0
+    assert longer.rooms == "ladder-1/chain-3/train[:16] > ladder-1/chain-3/test[:8]" and longer.agent == MANY
 
 
 def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: Any) -> list[BaselineRun]:
