@@ -30,6 +30,7 @@ from hrl_escape.options.batched.successors import find_touched_by_hand, rotate
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
 _PARTS = 8  # parts of a batch, weighed one at a time by a compiled kernel: about as many as primitives in a press
+_FEW = 8  # targets
 _SKIN = 1e-4  # margin of a predicted touch, m
 
 
@@ -53,7 +54,7 @@ def find_reach(layout: Layout, tables: Tables, fields: CostFields, state: Tensor
     """Look up the postures that touch every room's target, int64 (rooms,), and those chosen, int64 (chosen, rooms)."""
     target = goal.clamp(max=layout.targets - 1)
     column = torch.zeros_like(state.instance) if layout.is_shared else state.instance
-    steps, hands = (table[..., target, column] for table in (fields.postures.steps, fields.postures.hands))
+    steps, hands = (_read(table, target, column) for table in (fields.postures.steps, fields.postures.hands))
     away = (steps - state.joint_steps.unsqueeze(1)).abs().sum(0).to(torch.float32)
     shifts, numbers = (table[..., postures, target, column] for table in fields.postures[2:])
     if layout.dynamics.noise:
@@ -65,6 +66,19 @@ def find_reach(layout: Layout, tables: Tables, fields: CostFields, state: Tensor
     reach = Reach(target, column, steps, away, hands[0], hands[1], square.to(torch.float32), away.gather(0, postures),
                   shifts, numbers)
     return map_tensors(store, reach)
+
+
+def _read(table: Tensor, target: Tensor, column: Tensor) -> Tensor:
+    """Columns of the rooms' targets in a table (..., targets, instances); (..., rooms).
+
+    Chosen one target after the other where all rooms share a table of few: vectors choose faster than they look up.
+    """
+    if table.shape[-1] > 1 or table.shape[-2] > _FEW:
+        return table[..., target, column]
+    found = table[..., 0, :]
+    for number in range(1, table.shape[-2]):
+        found = torch.where(target == number, table[..., number, :], found)
+    return found.expand(*found.shape[:-1], len(target))
 
 
 def _measure_drift(layout: Layout, state: TensorState) -> Tensor:
@@ -167,7 +181,7 @@ def _weigh_postures(layout: Layout, tables: Tables, fields: CostFields, state: T
     """
     state = map_tensors(lambda field: field[..., rooms], state)
     column = torch.zeros_like(state.instance) if layout.is_shared else state.instance
-    steps, _, shifts, numbers = (table[..., goal[rooms], column] for table in fields.postures)
+    steps, _, shifts, numbers = (_read(table, goal[rooms], column) for table in fields.postures)
     away = (steps - state.joint_steps.unsqueeze(1)).abs().sum(0).to(torch.float32)
     if layout.dynamics.noise:
         shifts = shifts + _measure_drift(layout, state)[:2].unsqueeze(1)
