@@ -79,10 +79,15 @@ def make_svg(figure: Figure) -> str:
 
 def _render(figure: Figure, kind: str) -> bytes:
     import matplotlib
+    from matplotlib.backend_bases import get_registered_canvas_class
 
-    content = io.BytesIO()
-    with matplotlib.rc_context(STYLE):
-        figure.savefig(content, format=kind, metadata=_UNDATED[kind])
+    content, shown = io.BytesIO(), figure.canvas
+    try:
+        with matplotlib.rc_context(STYLE):  # `savefig` would draw it once more before, for the layout alone
+            canvas: Any = get_registered_canvas_class(kind)(figure)
+            getattr(canvas, f"print_{kind}")(content, metadata=_UNDATED[kind])
+    finally:
+        figure.set_canvas(shown)
     return content.getvalue()
 
 
