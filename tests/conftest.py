@@ -7,11 +7,15 @@ import os
 import zlib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
 
 from tests.forks import RUN, run_fork
+
+if TYPE_CHECKING:
+    from hrl_escape.comparison.comparison import Comparison
 
 # One thread a process: xdist already fills the cores, and sums split over threads differ in the last bit.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -90,3 +94,19 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         with ThreadPoolExecutor() as pool:
             for done in pool.map(lambda script: run_fork(ONCE, zlib.crc32(script.encode()), script), KERNELS):
                 assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
+    """The small comparison, run once for all tests that only read it, in whichever worker they are."""
+    from hrl_escape.comparison.comparison import read_comparison
+    from hrl_escape.processes import taking_turns
+    from tests.comparison.small import SMALL, run_quietly
+
+    shared = tmp_path_factory.getbasetemp()
+    folder = (shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared) / "small-comparison"
+    with taking_turns(folder):
+        if not (folder / "made").exists():
+            run_quietly(SMALL, folder / "out")
+            (folder / "made").touch()
+        return read_comparison(folder / "out")

@@ -3,40 +3,46 @@
 from __future__ import annotations
 
 import os
+import resource
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from multiprocessing import forkserver
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import Comparison, Shard, count_missing, read_comparison
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import LocalLauncher, read_progress
 from hrl_escape.comparison.reporting.report import write_report
+from hrl_escape.comparison.reporting.tables import write_tables
 from hrl_escape.comparison.runs import get_run_folder, load_run_result, read_episodes
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ComparisonError, ConfigError, EscapeError, FileWriteError, RunBusyError
 from hrl_escape.files import write_json
+from hrl_escape.version import find_versions
 from tests.comparison.small import SMALL, break_checkpoint, change, plant_strangers, run_quietly
-from tests.forks import run_fork
 
 TABLES = ("results.csv", "curves.csv")
 
 
 def read_tables(comparison: Comparison) -> list[bytes]:
-    write_report(comparison, "test")
+    write_tables(summarise(comparison), comparison.out)
     return [(comparison.out / name).read_bytes() for name in TABLES]
 
 
-def start_cli(grid_file: Path, out: Path, **environment: str) -> subprocess.Popen[bytes]:
+def start_cli(grid_file: Path, out: Path) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "hrl_escape.cli", "compare", str(grid_file), "--out", str(out), "--workers", "2"]
-    return subprocess.Popen(command, env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                            start_new_session=True, preexec_fn=heed_ctrl_c)
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+                            preexec_fn=heed_ctrl_c)
 
 
 def heed_ctrl_c() -> None:
@@ -155,13 +161,15 @@ def test_killed_at_any_moment_and_resumed_gives_the_uninterrupted_results(
     assert read_tables(resumed) == read_tables(finished)
 
 
-def test_no_process_outlives_a_comparison_that_ctrl_c_stops(tmp_path: Path):
+def test_a_comparison_keeps_others_out_of_its_folder_and_no_process_outlives_it_when_ctrl_c_stops_it(tmp_path: Path):
     grid = change(primitives=1_000_000, runs=1)
     write_json(tmp_path / "long.json", grid.to_dict())
     process = start_cli(tmp_path / "long.json", tmp_path / "out")
     runs = grid.make_runs(grid.make_places())
     try:
         assert wait_until(lambda: any(read_progress(tmp_path / "out", run) for run in runs))
+        with pytest.raises(RunBusyError, match="another comparison is running in this folder"):
+            run_quietly(SMALL, tmp_path / "out")
         os.killpg(process.pid, signal.SIGINT)  # reaches every process of the terminal
         output = process.communicate(timeout=600)[0].decode()
         assert process.returncode == 130
@@ -175,15 +183,25 @@ def test_no_process_outlives_a_comparison_that_ctrl_c_stops(tmp_path: Path):
 # --- runs that fail --------------------------------------------------------------------
 
 
-def test_failed_runs_are_told_with_their_error_and_stop_no_others(tmp_path: Path):
-    """One raises, one crashes its interpreter, one diverges; all are strangers' or settings' faults."""
+@pytest.fixture
+def strangers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Two agents of others are installed for one test, as any process of the package sees that begins then."""
     plant_strangers(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    find_versions.cache_clear()
+    yield
+    find_versions.cache_clear()
+
+
+@pytest.mark.usefixtures("strangers")
+def test_failed_runs_are_told_with_their_error_and_stop_no_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """One raises, one crashes its interpreter, one diverges; all are strangers' or settings' faults."""
     wild = {"reward_scale": 1e38, "loss": "squared", "warmup": 64}
     agents = ["random", "raiser", "crasher", AgentSpec("dqn", label="wild", settings=wild), "q-learning"]
     write_json(tmp_path / "mixed.json", change(runs=1, agents=agents).to_dict())
-    process = start_cli(tmp_path / "mixed.json", tmp_path / "out", PYTHONPATH=str(tmp_path))
-    output = process.communicate(timeout=600)[0].decode()
-    assert process.returncode == 1, output
+    code = main(["compare", str(tmp_path / "mixed.json"), "--out", str(tmp_path / "out"), "--workers", "2"])
+    output = "".join(capsys.readouterr())
+    assert code == 1, output
     assert "raiser, small, seed 0: failed: KeyError: 'what a stranger forgot'" in output
     assert "crasher, small, seed 0: failed: its process was ended by SIGSEGV" in output
     assert "wild, small, seed 0: failed: dqn, seed 0" in output and "no longer a finite number" in output
@@ -230,38 +248,43 @@ def test_a_folder_that_cannot_be_written_is_one_clear_message(tmp_path: Path):
         run_quietly(SMALL, tmp_path / "file" / "out")
 
 
-COMPARE_ON_FULL_DISK = """
-import resource, sys
-from hrl_escape.cli import main
-resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
-sys.exit(main())
-"""
+def test_a_full_disk_fails_the_runs_that_need_it_and_keeps_what_is_finished(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """The limit on a file's size stands for a disk that fills up: random's files are small, dqn's checkpoint is not.
+
+    It is one of the process from which those of runs are forked, which a first comparison begins.
+    """
+    run_quietly(change(runs=1, agents=["random"], primitives=60), tmp_path / "begun")
+    grid = change(runs=1, agents=["random", "dqn"])
+    write_json(tmp_path / "full.json", grid.to_dict())
+    server = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
+    before = resource.prlimit(server, resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
+    try:
+        code = main(["compare", str(tmp_path / "full.json"), "--out", str(tmp_path / "out"), "--workers", "1"])
+    finally:
+        resource.prlimit(server, resource.RLIMIT_FSIZE, before)
+    told = capsys.readouterr().err
+    assert code == 1
+    assert "dqn, small, seed 0: failed: cannot write" in told, told
+    assert "random, small, seed 0: efficiency" in told
+    assert not run_quietly(grid, tmp_path / "out").failures
 
 
-def test_a_full_disk_fails_the_runs_that_need_it_and_keeps_what_is_finished(tmp_path: Path):
-    """The limit on a file's size stands for a disk that fills up: random's files are small, dqn's checkpoint is not."""
-    write_json(tmp_path / "full.json", change(runs=1, agents=["random", "dqn"]).to_dict())
-    done = run_fork(COMPARE_ON_FULL_DISK, "compare", tmp_path / "full.json", "--out", tmp_path / "out")
-    assert done.returncode in (1, 2)
-    assert "dqn, small, seed 0: failed: cannot write" in done.stderr, done.stderr
-    assert "random, small, seed 0: efficiency" in done.stderr
-    rerun = run_quietly(change(runs=1, agents=["random", "dqn"]), tmp_path / "out")
-    assert not rerun.failures
-
-
-def test_a_folder_deleted_meanwhile_is_told_with_its_reason(tmp_path: Path):
+def test_a_folder_deleted_meanwhile_is_told_with_its_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     grid = change(primitives=1_000_000, runs=1, agents=["random", "smdp-random"])
     write_json(tmp_path / "long.json", grid.to_dict())
-    process = start_cli(tmp_path / "long.json", tmp_path / "out")
     runs = grid.make_runs(grid.make_places())
-    try:
+
+    def delete() -> None:
         assert wait_until(lambda: all(read_progress(tmp_path / "out", run) for run in runs))
         shutil.rmtree(tmp_path / "out")
-        output = process.communicate(timeout=600)[0].decode()
-    finally:
-        process.kill()
-        process.wait()
-    assert process.returncode == 2 and "Traceback" not in output, output
+
+    with ThreadPoolExecutor() as pool:
+        deleted = pool.submit(delete)
+        code = main(["compare", str(tmp_path / "long.json"), "--out", str(tmp_path / "out"), "--workers", "2"])
+    deleted.result()
+    output = "".join(capsys.readouterr())
+    assert code == 2 and "Traceback" not in output, output
     about, *told = output.splitlines()
     assert about == "nothing learns, so nothing is trained"
     assert len(told) == 3 and all("was deleted or moved while its run was writing it" in line for line in told), output
@@ -277,19 +300,6 @@ def test_a_folder_deleted_after_the_last_run_is_told_with_its_reason(tmp_path: P
     comparison = run_quietly(change(runs=1, agents=["random"], primitives=60), tmp_path / "out", Deleting(1))
     with pytest.raises(EscapeError, match="no such"):
         write_report(comparison, "hrl-escape compare")
-
-
-def test_one_comparison_at_a_time_in_a_folder(tmp_path: Path):
-    grid = change(primitives=1_000_000, runs=1, agents=SMALL.agents[:1])
-    write_json(tmp_path / "long.json", grid.to_dict())
-    process = start_cli(tmp_path / "long.json", tmp_path / "out")
-    try:
-        assert wait_until(lambda: (tmp_path / "out" / "grid.json").exists())
-        with pytest.raises(RunBusyError, match="another comparison is running in this folder"):
-            run_quietly(SMALL, tmp_path / "out")
-    finally:
-        process.kill()
-        process.wait()
 
 
 def test_parts_are_disjoint_resumable_and_together_the_whole(tmp_path: Path):
