@@ -143,7 +143,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     """Run what is missing, size by size; an agent whose runs all failed with fewer buttons does not run with more."""
     data, console = study.data, Console(stderr=True, highlight=False)
     seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
-    with ProcessPoolExecutor(args.workers, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(args.workers, multiprocessing.get_context("forkserver")) as pool:
         for agent in args.agents or data["agents"]:
             for size in data["sizes"]:
                 known = {run.place: run for run in store.load()}

@@ -103,7 +103,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
         jobs |= {(kind["learner"], rung, size, seed): kind["primitives"] for seed in seeds
                  for rung, size in (*((kind["told"], size) for size in sizes), (kind["control"], sizes[-1]))}
     known = {run.place for run in store.load()}
-    with ProcessPoolExecutor(args.workers, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(args.workers, multiprocessing.get_context("forkserver")) as pool:
         open_jobs = [pool.submit(run_once, *job, primitives, data["tested"])
                      for job, primitives in jobs.items() if job not in known]
         for done, job in enumerate(as_completed(open_jobs), 1):
