@@ -108,7 +108,7 @@ class Page:
 class Browser:
     """A running Chromium with a profile of its own."""
 
-    def __init__(self, size: tuple[int, int] = (1280, 800)) -> None:
+    def __init__(self, size: tuple[int, int] = (800, 500)) -> None:
         assert PROGRAM is not None
         self._folder = tempfile.mkdtemp(prefix="chromium-")
         self._process = subprocess.Popen(
