@@ -80,7 +80,7 @@ OWN = {
 
 @pytest.mark.parametrize("name", [*GRAPHS, *OWN])
 def test_every_hierarchy_keeps_every_promise(name):
-    check_hierarchy(*(GRAPHS | OWN)[name](), primitives=300)
+    check_hierarchy(*(GRAPHS | OWN)[name](), primitives=150)
 
 
 def test_no_agent_that_runs_calls_is_left_out():

@@ -20,12 +20,13 @@ from hrl_escape.env.instance import Start
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.sampling.generation import generate
+from tests.covering import thin
 from tests.env.rooms import all_schematics
 
 KINEMATIC = sorted(name for name, config in all_schematics().items() if config.dynamics.kind == "kinematic")
 
 
-@pytest.mark.parametrize("name", KINEMATIC)
+@pytest.mark.parametrize("name", thin(KINEMATIC, 2))
 def test_the_batched_engine_agrees_with_the_scalar_rules(name):
     found = compare([generate(all_schematics()[name], 0)], 300, copies=10)
     assert found.primitives >= 300

@@ -48,7 +48,7 @@ CHECKED = sorted({(name, "features") for name in IDS} | {
 """Every room, and every observation in rooms of each kind."""
 
 
-@pytest.mark.parametrize(("name", "kind"), thin(CHECKED, 2))
+@pytest.mark.parametrize(("name", "kind"), thin(CHECKED, 4))
 def test_gymnasiums_checker_finds_nothing(name, kind):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -4,7 +4,7 @@ import dataclasses
 import math
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
@@ -29,6 +29,7 @@ def play(kinematics, state, actions):
         yield transition
 
 
+@settings(max_examples=20)
 @given(st.sampled_from(QUICK), st.integers(0, 5), st.integers(0, 2**32))
 def test_the_body_keeps_its_clearance_whatever_it_does(name, seed, episode):
     instance = generate(all_schematics()[name], seed)
@@ -197,6 +198,7 @@ def test_the_door_blocks_until_the_puzzle_is_solved():
     assert kinematics.compute_free_fraction(door.x, door.y, -0.1 * push[0], -0.1 * push[1], 0) == 1
 
 
+@settings(max_examples=20)
 @given(st.sampled_from(QUICK), st.integers(0, 3), st.integers(0, 2**32))
 def test_kinematics_are_a_pure_function_of_state_and_action(name, seed, episode):
     instance = generate(all_schematics()[name], seed)

@@ -221,6 +221,7 @@ def test_rungs_that_were_there_before_others_keep_their_rooms():
     assert hashlib.sha256(text.encode()).hexdigest()[:16] == "dfbe0e30dfeb7be3"
 
 
+@pytest.mark.slow
 def test_the_easiest_rungs_verify():
     load_benchmark("ladder-1").verify(["doormat"])
 

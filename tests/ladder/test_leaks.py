@@ -123,7 +123,8 @@ def check(kind: str, rooms: int, permutations: int = 200) -> None:
     assert varying >= 8 and leaks == []
 
 
-@pytest.mark.parametrize("kind", REGULARITIES)
+@pytest.mark.parametrize("kind", [
+    pytest.param(kind, marks=() if kind in ("deceptive", "motifs") else pytest.mark.slow) for kind in REGULARITIES])
 def test_nothing_tells_of_the_graph_before_the_first_press(kind):
     check(kind, 250)
 

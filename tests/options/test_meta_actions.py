@@ -70,7 +70,7 @@ LONG = ("ten-button", "twenty-button", "random-lights")
 
 
 @pytest.mark.parametrize(("name", "flavour"), [
-    *thin([(name, "press") for name in KINEMATIC if name not in LONG], 3),
+    *thin([(name, "press") for name in KINEMATIC if name not in LONG], 5),
     *cover(ALL_FLAVOURS, [flavour for flavour in FLAVOURS if flavour != "press"])])
 def test_meta_actions_keep_the_option_contract(name, flavour):
     env = EscapeRoomEnv(name)
@@ -84,7 +84,7 @@ def test_meta_actions_keep_the_option_contract(name, flavour):
     env.close()
 
 
-@pytest.mark.parametrize("name", thin(KINEMATIC, 3, 1))
+@pytest.mark.parametrize("name", thin(KINEMATIC, 5, 1))
 def test_a_meta_action_presses_its_button_and_no_other(name):
     """Each from the start, or where it is masked there after what it needs; what it could not avoid, it names."""
     room = EscapeRoomEnv(name)
@@ -204,7 +204,8 @@ def test_noise_and_slip_are_met_by_planning_anew(name, runs):
 
 @pytest.mark.parametrize("runs", [12, pytest.param(40, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("name", "seed", "dynamics"), [
-    ("paper-two-button", 0, {"noise": 0.1, "slip": 0.1}), ("arm-two-button", 9, {})])
+    ("paper-two-button", 0, {"noise": 0.1, "slip": 0.1}),
+    pytest.param("arm-two-button", 9, {}, marks=pytest.mark.slow)])
 def test_physics_is_met_by_planning_anew(name, seed, dynamics, runs):
     ends = run_meta_actions(make_noisy(name, kind="physics", **dynamics), runs, seed)
     assert ends["reached"] >= 0.95 * runs, ends

@@ -105,6 +105,7 @@ def test_kinds_that_are_one_room_share_its_run(tmp_path):
     assert len({(run.room, run.primitives, run.first_escape) for run in runs}) == len(rooms)
 
 
+@pytest.mark.slow
 def test_every_agent_runs(tmp_path):
     everybody = Round((RoomKind("chain", 2, "ignore"),), tuple(map(choose_options, AGENTS)), 0)
     runs = run_rounds(tmp_path, 60, everybody)

@@ -288,8 +288,10 @@ def test_what_is_said_of_everybody_names_everybody():
 
 
 @pytest.mark.parametrize(("study", "agent", "first"), [
-    (GIVEN_HIERARCHIES, "hamq+planned", 36), (LEARNED_HIERARCHIES, "smdp-hrc+no-primitives", 57),
-    (INTRA_OPTION, "smdp-intra-option-q+markov+no-primitives", None)], ids=["given", "learned", "intra-option"])
+    (GIVEN_HIERARCHIES, "hamq+planned", 36),
+    pytest.param(LEARNED_HIERARCHIES, "smdp-hrc+no-primitives", 57, marks=pytest.mark.slow),
+    pytest.param(INTRA_OPTION, "smdp-intra-option-q+markov+no-primitives", None, marks=pytest.mark.slow)],
+    ids=["given", "learned", "intra-option"])
 def test_the_command_runs_and_writes_the_page_again_from_its_lines(study, agent, first, tmp_path: Path, monkeypatch,
                                                                    capsys):
     grid = study.grids[0]

@@ -26,6 +26,7 @@ def test_dqn_holds_cartpole_to_the_end_of_its_budget():
     assert min(evaluation.mean_return for evaluation in result.evaluations[-3:]) >= 475
 
 
+@pytest.mark.slow
 def test_the_benchmark_runs_and_goes_on_where_it_was_stopped(tmp_path):
     out = tmp_path / "runs.jsonl"
 

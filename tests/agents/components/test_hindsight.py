@@ -113,6 +113,7 @@ def test_no_decision_is_stored_under_a_goal_that_was_achieved_before_it():
 # --- learning ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_values_of_all_goals_come_out_exact():
     """With d bits wrong after an action, 0 if d = 0, else -(1 - gamma^d) / (1 - gamma)."""
     env, gamma = BitFlip(3), 0.9

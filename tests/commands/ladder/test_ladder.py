@@ -30,8 +30,8 @@ def test_rungs_are_listed(capsys):
 
 def test_a_rung_is_shown_with_a_room_of_it(capsys, tmp_path):
     files = ["--draw", str(tmp_path / "room.svg"), "--save", str(tmp_path / "room.json")]
-    code, out, _ = call(capsys, "show", "lattice", "--role", "test", "--index", "2", *files)
-    rung = load_benchmark("ladder-1")["lattice"]
+    code, out, _ = call(capsys, "show", "pair", "--role", "test", "--index", "2", *files)
+    rung = load_benchmark("ladder-1")["pair"]
     assert code == 0 and rung.record.test.root in out and (tmp_path / "room.svg").stat().st_size > 1000
     assert RoomInstance.load(tmp_path / "room.json").digest == rung.test[2].digest
 
@@ -64,7 +64,7 @@ def test_a_room_of_the_small_benchmark_can_be_shown(capsys, tmp_path):
 
 def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     options = ["--rung", "doormat", "--protocol", "generalise", "--rooms", "1", "--train-sizes", "1", "--runs", "1",
-               "--primitives", "10", "--workers", "1", "--out", str(tmp_path)]
+               "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
     code, out, err = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
     assert code == 0 and "doormat: 2 runs finished, 0 failed" in out
     assert err.startswith("nothing learns, so nothing is trained\n")

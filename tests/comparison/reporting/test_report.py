@@ -308,7 +308,7 @@ frame.onload = () => {{
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium")
-@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 390])
 def test_the_page_fits_a_laptop_and_a_phone(summary: Summary, source: str, tmp_path: Path, width: int):
     """With a long name, nothing is cut, nothing but tables scrolls, and words in charts are 9 pixels high or more."""
     longest = "smdp-ppo+objects+memory+no-primitives"

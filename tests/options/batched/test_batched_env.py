@@ -173,7 +173,8 @@ def test_without_automatic_reset_a_room_stands_still_until_it_is_reset():
 # --- agreement with planned options --------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "most"), [("clutter", 0.05), ("door", 0.05), ("coarse-steps", 0.15)])
+@pytest.mark.parametrize(("name", "most"), [
+    pytest.param("clutter", 0.05, marks=pytest.mark.slow), ("door", 0.05), ("coarse-steps", 0.15)])
 def test_what_options_env_reaches_is_reached_in_about_as_many_primitives(name, most):
     found = compare_options([generate(all_schematics()[name], 1)], 40)
     assert found.decisions >= 40 and found.reached >= 38
@@ -182,7 +183,7 @@ def test_what_options_env_reaches_is_reached_in_about_as_many_primitives(name, m
     assert not found.side_presses
 
 
-@pytest.mark.parametrize("name", ["four-rooms", "key-chest"])
+@pytest.mark.parametrize("name", ["four-rooms", pytest.param("key-chest", marks=pytest.mark.slow)])
 def test_a_plan_is_not_followed_on_after_a_slip(name):
     found = compare_options([generate(get_preset(name), 0)], 200)
     assert not found.missed, found.missed[0]

@@ -92,6 +92,7 @@ def test_the_distance_left_is_what_the_worker_pays():
     assert agent.space.find_nearest(np.array([1.9, 1.2])) == int(np.flatnonzero((SHIFTS == goal).all(axis=1))[0])
 
 
+@pytest.mark.slow
 def test_the_worker_of_an_oracle_goes_within_5_percent_of_the_shortest_way():
     """The oracle names what is left, cut to two cells each way; training named displacements at random, in the room."""
     grid = Grid(["....."] * 5)

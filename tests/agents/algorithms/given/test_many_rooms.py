@@ -43,7 +43,6 @@ from tests.agents.running import interact
 from tests.agents.small_envs import solve
 from tests.agents.training.test_resuming import flatten
 from tests.agents.training.test_streams import Interrupted, InterruptedRooms
-from tests.covering import cover
 
 GIVEN = [kind for kind in READ if kind.__module__.startswith("hrl_escape.agents.algorithms.given")]
 
@@ -78,7 +77,8 @@ def teach_many(agent, count, seed, primitives, longest=12):
     return train(agent, many, eval_env=make_env(seed), primitives=primitives, eval_episodes=0, seed=seed).agent
 
 
-@pytest.mark.parametrize(("agent_class", "count"), cover(GIVEN, [1, 64]))
+@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.slow), 64])
+@pytest.mark.parametrize("agent_class", GIVEN)
 def test_values_of_choices_are_exact(agent_class, count):
     env = make_env(1)
     primitives = 20_000 if count == 1 else 6_000
@@ -184,7 +184,7 @@ OWNERS = ("maxq-q", "hamq", "hq-learning")
 
 
 @pytest.mark.parametrize("name", [
-    *(pytest.param(name, marks=() if name in OWNERS else pytest.mark.slow) for name in list_given_agents()),
+    *(pytest.param(name, marks=() if name == "maxq-q" else pytest.mark.slow) for name in list_given_agents()),
     *(f"smdp-{name}" for name in OWNERS)])
 def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, monkeypatch):
     def make():

@@ -80,6 +80,7 @@ def test_without_a_hierarchy_it_is_r_max_and_comes_to_the_optimum():
         assert values[agent._numbers[agent._discretise(cell)]] == pytest.approx(exact[cell], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_with_tasks_it_explores_and_walks_home():
     env = FourRooms(HOME, "none", horizon=100)
     agent = make(env, make_walks())
@@ -111,7 +112,7 @@ def test_a_task_that_cannot_end_is_hopeless_not_an_error():
 
 @pytest.mark.parametrize(
     ("dynamics", "samples"),
-    [({}, 1), ({"noisy": True}, 10), ({"fickle": True}, 10),
+    [({}, 1), ({"noisy": True}, 10), pytest.param({"fickle": True}, 10, marks=pytest.mark.slow),
      pytest.param({"noisy": True, "fickle": True}, 100, marks=pytest.mark.slow)],
     ids=["still", "noisy", "fickle", "both"],
 )  # fmt: skip
