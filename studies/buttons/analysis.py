@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any, NamedTuple
@@ -22,6 +21,7 @@ from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.inference import ALPHA
+from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.drawing import palette
@@ -143,7 +143,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     """Run what is missing, size by size; an agent whose runs all failed with fewer buttons does not run with more."""
     data, console = study.data, Console(stderr=True, highlight=False)
     seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
-    with ProcessPoolExecutor(args.workers, multiprocessing.get_context("forkserver")) as pool:
+    with ProcessPoolExecutor(args.workers, get_fork_server()) as pool:
         for agent in args.agents or data["agents"]:
             for size in data["sizes"]:
                 known = {run.place: run for run in store.load()}

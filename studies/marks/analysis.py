@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import NamedTuple
@@ -15,6 +14,7 @@ from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.protocols import compute_learned_share
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError
@@ -103,7 +103,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
         jobs |= {(kind["learner"], rung, size, seed): kind["primitives"] for seed in seeds
                  for rung, size in (*((kind["told"], size) for size in sizes), (kind["control"], sizes[-1]))}
     known = {run.place for run in store.load()}
-    with ProcessPoolExecutor(args.workers, multiprocessing.get_context("forkserver")) as pool:
+    with ProcessPoolExecutor(args.workers, get_fork_server()) as pool:
         open_jobs = [pool.submit(run_once, *job, primitives, data["tested"])
                      for job, primitives in jobs.items() if job not in known]
         for done, job in enumerate(as_completed(open_jobs), 1):

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from hrl_escape.agents.training.checkpoint import load_checkpoint
-from tests.command_line import PROGRAM, assert_refused, call
+from tests.command_line import PROGRAM, assert_refused, call, run_program
 
 
 def test_a_run_leaves_its_description_log_and_checkpoint_and_reports_them(capsys, tmp_path):
@@ -34,7 +34,7 @@ def test_ctrl_c_saves_the_run_and_the_same_command_goes_on_with_it(tmp_path):
     saved, length = load_checkpoint(tmp_path / "run" / "checkpoint.npz")["primitives"], log.stat().st_size
     assert f"after {saved:,} primitives" in error and 0 < saved < 4000
     head = log.read_bytes()
-    done = subprocess.run([*command, "--primitives", "4000"], cwd=tmp_path, text=True, capture_output=True)
+    done = run_program(*command[1:], "--primitives", "4000", cwd=tmp_path)
     assert done.returncode == 0 and log.read_bytes()[:length] == head, "nothing was trained twice"
     assert f"this run went on from primitive {saved:,}\n" in done.stdout
     assert "best evaluation: return" in done.stdout and (tmp_path / "run" / "best.npz").exists()

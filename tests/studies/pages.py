@@ -6,16 +6,18 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from studies.page import write_page
+from studies.page import render, write_page
 from studies.running import open_store
 from studies.study import find_study
 
 
-def tell(study: str, lines: Sequence[Any], folder: Path) -> str:
-    """Text of a study's page of lines, written into a folder with its figures."""
+def tell(study: str, lines: Sequence[Any], folder: Path | None = None) -> str:
+    """Text of a study's page of lines; with a folder it is written there, and its figures are, which takes as long."""
     found = find_study(study)
-    write_page(found, found.analysis.analyse(found, lines), folder)
-    return (folder / f"{found.page}.md").read_text()
+    page = found.analysis.analyse(found, lines)
+    if folder is not None:
+        write_page(found, page, folder)
+    return render(found, page)
 
 
 def save(study: str, lines: Iterable[Any], folder: Path) -> Path:

@@ -326,15 +326,15 @@ def test_the_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pyte
         assert f"factorial --algorithms {words} --primitives" in page
     assert (tmp_path / "figures" / "why-ddpg.svg").exists() and "was not run" not in page
     assert "One correction is shown" in capsys.readouterr().out
-    assert "nobody had tried before" not in tell("factorial", published, tmp_path)
-    page = tell("factorial", make_runs(lambda on: 0.5), tmp_path)
+    assert "nobody had tried before" not in tell("factorial", published)
+    page = tell("factorial", make_runs(lambda on: 0.5))
     assert page.startswith("# Why SARSA gets worse") and "DDPG is not on this page" in page
 
 
-def test_the_page_tells_which_corrections_suffice_and_what_carries_them(tmp_path: Path):
+def test_the_page_tells_which_corrections_suffice_and_what_carries_them():
     runs = make_runs(lambda on: 0.1 + 0.6 * (on["exploration"] or on["buffer"]),
                      repeat=lambda on: 4.0 - 2 * on["exploration"])
-    page = tell("factorial", runs, tmp_path)
+    page = tell("factorial", runs)
     table = page.partition("do they bring more than three quarters")[2].partition("What the logs carry")[0]
     assert "| yes | yes |" in table and "exploration" in table and "buffer" in table
     assert "| exploration | longest repeat | -1.9" in page

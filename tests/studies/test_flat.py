@@ -210,7 +210,7 @@ def test_the_page_on_ppo_follows_its_lines(tmp_path: Path):
     assert page.index("![Time") < page.index("**Flat PPO falls below chance") < page.index("<details>")
     assert page.count("\n- `ppo, ") == len(labels) - 2 and (tmp_path / "figures" / "flat-ppo.svg").exists()
     turned = [dataclasses.replace(run, first_escape=10) if run.agent == "ppo" else run for run in lines]
-    assert "**`ppo` beats chance" in tell("flat-ppo", turned, tmp_path)
+    assert "**`ppo` beats chance" in tell("flat-ppo", turned)
 
 
 # --- the league ------------------------------------------------------------------------------

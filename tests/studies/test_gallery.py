@@ -63,7 +63,7 @@ def test_sentences_follow_the_findings(tmp_path):
     assert "| `light-box` | L2 | 9 | 70 | 100%, 20 | 50%, 5 | 100%, 4 | 0% |  |" in page
     assert "9 presses where all work, 18.0 on average" in page
     page = tell("gallery", make_findings({random: (None, None), order: (5, 5), searcher: (None, 2),
-                                          learner: (7, 8)}), tmp_path)
+                                          learner: (7, 8)}))
     assert f"In LightBox `{learner}` escapes in every episode and the searcher" in page
     assert "Choose a puzzle in which searching fails, such as these" in page
     assert "Random options escape in every episode of no puzzle." in page
@@ -73,9 +73,9 @@ def test_sentences_follow_the_findings(tmp_path):
 @pytest.mark.parametrize(("seeds", "told"), [(1, "These are few runs, 1 training seed of 100 primitives and 2 "),
                                              (9, "These are few runs, 9 training seeds of 100 "),
                                              (10, "These are 10 training seeds of 100 ")])
-def test_runs_are_called_few_where_they_are(tmp_path, seeds, told):
+def test_runs_are_called_few_where_they_are(seeds, told):
     found = [PlayedRun("light-box", PLAYERS[-1], seed, 100, (7, None)) for seed in range(seeds)]
-    assert told in tell("gallery", [SolvedRoom("light-box", 9, 0.5, 70), *found], tmp_path)
+    assert told in tell("gallery", [SolvedRoom("light-box", 9, 0.5, 70), *found])
 
 
 def test_every_entry_is_measured():

@@ -66,20 +66,20 @@ def test_the_page_tells_sizes_and_depths_by_the_lines_alone(tmp_path: Path):
     assert (tmp_path / "figures" / "generalisation.svg").stat().st_size > 1000
     depth = dataclasses.replace(LINE, protocol="depth", rung="8 buttons, layered", rooms="a > b", efficiency=0.3)
     many = [dataclasses.replace(LINE, seed=seed) for seed in range(10)]
-    assert "Nothing is concluded" not in tell("generalisation", many, tmp_path)
-    page = tell("generalisation", [*lines, depth], tmp_path)
+    assert "Nothing is concluded" not in tell("generalisation", many)
+    page = tell("generalisation", [*lines, depth])
     assert f"| `{VECTORS}` | - | - | 0.30 | - | 1.00 |" in page and "Not run yet." not in page
 
 
-def test_rungs_have_tables_and_commands_of_their_own_and_seeds_are_counted_by_cell(tmp_path: Path):
+def test_rungs_have_tables_and_commands_of_their_own_and_seeds_are_counted_by_cell():
     other = dataclasses.replace(LINE, rung="chain-3", efficiency=0.7)
     chance = dataclasses.replace(LINE, agent=CHANCE, primitives=0)
     lines = [LINE, *(dataclasses.replace(other, seed=seed) for seed in range(3)), chance,
              dataclasses.replace(other, agent=MEMORY, rooms="x/train[:4] > x/test")]
-    page = tell("generalisation", lines, tmp_path)
+    page = tell("generalisation", lines)
     assert f"| `{VECTORS}` | 0.20 (1.00) |\n" in page and f"| `{VECTORS}` | 0.70 (1.00) | - |\n" in page
     assert page.count("trained in. That is less than the budget of the study itself, 1,000,000.") == 2
-    assert "That is less" not in tell("generalisation", [dataclasses.replace(LINE, primitives=1_000_000)], tmp_path)
+    assert "That is less" not in tell("generalisation", [dataclasses.replace(LINE, primitives=1_000_000)])
     assert "2 runs: 1 training seed, 500" in page and "4 runs: 1 to 3 training seeds, 500" in page
     assert "--rung pair --primitives 500 --rooms 3 --runs 1\n" in page
     assert "--rung chain-3 --primitives 500 --rooms 3 --runs 3\n" in page
@@ -114,11 +114,11 @@ def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: 
     ((0.7, 0.7), 0.2, "Give a generalist a memory of its episode (+0.50)."),
     ((0.4, 0.4), 0.4, "Neither a memory of its episode nor more training rooms are shown to help a generalist."),
 ])
-def test_advice_follows_memory_and_rooms(memory: tuple[float, float], objects: float, words: str, tmp_path: Path):
+def test_advice_follows_memory_and_rooms(memory: tuple[float, float], objects: float, words: str):
     lines = [line for number, (agent, rooms, value) in enumerate((
         (MEMORY, 1, memory[0]), (MEMORY, 1000, memory[1]), (OBJECTS, 1, objects), (OBJECTS, 1000, objects)))
         for line in make_seeds(agent, rooms, value, 3 * number)]
-    assert words in tell("generalisation", lines, tmp_path)
+    assert words in tell("generalisation", lines)
 
 
 @pytest.mark.parametrize(("vectors", "objects", "told"), [
@@ -133,12 +133,12 @@ def test_advice_follows_memory_and_rooms(memory: tuple[float, float], objects: f
                               f"- `{VECTORS}` with 1,000 training rooms reaches 0.20 more than with 1 training room (",
                               f"- `{VECTORS}` with 1,000 training rooms reaches 0.30 more than random choices (")),
 ])
-def test_ten_seeds_lead_to_sentences_and_nine_to_none(vectors: tuple, objects: tuple, told: tuple, tmp_path: Path):
+def test_ten_seeds_lead_to_sentences_and_nine_to_none(vectors: tuple, objects: tuple, told: tuple):
     lines = [*make_seeds(CHANCE, 1, 0.3, 0, primitives=0)]
     for agent, values in ((VECTORS, vectors), (OBJECTS, objects)):
         for rooms, value in zip((1, 1000), values, strict=True):
             lines += make_seeds(agent, rooms, value, 1 + len(lines) // 10)
-    page = tell("generalisation", lines, tmp_path)
+    page = tell("generalisation", lines)
     assert not [words for words in told if words not in page], page
     assert page.count("\n- ") == len(told)
     for sentence in (line for line in page.splitlines() if line.startswith("- ")):
@@ -146,25 +146,25 @@ def test_ten_seeds_lead_to_sentences_and_nine_to_none(vectors: tuple, objects: t
             low, high = map(float, re.findall(r"\((\S+) to (\S+)\)", sentence)[0])
             assert 0 < low < float(re.findall(r"reaches (\S+)", sentence)[0]) < high, sentence
     few = [line for line in lines if (line.agent, line.seed) != (OBJECTS, 9)]
-    page = tell("generalisation", few, tmp_path)
+    page = tell("generalisation", few)
     assert f"- `{OBJECTS}`" not in page and page.count("\n- ") == 2
     assert f"| `{OBJECTS}` | {objects[0]:.2f} (" in page and f"| `{VECTORS}` | **{vectors[0]:.2f}** (" in page
     assert "9 to 10 training seeds" in page and "Nothing is concluded from fewer than 10" in page
 
 
-def test_an_agent_at_the_floor_is_told_of_alone_and_flat_chance_is_that_over_primitives(tmp_path: Path):
+def test_an_agent_at_the_floor_is_told_of_alone_and_flat_chance_is_that_over_primitives():
     flat = [dataclasses.replace(LINE, agent=FLAT, rooms=f"x/train[:{rooms}] > x/test", seed=seed, efficiency=0.0,
                                 seen=0.0) for rooms in (1, 1000) for seed in range(10)]
     others = [*make_seeds(VECTORS, 1000, 0.3, 0), *make_seeds(CHANCE, 1, 0.4, 3, primitives=0)]
-    page = tell("generalisation", [*flat, *others], tmp_path)
+    page = tell("generalisation", [*flat, *others])
     assert (f"- `{FLAT}` escapes from no unseen room after any of its 20 runs, trained in 1 or 1,000 rooms, nor from "
             "one trained in. At this floor no difference from it is asked for.") in page
     assert page.count("\n- ") == 2 and f"- `{VECTORS}` with 1,000 training rooms reaches 0.10 less than random" in page
-    page = tell("generalisation", [dataclasses.replace(flat[0], seen=0.7), *flat[1:], *others], tmp_path)
+    page = tell("generalisation", [dataclasses.replace(flat[0], seen=0.7), *flat[1:], *others])
     assert "though in rooms trained in a run reaches up to 0.70. At this floor" in page
     above = [dataclasses.replace(line, efficiency=0.02 + 0.001 * line.seed) for line in flat]
     by_chance = [dataclasses.replace(line, agent=FLAT_CHANCE, primitives=0) for line in flat[:10]]
-    page = tell("generalisation", [*above, *others, *by_chance], tmp_path)
+    page = tell("generalisation", [*above, *others, *by_chance])
     assert f"- `{FLAT}` with 1,000 training rooms reaches 0.02 more than random primitives (" in page
     assert f"- `{VECTORS}` with 1,000 training rooms reaches 0.28 more than `{FLAT}` (" in page and "floor" not in page
 
@@ -176,31 +176,31 @@ def test_an_agent_at_the_floor_is_told_of_alone_and_flat_chance_is_that_over_pri
                 "10 buttons, layered reaches 0.20 more than in")),
     (0.7, 0.6, ("one chain reaches 0.10 more than in rooms of 6 buttons, layered",
                 "10 buttons, layered is not shown to reach more or less than in rooms of 6 buttons, layered"))])
-def test_depth_is_told_at_an_equal_number_of_buttons(chain: float, deepest: float, told: tuple, tmp_path: Path):
+def test_depth_is_told_at_an_equal_number_of_buttons(chain: float, deepest: float, told: tuple):
     values = dict(zip(DEPTHS, (0.6, chain, 0.5, deepest), strict=True))
     lines = [line for shift, (rung, value) in enumerate(values.items())
              for line in make_seeds(MEMORY, 1, value, shift, protocol="depth", rung=rung)]
-    page = tell("generalisation", lines, tmp_path)
+    page = tell("generalisation", lines)
     assert not [words for words in told if words not in page], page
     assert page.count(f"\n- `{MEMORY}` in rooms of ") == 2
     assert f"| **{chain:.2f}** |" in page and "| **0.50** |" in page
     lines += [line for rung, shift in (("6 buttons, layered", 5), ("8 buttons, layered", 6))
               for line in make_seeds(CHANCE, 1, 0.5, shift, protocol="depth", rung=rung, primitives=0)]
-    page = tell("generalisation", lines, tmp_path)
+    page = tell("generalisation", lines)
     assert f"- `{MEMORY}` in rooms of 6 buttons, layered reaches 0.10 more than random choices (" in page
     assert f"- `{MEMORY}` in rooms of 8 buttons, layered is not shown to reach more or less than random choices" in page
     assert page.count(f"\n- `{MEMORY}` in rooms of ") == 4 and f"- `{CHANCE}`" not in page
 
 
-def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about(tmp_path: Path):
+def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about():
     """One question of p = 0.03 is answered; among five, Holm's correction leaves it open."""
     gains = [0.12, -0.02, 0.1, 0.03, -0.04, 0.14, 0.07, -0.03, 0.05, 0.06]
     lines = [*make_seeds(VECTORS, 1, 0.5, 0)]
     lines += [dataclasses.replace(line, rooms="x/train[:16] > x/test", efficiency=line.efficiency + gain)
               for line, gain in zip(lines, gains, strict=True)]
-    assert "with 16 training rooms reaches 0.05 more than with 1" in tell("generalisation", lines, tmp_path)
+    assert "with 16 training rooms reaches 0.05 more than with 1" in tell("generalisation", lines)
     others = [*make_seeds(CHANCE, 1, 0.5, 2), *make_seeds(OBJECTS, 1, 0.5, 2), *make_seeds(OBJECTS, 16, 0.5, 4)]
-    page = tell("generalisation", [*lines, *others], tmp_path)
+    page = tell("generalisation", [*lines, *others])
     assert f"`{VECTORS}` with 16 training rooms is not shown to reach more or less than with 1 training room" in page
 
 
@@ -209,20 +209,20 @@ def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about(tmp_p
     (0.8, 0.6, ("**Training pays beyond searching in 1 of 1 cells: ",
                 "reaches 0.20 more than the best searcher, `smdp-untried-near")),
     (0.7, 0.7, ("**No learner is shown to beat searching: ", "is not shown to reach more or less than the best se"))])
-def test_learners_are_held_against_the_best_searcher_and_not_against_chance(learner: float, nearest: float, told: tuple,
-                                                                            tmp_path: Path):
+def test_learners_are_held_against_the_best_searcher_and_not_against_chance(learner: float, nearest: float,
+                                                                            told: tuple):
     untried, near, _ = SEARCHERS
     lines = [*make_seeds(MEMORY, 1000, learner, 2), *make_seeds(CHANCE, 1, 0.3, 5, primitives=0),
              *make_seeds(untried, 1, nearest - 0.1, 4, primitives=0), *make_seeds(near, 1, nearest, 6, primitives=0)]
-    page = tell("generalisation", lines, tmp_path)
+    page = tell("generalisation", lines)
     assert not [words for words in told if words not in page], page
     assert "than random choices" not in page
     depths = [dataclasses.replace(line, protocol="depth", rung="6 buttons, layered") for line in lines]
-    page = tell("generalisation", [*lines, *depths], tmp_path)
+    page = tell("generalisation", [*lines, *depths])
     assert f"- `{MEMORY}` in rooms of 6 buttons, layered {told[1]}" in page and "than random choices" not in page
 
 
-def test_the_best_of_several_cells_is_corrected_for_the_choice(tmp_path: Path):
+def test_the_best_of_several_cells_is_corrected_for_the_choice():
     """One cell whose gain over the searcher has p = 0.03 is a finding, the best of five of its kind is none."""
     gains = [0.12, -0.02, 0.1, 0.03, -0.04, 0.14, 0.07, -0.03, 0.05, 0.06]
     _, near, _ = SEARCHERS
@@ -232,8 +232,8 @@ def test_the_best_of_several_cells_is_corrected_for_the_choice(tmp_path: Path):
         return [dataclasses.replace(line, agent=MEMORY, rooms=f"x/train[:{rooms}] > x/test", primitives=500,
                                     efficiency=line.efficiency + gains[(line.seed + shift) % 10]) for line in searched]
 
-    said = tell("generalisation", [*searched, *train_in(16, 0)], tmp_path)
+    said = tell("generalisation", [*searched, *train_in(16, 0)])
     assert "**Training pays beyond searching in 1 of 1 cells: " in said and "(+0.05, +0.00 to +0.09)" in said
     several = [line for shift, rooms in enumerate((1, 4, 16, 64, 256)) for line in train_in(rooms, shift)]
-    said = tell("generalisation", [*searched, *several], tmp_path)
+    said = tell("generalisation", [*searched, *several])
     assert "**No learner is shown to beat searching: " in said and "would have seen a gain of 0." in said

@@ -253,9 +253,9 @@ def test_runs_of_another_budget_and_unknown_agents_are_refused_before_anything_r
     (3, ["python -m studies scaling --parts bar agents --runs 1 --primitives 20000",
          "python -m studies scaling --parts told --runs 3 --primitives 20000"]),
 ])
-def test_the_page_ends_with_commands_that_make_its_runs_again(tmp_path, told_runs, commands):
+def test_the_page_ends_with_commands_that_make_its_runs_again(told_runs, commands):
     told = [make_result(spec.label, run=run) for spec in TOLD for run in range(told_runs)]
-    page = tell("scaling", [make_result(buttons=4), make_result(rule="reset", run=9), *told], tmp_path)
+    page = tell("scaling", [make_result(buttons=4), make_result(rule="reset", run=9), *told])
     assert page.endswith("\n".join(["```console", *commands, "```", ""]))
 
 
@@ -358,7 +358,7 @@ def test_the_page_says_what_being_told_less_costs_and_what_fresh_seeds_give(tmp_
     bar = [make_result(run=run, rule="reset") for run in range(10)]
     failed = [dataclasses.replace(run, run=run.run + 100, near_best=None) for run in bar]
     with pytest.raises(ComparisonError, match="with the part agents"):
-        tell("scaling", told, tmp_path)
+        tell("scaling", told)
     save("scaling", [*told, *bar, *failed], tmp_path)
     assert main(["scaling", "--from-raw", "--docs", str(tmp_path)]) == 0
     page = (tmp_path / "scaling.md").read_text()
@@ -441,6 +441,6 @@ def test_a_study_of_nothing_is_refused_and_leaves_earlier_results_alone(tmp_path
     assert load("scaling", tmp_path) == [make_result()]
 
 
-def test_results_of_an_unknown_agent_are_refused(tmp_path):
+def test_results_of_an_unknown_agent_are_refused():
     with pytest.raises(UnknownNameError, match="smdp-dreamer"):
-        tell("scaling", [make_result(), make_result("smdp-dreamer")], tmp_path)
+        tell("scaling", [make_result(), make_result("smdp-dreamer")])

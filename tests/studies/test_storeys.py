@@ -42,9 +42,9 @@ def test_one_lucky_tower_is_no_payment():
     assert "no floor is shown to pay" in tell(floors, "someone")
 
 
-def test_a_floor_that_was_not_played_is_missed(tmp_path: Path):
+def test_a_floor_that_was_not_played_is_missed():
     with pytest.raises(ComparisonError, match="not played on every floor"):
-        write_page("storeys", make_lines((0.8, 0.9, 0.95))[1:], tmp_path)
+        write_page("storeys", make_lines((0.8, 0.9, 0.95))[1:])
 
 
 def test_what_was_found_out_below_pays_above_and_only_where_it_is_carried():

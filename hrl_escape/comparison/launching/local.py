@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Protocol
@@ -102,10 +103,16 @@ class LocalLauncher:
                 process.join()
 
 
-def _start(run: GridRun, out: Path, checkpoint_seconds: float) -> tuple[BaseProcess, Connection]:
-    """Start a process for a run; it answers through the connection where an error ends it."""
+def get_fork_server() -> ForkServerContext:
+    """Context of processes that are forked from one which has loaded everything heavy, each in milliseconds."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["hrl_escape.comparison.launching.worker"])
+    return context
+
+
+def _start(run: GridRun, out: Path, checkpoint_seconds: float) -> tuple[BaseProcess, Connection]:
+    """Start a process for a run; it answers through the connection where an error ends it."""
+    context = get_fork_server()
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(run, out, checkpoint_seconds, sender), daemon=True)
     with _one_thread_each():
