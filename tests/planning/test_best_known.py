@@ -78,8 +78,8 @@ def plan_by_legs(planner, start):
     return planner.follow_goals(start, planner.order_goals(start), Clock(), planner.routes.settings)
 
 
-@pytest.mark.parametrize("name", ["paper-one-button", "paper-two-button", "four-button-chain", "bit-flip",
-                                  "arm-two-button"])
+@pytest.mark.parametrize("name", ["paper-one-button", "paper-two-button", "bit-flip", "arm-two-button",
+                                  pytest.param("four-button-chain", marks=pytest.mark.slow)])
 def test_options_are_no_better_than_primitives_and_bounds_hold(name):
     instance = generate(get_preset(name), 0)
     start = make_start(instance)
@@ -97,7 +97,8 @@ def test_the_papers_room_with_one_button_is_worth_91():
     assert known.value == known.upper_bound == 91.0
 
 
-@pytest.mark.parametrize("name", ["paper-two-button", "four-button-chain", "arm-two-button"])
+@pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button",
+                                  pytest.param("four-button-chain", marks=pytest.mark.slow)])
 def test_its_plan_runs_and_earns_it(name):
     instance = generate(get_preset(name), 0)
     env = EscapeRoomEnv(instance=instance)

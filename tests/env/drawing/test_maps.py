@@ -114,7 +114,7 @@ def test_the_arm_is_drawn_as_far_as_the_hand():
         assert picture.has(palette.HAND, x, y) and not picture.has(palette.HAND, x + 0.3, y)
 
 
-@pytest.mark.parametrize("name", thin(list(SCHEMATICS), 3, first=1))
+@pytest.mark.parametrize("name", thin(list(SCHEMATICS), 6, first=1))
 def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
     instance, state = make_room(name, seed=1)
     path = tmp_path / "room.svg"

@@ -32,9 +32,10 @@ def make(config, seed: int = 0, **settings):
     return planner, MotionSampler(planner.instance, LIMITS, **settings), state
 
 
-@pytest.mark.parametrize("name", ["paper-two-button", "inner-doors", *(
+@pytest.mark.parametrize("name", ["paper-two-button", *(
     pytest.param(name, marks=pytest.mark.slow)
-    for name in ("clutter", "arm-two-button", "arm-four-joints", "clutter, differential", "clutter, rectangle"))])
+    for name in ("inner-doors", "clutter", "arm-two-button", "arm-four-joints", "clutter, differential",
+                 "clutter, rectangle"))])
 def test_every_leg_of_an_escape_presses_its_target_alone_and_keeps_all_limits(name):
     legs = measure(name, 0)
     assert all(not leg.faults and not math.isnan(leg.sampled) for leg in legs)

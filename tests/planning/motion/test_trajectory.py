@@ -51,8 +51,9 @@ def make_boom(effort: float, mass: float = 2.0) -> RobotConfig:
 # --- presses ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "seed"), [("potions", 0), ("pin-pad", 0), ("deep-sea", 0), ("arm-two-button", 0),
-                                            ("lights-out, differential", 0)])
+@pytest.mark.parametrize(("name", "seed"), [
+    ("potions", 0), pytest.param("pin-pad", 0, marks=pytest.mark.slow),
+    pytest.param("deep-sea", 0, marks=pytest.mark.slow), ("arm-two-button", 0), ("lights-out, differential", 0)])
 def test_trajectories_press_what_their_plans_press_and_keep_every_limit(name, seed):
     plan = solve(generate(list_schematics()[name], seed))
     assert list_faults(plan, make_trajectory(plan), LIMITS) == []

@@ -35,7 +35,7 @@ def solve(instance, state=None, engine="fast-downward"):
     return [operators[action.action.name] for action in plan.actions]
 
 
-@pytest.mark.parametrize("name", thin(list(PRESETS), 4))
+@pytest.mark.parametrize("name", thin(list(PRESETS), 8))
 def test_an_independent_planner_solves_every_preset_by_what_is_exported(name):
     instance = generate(get_preset(name), 0)
     model = instance.puzzle.symbolic.make_symbolic_model()
