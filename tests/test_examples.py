@@ -44,8 +44,8 @@ LESSONS = [
 ]
 
 
-LONG = ("stable_baselines.py", "own_comparison.py")
-"""Six trainings of another library, and a comparison of eight runs with its report: seconds each."""
+LONG = ("stable_baselines.py", "own_agent.py", "own_comparison.py")
+"""Six trainings of another library, evaluations to the horizon, eight runs and their report: seconds each."""
 LEARNED = [("cleanrl_ppo.py", ["--primitives", "24576"],
             [r"24,576 primitives: return (8[5-9]|9\d), 100% of \d+ episodes escape"]),
            ("own_agent.py", ["--primitives", "4000"], [r"return -1000 untrained, [3-9]\d after 4,0\d\d primitives"])]

@@ -13,7 +13,8 @@ from tests.forks import run_module
 ROOT = Path(__file__).parents[3]
 
 
-@pytest.mark.parametrize(("name", "primitives"), [pytest.param("dqn", 10_000, marks=pytest.mark.slow), ("ppo", 10_000)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "primitives"), [("dqn", 10_000), ("ppo", 10_000)])
 def test_cartpoles_threshold_is_reached(name, primitives):
     env = gymnasium.make("CartPole-v1")
     result = train(name, env, primitives=primitives, seed=2, eval_every=2_500, eval_episodes=5)

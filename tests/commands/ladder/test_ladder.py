@@ -145,7 +145,7 @@ def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
 
 def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
     agents = ["smdp-dqn+objects+memory+no-primitives", "smdp-index-order+no-primitives", "planner"]
-    options = ["run", *agents, "--rung", "pair", "--protocol", "few-shot", "--trials", "3", "--rooms", "2",
+    options = ["run", *agents, "--rung", "pair", "--protocol", "few-shot", "--trials", "3", "--rooms", "1",
                "--train-sizes", "2", "--runs", "1", "--primitives", "10", "--workers", "1", "--out", str(tmp_path)]
     code, out, err = call(capsys, *options)
     assert code == 0 and "pair: 3 runs finished, 0 failed" in out, err
