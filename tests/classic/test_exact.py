@@ -48,7 +48,8 @@ def unroll_option(tables, option, gamma, steps=500):
     return total, ends
 
 
-@pytest.mark.parametrize("name", ["four-rooms-direction", "chain", "taxi-noisy-fickle"])
+@pytest.mark.parametrize("name", ["four-rooms-direction", "chain",
+                                  pytest.param("taxi-noisy-fickle", marks=pytest.mark.slow)])
 def test_a_linear_solve_is_the_sum_over_time(name):
     tables = ENVIRONMENTS[name]().make_tables()
     policy = np.random.default_rng(0).dirichlet(np.ones(tables.rewards.shape[1]), len(tables.rewards))

@@ -92,7 +92,8 @@ def test_representative_places_are_free_and_doorways_are_not_lost():
 # --- prices ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("floor", ["empty", "40 obstacles", "interior walls"])
+@pytest.mark.parametrize("floor", [pytest.param("empty", marks=pytest.mark.slow),
+                                   pytest.param("40 obstacles", marks=pytest.mark.slow), "interior walls"])
 def test_prices_are_near_the_fewest_primitives(floor):
     errors = []
     for query in make_queries(floor, range(1), 12):

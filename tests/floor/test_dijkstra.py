@@ -223,7 +223,7 @@ def sweep_all(scene, places, turns, moves, needs):
     return found
 
 
-@pytest.mark.parametrize("size", [(9.0, 5.0), (5.0, 9.0)])
+@pytest.mark.parametrize("size", [(9.0, 5.0), pytest.param((5.0, 9.0), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
 def test_sweeps_and_clearances_are_those_of_all_solids_from_anywhere_on_the_floor(robot, size):
     rules, maker = make_maker(robot, size)

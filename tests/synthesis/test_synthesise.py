@@ -22,6 +22,7 @@ from hrl_escape.synthesis import HierarchyEnv, synthesise
 from hrl_escape.synthesis.kinds import LEAVES, list_privileges
 from hrl_escape.synthesis.situation import Situations
 from studies.optima import compute_price
+from tests.covering import cover
 from tests.synthesis.tiny import TINY, enumerate_tiny
 
 AGENTS = {"maxq": "maxq-q", "ham": "hamq", "landmarks": "h-dqn", "feudal": "feudal-rl"}
@@ -32,8 +33,8 @@ def make_env(config="paper-two-button", kind="maxq", leaves="planned", **argumen
     return HierarchyEnv(EscapeRoomEnv(config), kind, leaves, **arguments)
 
 
-@pytest.mark.parametrize("kind", ["maxq", "ham", "landmarks"])
-@pytest.mark.parametrize("preset", ["paper-two-button", "four-button-chain"])
+@pytest.mark.parametrize(("kind", "preset"), cover(["maxq", "ham", "landmarks"],
+                                                   ["paper-two-button", "four-button-chain"]))
 def test_with_planned_leaves_an_agent_is_near_the_best_known_after_a_few_episodes(kind, preset):
     env = make_env(preset, kind)
     result = train(AGENTS[kind], env, primitives=500, eval_episodes=1, eval_every=500, progress=False,

@@ -125,7 +125,9 @@ def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
         assert f"<!-- {target.name}" in text
 
 
-@pytest.mark.parametrize("name", ["twenty-button", "ten-button", "sixty-four-buttons", "paper-two-button"])
+@pytest.mark.parametrize("name", [
+    pytest.param("twenty-button", marks=pytest.mark.slow), "ten-button", "sixty-four-buttons",
+    pytest.param("paper-two-button", marks=pytest.mark.slow)])
 def test_names_round_the_room_never_overlap_nor_leave_the_page(name):
     for seed in range(2):
         instance, state = make_room(name, seed)

@@ -33,7 +33,8 @@ def spent(monkeypatch):
     return budgets
 
 
-@pytest.mark.parametrize("config", [CROWDED, CROWD_OF_STARTS], ids=["obstacles", "starts"])
+@pytest.mark.parametrize("config", [pytest.param(CROWDED, marks=pytest.mark.slow), CROWD_OF_STARTS],
+                         ids=["obstacles", "starts"])
 def test_what_cannot_be_met_is_refused_once_the_budget_is_spent(config, spent):
     with pytest.raises(GenerationError, match="obstacles"):
         generation.generate(config, 0)

@@ -197,7 +197,7 @@ def test_configuration_has_the_fewest_joint_steps_of_the_whole_lattice(name: str
 
 @pytest.mark.parametrize("robot", [
     RobotConfig(joints=7, body_radius=0.4, body_height=0.8, link_length=0.3),
-    RobotConfig(kind="kuka-iiwa", joints=7, body_radius=0.4, body_height=0.5),
+    pytest.param(RobotConfig(kind="kuka-iiwa", joints=7, body_radius=0.4, body_height=0.5), marks=pytest.mark.slow),
     RobotConfig(kind="franka-panda", joints=7, body_radius=0.4, body_height=0.5),
 ], ids=["7 joints", "kuka-iiwa", "franka-panda"])
 def test_no_configuration_within_four_steps_of_a_redundant_arm_is_missed(robot: RobotConfig):
