@@ -23,6 +23,7 @@ from studies.baseline import BaselineRun, collect_baselines
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.generalisation.findings import advise, tell_best, tell_puzzle_depths, tell_room_numbers
 from studies.generalisation.grids import (
+    CEILING,
     DEPTHS,
     FLAT,
     FLAT_CHANCE,
@@ -193,8 +194,8 @@ def _draw_panel(axes: Axes, lines: Sequence[BaselineRun]) -> None:
         shift = 1.1 ** (number - (len(agents) - 1) / 2)
         axes.scatter([shift * _count_rooms(line) for line in own], [line.efficiency for line in own],
                      color=_COLOURS[agent], s=8, alpha=0.5, linewidths=0)
-    for (agent, name), style in zip(({CHANCE: "options, at random"} | SEARCHERS).items(), ("--", "-.", ":", "-"),
-                                    strict=True):
+    beside = {CHANCE: "options, at random"} | SEARCHERS | CEILING
+    for (agent, name), style in zip(beside.items(), ("--", "-.", ":", "-"), strict=True):
         values = [line.efficiency for line in lines if line.agent == agent]
         if values:
             axes.axhline(_average(values), color=palette.MUTED, linestyle=style, linewidth=1, label=name)

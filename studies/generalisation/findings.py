@@ -16,7 +16,7 @@ from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_hol
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun
-from studies.generalisation.grids import DEPTHS, FLAT, FLAT_CHANCE, SEARCHERS
+from studies.generalisation.grids import CEILING, DEPTHS, FLAT, FLAT_CHANCE, SEARCHERS
 from studies.statistics import choose_holm_levels, find_visible_difference
 
 __all__ = ["advise", "tell_best", "tell_puzzle_depths", "tell_room_numbers"]
@@ -67,12 +67,14 @@ def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Se
              f"that learns nothing, `{searcher[0]}`, {_mean(theirs):.2f} ({test.difference:+.2f}, {test.low:+.2f} to "
              f"{test.high:+.2f})")
     visible = find_visible_difference([gains[best]], ALPHA / len(gains))
+    limit = "".join(f" The ceiling is {_mean(seeds):.2f}: `{name}`, which knows how graphs are drawn."
+                    for (name, _), seeds in enough.items() if name in CEILING)
     if beating:
-        return f"Training pays beyond searching in {len(beating)} of {len(gains)} cells: {words}."
+        return f"Training pays beyond searching in {len(beating)} of {len(gains)} cells: {words}.{limit}"
     if len(behind) == len(gains):
-        return f"No learner matches searching: {words} at best."
+        return f"No learner matches searching: {words} at best.{limit}"
     return (f"No learner is shown to beat searching: {words} at best; of such studies 80 % would have seen a gain of "
-            f"{visible:.2f}.")
+            f"{visible:.2f}.{limit}")
 
 
 def advise(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], learner: str, without: str) -> str:

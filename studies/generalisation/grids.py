@@ -18,8 +18,8 @@ from hrl_escape.ladder.instance_set import InstanceSet
 from studies.ladder.calibration import CHANCE, KNOWN
 from studies.running import GridArgs
 
-__all__ = ["DEPTHS", "FLAT", "FLAT_CHANCE", "MANY", "MEMORY", "OBJECTS", "NAMES", "SEARCHERS", "TRAINED", "VECTORS",
-           "GeneralisationArgs", "make_depth_grid", "make_sizes_grid"]
+__all__ = ["CEILING", "DEPTHS", "FLAT", "FLAT_CHANCE", "MANY", "MEMORY", "OBJECTS", "NAMES", "SEARCHERS", "TRAINED",
+           "VECTORS", "GeneralisationArgs", "make_depth_grid", "make_sizes_grid"]
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
 DEPTHS: dict[str, dict[str, Any]] = _DATA["depths"]
@@ -28,6 +28,7 @@ NAMES: dict[str, str] = _DATA["names"]
 FLAT, VECTORS, OBJECTS, MEMORY, MANY = NAMES
 FLAT_CHANCE = "random"
 SEARCHERS: dict[str, str] = _DATA["searchers"]
+CEILING: dict[str, str] = _DATA["ceiling"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +59,7 @@ def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
     Raises:
         EscapeError: no such rung, or more rooms than it has.
     """
-    names = args.agents or (*(name for name in NAMES if name != MANY), *SEARCHERS, CHANCE, FLAT_CHANCE)
+    names = args.agents or (*(name for name in NAMES if name != MANY), *SEARCHERS, *CEILING, CHANCE, FLAT_CHANCE)
     agents = tuple(map(AgentSpec.parse, names))
     sizes = tuple(size for size in args.sizes if size <= bench[args.rung].record.train.count)
     settings = LadderSettings(args.runs, args.primitives, args.rooms, sizes, first_seed=args.first_seed)
@@ -78,7 +79,7 @@ def make_depth_grid(bench: Benchmark, args: GeneralisationArgs, folder: Path) ->
                   for name, depth in DEPTHS.items())
     return Grid(
         name="depth", description="Trained in rooms of 2 to 4 buttons, tested in deeper ones without learning.",
-        agents=tuple(map(AgentSpec.parse, args.agents or (OBJECTS, MEMORY, *SEARCHERS, CHANCE, KNOWN))),
+        agents=tuple(map(AgentSpec.parse, args.agents or (OBJECTS, MEMORY, *SEARCHERS, *CEILING, CHANCE, KNOWN))),
         train_rooms=(train,) * len(tests), test_rooms=tests, runs=args.runs, first_seed=args.first_seed,
         primitives=args.primitives, eval_every=args.primitives, eval_episodes=args.rooms, observation="objects",
     )
