@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
@@ -11,6 +10,7 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.options.memory import MemoryStreams
@@ -36,7 +36,7 @@ def measure_many(benchmark: str, rung: str, jobs: Sequence[tuple[int, int]], pri
         tested: number of unseen rooms, an episode in each.
         workers: processes.
     """
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, get_fork_server()) as pool:
         for done in as_completed([pool.submit(run_many, benchmark, rung, *job, primitives, tested) for job in jobs]):
             yield done.result()
 
