@@ -5,6 +5,7 @@ Here: [which part of a hierarchy pays](../results/parts.md). Run this from a che
 """
 
 import json
+import tomllib
 from collections import defaultdict
 from pathlib import Path
 
@@ -13,9 +14,10 @@ import numpy as np
 import hrl_escape
 from hrl_escape.figures import LINES, get_figure_class
 
-raw = Path(hrl_escape.__file__).parents[1] / "studies" / "parts" / "raw.jsonl"
-runs = [json.loads(line) for line in raw.read_text().splitlines()]
-first = [run for run in runs if run["seed"] < 2_000 and not run["failure"]]  # later seeds are the confirmation's
+folder = Path(hrl_escape.__file__).parents[1] / "studies" / "parts"
+runs = [json.loads(line) for line in (folder / "raw.jsonl").read_text().splitlines()]
+fresh = tomllib.loads((folder / "study.toml").read_text())["slices"]["confirmation"]["first_seed"]
+first = [run for run in runs if run["seed"] < fresh and not run["failure"]]  # without the confirmation
 print(f"{len(first):,} runs of design {first[0]['design']}")
 
 # A run that gave up has no first escape. It stays in the median as one that takes for ever.
