@@ -5,11 +5,11 @@ Here: [which part of a hierarchy pays](../results/parts.md). Run this from a che
 """
 
 import json
-import tomllib
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+import tomllib
 
 import hrl_escape
 from hrl_escape.figures import LINES, get_figure_class
