@@ -82,7 +82,7 @@ def test_advice_answers_questions_of_the_study(study: Study):
 @pytest.mark.parametrize("study", [LEARNED_HIERARCHIES, INTRA_OPTION], ids=lambda study: study.name)
 def test_the_optimal_searcher_does_not_know_rooms_of_no_preset(study: Study):
     for room in study.grids[0].rooms:
-        with pytest.raises(UnsupportedError, match="take a preset or a rung"):
+        with pytest.raises(UnsupportedError, match="take a preset, a rung"):
             find_schematic(room.make_instance())
 
 
