@@ -93,6 +93,8 @@ class TrainArgs(RoomChoice):
     ppoc, q-learning, r-max and sarsa, and with --leaves."""
     device: str = "cpu"
     """Device of the copies, the networks and everything between them, such as cuda; with --batch."""
+    compile: bool = False
+    """Fuse a step of the copies into kernels: half a minute once, then several times as fast; with --batch."""
     out: Path | None = None
     """Folder of log, checkpoint and result; runs/AGENT-ROOM-SEED-HASH by default."""
     tensorboard: bool = False
@@ -116,7 +118,7 @@ class TrainArgs(RoomChoice):
             from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 
             rooms = EscapeRoomVectorEnv(self.batch, instance=instance, observation=self.observation, output="torch",
-                                        device=self.device)
+                                        device=self.device, compile=self.compile)
             if self.leaves is None:
                 return rooms
             from hrl_escape.synthesis import HierarchyVectorEnv
@@ -127,7 +129,8 @@ class TrainArgs(RoomChoice):
 
         gamma = spec.resolve_settings()["gamma"]
         options = BatchedOptionsEnv(self.batch, instance=instance, observation=self.observation, discount=gamma,
-                                    include_primitives=not self.options_only, flavour=self.flavour, device=self.device)
+                                    include_primitives=not self.options_only, flavour=self.flavour,
+                                    device=self.device, compile=self.compile)
         return MemoryStreams(options) if self.memory else options
 
 
@@ -154,6 +157,9 @@ def run(args: TrainArgs) -> None:
     recorder: StateRecorder | None = None
     player: Agent | None = None
     if args.batch is None:
+        if args.compile or args.device != "cpu":
+            raise UnsupportedError(f"--{'compile' if args.compile else 'device'} is for many copies of the room: give "
+                                   "--batch N too; one room is stepped by Bullet, on the CPU")
         env, recorder = make_env(spec, instance, args.observation)
         player = make_player(spec, env, recorder) if spec.name == TOOLS else None
     else:

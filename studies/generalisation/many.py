@@ -65,7 +65,7 @@ def _play(spec: AgentSpec, rooms: UnseenRooms, agent: Agent) -> tuple[float, flo
 def _make_streams(benchmark: str, rung: str, size: int) -> MemoryStreams:
     """The first training rooms, many at once, kept for the next run in them."""
     rooms = load_benchmark(benchmark)[rung].train[:size]
-    many = rooms.make_vec(STREAMS, options={"include_primitives": False}, observation="objects")
+    many = rooms.make_vec(STREAMS, options={"include_primitives": False}, observation="objects", compile=True)
     assert isinstance(many, BatchedOptionsEnv)  # as options were asked for
     return MemoryStreams(many)
 

@@ -124,6 +124,21 @@ def test_what_a_batch_cannot_do_is_refused(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert_refused(capsys, ["train", "intra-option-q", "--batch", "4"], "many environments at once")
     assert_refused(capsys, ["train", "smdp-ppo", "--batch", "4", "--memory"], "observation='objects'")
+    assert_refused(capsys, ["train", "ppo", "--compile"], "--compile is for many copies of the room: give --batch N")
+    assert_refused(capsys, ["train", "ppo", "--device", "cuda"], "--device is for many copies")
+
+
+@pytest.mark.slow  # compiles two kernels
+@pytest.mark.parametrize("agent", ["ppo", "smdp-ppo"])
+def test_compiled_copies_learn_the_same(capsys, tmp_path, agent):
+    learned = []
+    for more in ([], ["--compile"]):
+        code, out, _ = call(capsys, "train", agent, "--batch", "8", "--preset", "paper-one-button", "--primitives",
+                            "2000", "--eval-episodes", "0", "--out", tmp_path / f"run{len(more)}", "--json", *more)
+        assert code == 0
+        learned.append([{name: value for name, value in segment.items() if "second" not in name}
+                        for segment in json.loads(out)["segments"]])
+    assert learned[0] == learned[1] != []
 
 
 def test_a_batch_trains_given_hierarchies_and_agents_with_a_memory(capsys, tmp_path):
