@@ -26,6 +26,7 @@ import matplotlib
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, NullFormatter
 
 import hrl_escape  # noqa: F401  # registers the rooms
 from benchmarks.learning_curves import Contender, Marks, compare, describe, train_in_many, train_in_one
@@ -159,8 +160,10 @@ def draw(rows: Sequence[dict[str, Any]]) -> Figure:
             right.plot(seconds, scores, **style)
         left.set(xlabel="primitives, of all environments", ylabel="greedy return")
         right.set(xlabel="seconds of processor time", xscale="log")
+        right.xaxis.set_minor_formatter(NullFormatter())
         right.legend(title="environments", frameon=False, fontsize=8)
         for axes in (left, right):
+            axes.xaxis.set_major_formatter(EngFormatter(sep=""))
             axes.spines[["top", "right"]].set_visible(False)
     return figure
 
