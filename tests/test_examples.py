@@ -27,6 +27,8 @@ LESSONS = [
     ("continuous_sac.py", ["--steps", "150"],
      [r"plan: escaped in \d+\.\d s of motion", r"SAC, 150 steps: return -?\d+\.\d in \d+\.\d s"]),
     ("cleanrl_ppo.py", ["--primitives", "4096"], [r"4,096 primitives: return -?\d+, \d+% of \d+ episodes escape"]),
+    ("pufferlib_ppo.py", ["--primitives", "4096"],
+     [r"PufferLib is not installed|\d,\d\d\d primitives: return -?\d+, \d+% of \d+ episodes escape"]),
     ("torchrl_macros.py", [],
      [r"transform: 8 rewards, sum -17\.122;", r"'brake': 0", r"macro: 8 primitives, reached, sum -17\.122,.*\^k 0\.430",
       r"brake: \d+ primitives, reached", r"brake: cannot start here"]),
