@@ -18,6 +18,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, ResetNeededError, UnsupportedError
 from hrl_escape.planning.planner import RoomPlanner
+from tests.env.bullet_world import BulletWorld
 
 
 def change(preset: str, robot=None, dynamics=None, **settings):
@@ -86,10 +87,10 @@ def test_contact_is_exact_and_nothing_tunnels_asked_of_bullet(config):
     env = EscapeRoomContinuousEnv(config, time_step=0.25, speed=8.0, turn_speed=3.0)
     env.action_space.seed(0)
     env.reset(seed=0)
-    gaps = []
+    gaps, world = [], BulletWorld(env.rules)
     for _ in range(150):
         env.step(env.action_space.sample())
-        gaps.append(env.room.compute_clearance())
+        gaps.append(world.compute_clearance(env.get_state()))
     assert min(gaps) > CONTACT_SKIN - 5e-5
     assert sum(gap < 2 * CONTACT_SKIN for gap in gaps) > 10, "it meets walls"
 

@@ -12,6 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hrl_escape.env.config import DynamicsConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
@@ -238,8 +239,10 @@ def test_an_instance_can_be_given_as_object_or_file(tmp_path):
 def test_many_rooms_live_in_one_process_and_all_is_freed():
     import pybullet
 
-    rooms = [EscapeRoomEnv("paper-one-button" if n % 2 else "clutter") for n in range(6)]
-    clients = {env.room.client for env in rooms}
+    config = get_preset("clutter")
+    moved = dataclasses.replace(config, dynamics=DynamicsConfig(kind="physics"))
+    rooms = [EscapeRoomEnv(moved) for _ in range(6)]
+    clients = {env.room.physics.client for env in rooms}
     assert len(clients) == 6
     for env in rooms:
         env.reset(seed=0)

@@ -6,14 +6,15 @@ import pickle
 import numpy as np
 import pytest
 
-from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import CONTACT_SKIN, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.geometry import Solid, compute_distance, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target
+from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.floor.clearance import CollisionMap
+from tests.env.bullet_world import BulletWorld
 
 
 def make_room(*solids: Solid, radius: float = 0.5) -> RoomInstance:
@@ -49,21 +50,16 @@ def test_free_places_are_those_of_the_exact_geometry(name, shut):
 
 
 def test_free_places_are_those_of_bullet():
-    room = BulletRoom(generate(get_preset("clutter"), 1))
-    try:
-        collision = CollisionMap(room.instance, door_shut=True)
-        state = room.state
-        checked = 0
-        for x, y in sample_near_surfaces(collision, np.random.default_rng(1), 300).tolist():
-            room._enter(state._replace(x=x, y=y))  # set_state refuses places in a wall
-            clearance = room.compute_clearance()
-            in_doorway = compute_distance(x, y, room.instance.door.footprint) < collision.radius  # no door shuts there
-            if abs(clearance - CONTACT_SKIN) > 1e-5 and not in_doorway:  # Bullet's own accuracy
-                assert collision.is_free(x, y) == (clearance > CONTACT_SKIN)
-                checked += 1
-        assert checked > 400
-    finally:
-        room.close()
+    rules = Kinematics(generate(get_preset("clutter"), 1))
+    instance, world = rules.instance, BulletWorld(rules)
+    collision, state, checked = CollisionMap(instance, door_shut=True), rules.make_state(instance.starts[0]), 0
+    for x, y in sample_near_surfaces(collision, np.random.default_rng(1), 300).tolist():
+        clearance = world.compute_clearance(state._replace(x=x, y=y))
+        in_doorway = compute_distance(x, y, instance.door.footprint) < collision.radius  # no door shuts there
+        if abs(clearance - CONTACT_SKIN) > 1e-5 and not in_doorway:  # Bullet's own accuracy
+            assert collision.is_free(x, y) == (clearance > CONTACT_SKIN)
+            checked += 1
+    assert checked > 400
 
 
 def test_moves_are_free_as_a_fine_walk_along_them_says():

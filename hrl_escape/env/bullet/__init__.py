@@ -1,4 +1,4 @@
-"""The Bullet engine: one room in a physics client, kinematic or rigid, and the cameras that look at it.
+"""The Bullet engine: one room, kinematic or rigid, the cameras that look at it, and its window.
 
 Importing any module of this package imports pybullet first, here, without the line that its C
 code writes to stderr. Everything else that C libraries write reaches the user at once.

@@ -54,12 +54,10 @@ class BulletRenderer:
         check_camera(camera)
         check_picture_size(width, height)
         room = self._room
-        if room.client < 0:
+        if not room.is_open:
             raise ClosedError("this room is closed; make a new one")
-        if self._stage is None:
-            self._stage = Stage(room.instance, room.rules.robot)
-        stage = self._stage
-        stage.follow(room)
+        stage = self._stage = self._stage or Stage(room.instance, room.rules)
+        stage.follow(room.state)
         view = _VIEWS[camera](room, width / height)
         for standing in stage.standing:
             stage.set_cut(standing, camera == "chase" and _hides(standing, room, view.eye))

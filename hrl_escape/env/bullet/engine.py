@@ -1,37 +1,32 @@
-"""The Bullet engine: one room in its own physics client, under kinematic or physics dynamics.
+"""The Bullet engine: one room that moves, under kinematic or physics dynamics, and its window.
 
-Kinematic rooms are moved by `Kinematics`, and Bullet's world is built and placed only when it is rendered or queried:
-renderings and queries always show the state, and steps, or rooms never looked at, cost nothing for it. Physics rooms
-are moved by `physics.py`. It knows no Gymnasium, no observations and no cameras.
+Kinematic rooms are moved by `Kinematics` and have no physics client; physics rooms are moved by `physics.py` in one of
+their own. A window shows a `Stage`. It knows no Gymnasium, no observations and no cameras.
 """
 
 from __future__ import annotations
 
-import math
-import os
-import sys
 import time
-import weakref
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import pybullet
 
 from hrl_escape.env.bullet.physics import PhysicsDynamics
-from hrl_escape.env.bullet.scene import SceneBodies, build_scene, show_door, show_exit, show_inner_door, show_lit
+from hrl_escape.env.bullet.stage import Stage
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Glide, Kinematics, RoomState, Rules, Transition
-from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.state_checks import check_state
-from hrl_escape.errors import ClosedError, UnsupportedError
+from hrl_escape.errors import ClosedError
 
 
 class BulletRoom:
-    """One room that moves. Rooms are independent; a room that is rendered owns a physics client until `close`.
+    """One room that moves. Rooms are independent; under physics, or with a window, one owns a client until `close`.
 
     Attributes:
         instance: the room.
         rules: the room's rules (`Kinematics`, or `Rules` under physics).
+        physics: what moves the room under physics, with its world; else None.
         state: the state now. It is immutable, so to keep it is to save it.
     """
 
@@ -45,31 +40,13 @@ class BulletRoom:
         Raises:
             UnsupportedError: a window without a display; under physics, too many rooms open in this process.
         """
-        self.instance, self._is_seen = instance, window
-        kinematics = Kinematics(instance) if instance.dynamics.kind == "kinematic" else None
-        self.rules: Rules = kinematics or Rules(instance)
-        self._world: _World | None = None
-        self._is_closed, self._is_placed = False, True
-        self._next_frame = 0.0
-        if window:
-            self._open()
-        self._mover = kinematics or self._open().get_physics()
+        self.instance, self._is_closed, self._next_frame = instance, False, 0.0
+        is_kinematic = instance.dynamics.kind == "kinematic"
+        self.rules: Rules = Kinematics(instance) if is_kinematic else Rules(instance)
+        self._window = Stage(instance, self.rules, window=True) if window else None
+        self.physics = None if is_kinematic else PhysicsDynamics(self.rules)
+        self._mover: Any = self.physics or self.rules
         self.state = self.reset(instance.starts[0])
-
-    def _open(self) -> _World:
-        """Bullet's world, built when it is first needed."""
-        if self._world is None:
-            client = _connect(self._is_seen)
-            self._release = weakref.finalize(self, _disconnect, client)
-            self._world = _World.build(client, self.instance, self.rules)
-            if self._is_seen:
-                pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=client)
-        return self._world
-
-    @property
-    def scene(self) -> SceneBodies:
-        """PyBullet body and joint ids of its world."""
-        return self._open().scene
 
     # --- the episode ---------------------------------------------------------------------
 
@@ -96,8 +73,8 @@ class BulletRoom:
         """
         self._require_open()
         check_state(self.rules, state)
-        if isinstance(self._mover, PhysicsDynamics):
-            self._mover.check_state(state)
+        if self.physics is not None:
+            self.physics.check_state(state)
         self._enter(state)
 
     def step(self, action: int) -> Transition:
@@ -127,33 +104,10 @@ class BulletRoom:
         return transition
 
     def _enter(self, state: RoomState) -> None:
-        self.state, self._is_placed = state, False
-        if self._is_seen:
-            self._place()
-
-    def _place(self) -> None:
-        """Bring Bullet's world into the present state, if it is in another one."""
-        world = self._open()
-        if not self._is_placed:
-            try:
-                world.dynamics.place(self.state)
-                world.colours.show(self.state)
-            except pybullet.error:
-                self._require_open()
-                raise
-            self._is_placed = True
-
-    @property
-    def client(self) -> int:
-        """Number of pybullet's physics client, -1 once closed; its world shows `state`.
-
-        Raises:
-            UnsupportedError: too many rooms in this process have one.
-        """
-        if self._is_closed:
-            return -1
-        self._place()
-        return self._open().client
+        self.state = state
+        if self._window is not None:
+            self._require_open()
+            self._window.follow(state)
 
     def show(self, rate: float) -> None:
         """Keep Bullet's window watchable: wait until 1 / `rate` seconds after the last call."""
@@ -162,38 +116,20 @@ class BulletRoom:
         time.sleep(min(max(self._next_frame - now, 0.0), 1.0 / rate))
         self._next_frame = max(self._next_frame, now) + 1.0 / rate
 
-    # --- queries -------------------------------------------------------------------------
-
-    def compute_clearance(self) -> float:
-        """Distance in metres from the body to the nearest wall, obstacle or shut door, asked of Bullet.
-
-        Negative if they overlap. Bullet's answer is within 2e-6 m of the exact distance at
-        the contact skin; it is independent of the rules that moved the body.
-        """
-        self._require_open()
-        instance, client, best = self.instance, self.client, math.inf
-        furthest = 3.0 * (instance.reach_x + instance.reach_y)
-        bodies = [(solid, -1) for solid in self.scene.solids]
-        if self.scene.door is not None and self._open().dynamics.door_is_solid:
-            bodies.append((self.scene.door, 0))
-        for body, link in bodies:
-            points = pybullet.getClosestPoints(self.scene.robot, body, furthest, self.scene.base_link, link,
-                                               physicsClientId=client)
-            best = min(best, min(point[8] for point in points))
-        return best
+    # --- its end -------------------------------------------------------------------------
 
     @property
     def is_open(self) -> bool:
         """False once the room, or its window, was closed."""
-        return not self._is_closed and (self._world is None or bool(pybullet.isConnected(self._world.client)))
-
-    # --- its end -------------------------------------------------------------------------
+        clients = [owner.client for owner in (self.physics, self._window) if owner is not None]
+        return not self._is_closed and all(map(pybullet.isConnected, clients))
 
     def close(self) -> None:
-        """Free the physics client; safe to call twice. Deleting the room frees it too."""
+        """Free the physics clients; safe to call twice. Deleting the room frees them too."""
         self._is_closed = True
-        if self._world is not None:
-            self._release()
+        for owner in (self.physics, self._window):
+            if owner is not None:
+                owner.close()
 
     def _require_open(self) -> None:
         if self._is_closed:
@@ -201,115 +137,3 @@ class BulletRoom:
         if not self.is_open:
             self.close()
             raise ClosedError("this room's window was closed; make a new one")
-
-
-class _World(NamedTuple):
-    """Bullet's world of a room."""
-
-    client: int  # pybullet's number of the physics client
-    scene: SceneBodies  # PyBullet body and joint ids
-    dynamics: PhysicsDynamics | _KinematicPlacement  # places the bodies by a state; under physics it also moves them
-    colours: _PuzzleColours  # show the puzzle
-
-    @classmethod
-    def build(cls, client: int, instance: RoomInstance, rules: Rules) -> _World:
-        scene = build_scene(client, instance, rules.robot)
-        dynamics = (_KinematicPlacement(client, scene, rules) if isinstance(rules, Kinematics)
-                    else PhysicsDynamics(client, scene, rules))
-        return cls(client, scene, dynamics, _PuzzleColours(client, instance, scene))
-
-    def get_physics(self) -> PhysicsDynamics:
-        """Dynamics that move the room."""
-        assert isinstance(self.dynamics, PhysicsDynamics)
-        return self.dynamics
-
-
-class _KinematicPlacement:
-    """`Kinematics` decides; Bullet's bodies are placed accordingly."""
-
-    def __init__(self, client: int, scene: SceneBodies, rules: Kinematics) -> None:
-        self._client, self._rules = client, rules
-        self._robot, self._joints, self._height = scene.robot, scene.joints, scene.base_height
-        self._turns = tuple(_make_quaternion(n * rules.turn_step) for n in range(rules.headings))
-        self._pose: tuple[float, ...] = ()
-        self._angles = [math.nan] * len(scene.joints)
-        self._arm: tuple = ()
-        self._door = scene.door
-        self.door_is_solid = True
-
-    def place(self, state: RoomState) -> None:
-        """Move the parts of the robot whose pose differs from the state's."""
-        pose = state.x, state.y, state.heading_steps, state.heading_offset
-        if pose != self._pose:
-            self._pose = pose
-            x, y, steps, offset = pose
-            turn = self._turns[steps] if offset == 0.0 else _make_quaternion(steps * self._rules.turn_step + offset)
-            pybullet.resetBasePositionAndOrientation(self._robot, (x, y, self._height), turn, self._client)
-        arm = state.joint_steps, state.joint_offsets
-        if arm != self._arm:
-            self._arm = arm
-            for i, angle in enumerate(self._rules.get_angles(state)):
-                if angle != self._angles[i]:
-                    self._angles[i] = angle
-                    pybullet.resetJointState(self._robot, self._joints[i], angle, 0.0, self._client)
-        if self._door is not None:
-            is_shut = self._rules.is_door_shut(state.x, state.y, state.puzzle, self._rules.get_rotation(
-                state.heading_steps, state.heading_offset))
-            if is_shut != self.door_is_solid:
-                self.door_is_solid = is_shut
-                show_door(self._client, self._rules.instance, self._door, not is_shut)
-
-
-class _PuzzleColours:
-    """Colours that show the puzzle: lit targets and the exit."""
-
-    def __init__(self, client: int, instance: RoomInstance, scene: SceneBodies) -> None:
-        self._client, self._instance, self._scene = client, instance, scene
-        self._puzzle: object = None
-        self._lit = (False,) * len(instance.targets)
-        self._shut = (1 << len(instance.inner_doors)) - 1
-        self._solved = False
-
-    def show(self, state: RoomState) -> None:
-        """Recolour targets and exit if they changed."""
-        if state.puzzle != self._puzzle:
-            self._puzzle = state.puzzle
-            puzzle = self._instance.puzzle
-            lit = puzzle.get_lit(state.puzzle)
-            for target, now, before in zip(self._scene.targets, lit, self._lit, strict=True):
-                if now != before:
-                    show_lit(self._client, target, now)
-            self._lit = lit
-            shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
-            for number, door in enumerate(self._instance.inner_doors):
-                if (shut ^ self._shut) >> number & 1:
-                    show_inner_door(self._client, self._scene.inner_doors[number], door, bool(shut >> number & 1))
-            self._shut = shut
-            solved = puzzle.is_solved(state.puzzle)
-            if solved != self._solved:
-                self._solved = solved
-                show_exit(self._client, self._scene, solved)
-
-
-def _make_quaternion(heading: float) -> tuple[float, float, float, float]:
-    return 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)
-
-
-# --- physics clients -----------------------------------------------------------------------
-
-
-def _connect(window: bool) -> int:
-    if window and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        raise UnsupportedError("Bullet's window needs a display (DISPLAY is not set); use pictures (rgb_array) instead")
-    client = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
-    if client < 0:
-        raise UnsupportedError("Bullet gives no further physics client; close rooms that are no longer used")
-    if window:
-        for flag in (pybullet.COV_ENABLE_GUI, pybullet.COV_ENABLE_RENDERING):
-            pybullet.configureDebugVisualizer(flag, 0, physicsClientId=client)
-    return client
-
-
-def _disconnect(client: int) -> None:
-    if pybullet.isConnected(client):
-        pybullet.disconnect(client)

@@ -18,13 +18,14 @@ room of the same instance, in any process.
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import pybullet
 
-from hrl_escape.env.bullet.scene import SceneBodies
+from hrl_escape.env.bullet.scene import build_scene, connect, disconnect
 from hrl_escape.env.instance import Start
 from hrl_escape.env.kinematics import Glide, RoomState, Rules, Transition
 from hrl_escape.env.noise import compute_noise
@@ -64,27 +65,35 @@ class PhysicsState(NamedTuple):
 
 
 class PhysicsDynamics:
-    """Moves one room by rigid-body dynamics."""
+    """Moves one room by rigid-body dynamics.
 
-    door_is_solid = True
+    Args:
+        rules: of the room.
 
-    def __init__(self, client: int, scene: SceneBodies, rules: Rules) -> None:
-        self._client, self._scene, self._rules = client, scene, rules
-        self._instance = rules.instance
+    Attributes:
+        client: pybullet's number of the physics client.
+        scene: PyBullet body and joint ids of its world.
+
+    Raises:
+        UnsupportedError: too many rooms in this process have a client.
+    """
+
+    def __init__(self, rules: Rules) -> None:
+        self.client = client = connect()
+        self.close = weakref.finalize(self, disconnect, client)
+        self.scene = scene = build_scene(client, rules.instance, rules.robot)
+        self._rules, self._instance = rules, rules.instance
         self._reach = rules.instance.reach_x, rules.instance.reach_y
         self._targets = {body: number for number, body in enumerate(scene.targets)}
-        self._blocks = tuple((body, number) for number, body in enumerate(scene.props)
-                             if self._instance.props[number].prop.kind == "block")
         if scene.door is not None:
             self._door_pose = pybullet.getBasePositionAndOrientation(scene.door, physicsClientId=client)
         self._by_hand = self._instance.dynamics.press_with == "hand"
         self._hand_reach = self._instance.robot.hand_radius + self._instance.dynamics.press_margin
-        self._written: RoomState | None = None
         self._touches: set[tuple[int, int]] = set()
         self._configure()
 
     def _configure(self) -> None:
-        client, scene = self._client, self._scene
+        client, scene = self.client, self.scene
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         # sorted pairs make contacts independent of history; without inner iterations Bullet sweeps over the
         # motors only once as soon as anything touches, and a loaded arm sags by degrees
@@ -99,7 +108,7 @@ class PhysicsDynamics:
         self._drive_forces = (force, force, force)
         efforts = (pybullet.getJointInfo(scene.robot, joint, physicsClientId=client)[10] for joint in scene.joints)
         self._efforts = tuple(effort or _JOINT_EFFORT for effort in efforts)
-        for body in (*(body for body, _ in self._blocks), *scene.floors):
+        for body in (*(body for body, _ in self.scene.blocks), *scene.floors):
             pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=client)
         for joint, angle in scene.rest_joints:
             pybullet.setJointMotorControl2(scene.robot, joint, pybullet.POSITION_CONTROL, targetPosition=angle,
@@ -112,13 +121,13 @@ class PhysicsDynamics:
         return self._rules.make_state(start, noise_key)._replace(physics=self._make_rest())
 
     def _make_rest(self) -> PhysicsState:
-        door = (0.0, 0.0) if self._scene.door is not None else ()
+        door = (0.0, 0.0) if self.scene.door is not None else ()
         props = tuple(
             (p.x, p.y, p.prop.height / 2 if p.prop.kind == "block" else 0.0,
              0.0, 0.0, math.sin(p.yaw / 2), math.cos(p.yaw / 2), *(0.0,) * 6)
             for p in self._instance.props
         )
-        return PhysicsState((0.0, 0.0, 0.0), (0.0,) * len(self._scene.joints), door, props)
+        return PhysicsState((0.0, 0.0, 0.0), (0.0,) * len(self.scene.joints), door, props)
 
     def check_state(self, state: RoomState) -> None:
         """Raise `StateError` unless the `physics` of a state fits this room.
@@ -140,16 +149,12 @@ class PhysicsDynamics:
             fits = False
         if not fits:
             raise StateError(f"physics = {show_value(state.physics)} is not possible: finite numbers for "
-                             f"{len(self._scene.joints)} joints, {len(rest.door) // 2} doors and {len(rest.props)} "
+                             f"{len(self.scene.joints)} joints, {len(rest.door) // 2} doors and {len(rest.props)} "
                              "props")
 
-    def place(self, state: RoomState) -> None:
+    def write(self, state: RoomState) -> None:
         """Put the world into a state; one without `physics` is at rest, with props at their first poses."""
-        if state is not self._written:
-            self._write(state)
-
-    def _write(self, state: RoomState) -> None:
-        client, scene = self._client, self._scene
+        client, scene = self.client, self.scene
         physics: PhysicsState = state.physics or self._make_rest()
         self._forget_contacts()
         drives = (state.x, state.y, self._rules.get_heading(state))
@@ -161,16 +166,15 @@ class PhysicsDynamics:
             pybullet.resetJointState(scene.robot, joint, position, velocity, client)
         if scene.door is not None:
             pybullet.resetJointState(scene.door, 0, *physics.door, client)
-        for body, numbers in self._blocks:
+        for body, numbers in self.scene.blocks:
             pose = physics.props[numbers]
             pybullet.resetBasePositionAndOrientation(body, pose[:3], pose[3:7], client)
             pybullet.resetBaseVelocity(body, pose[7:10], pose[10:], client)
-        self._written = state
 
     def _forget_contacts(self) -> None:
         """Move all movable bodies apart and back, so that Bullet drops its cached contacts and pairs."""
-        client, scene = self._client, self._scene
-        bodies = (scene.robot, *(body for body, _ in self._blocks))
+        client, scene = self.client, self.scene
+        bodies = (scene.robot, *(body for body, _ in self.scene.blocks))
         for number, body in enumerate(bodies):
             pybullet.resetBasePositionAndOrientation(body, (0.0, 0.0, _AWAY * (number + 1)), _UPRIGHT, client)
         if scene.door is not None:
@@ -182,7 +186,7 @@ class PhysicsDynamics:
 
     def _read(self, before: RoomState, pressed: int) -> RoomState:
         """State after the motion; presses are not judged yet."""
-        client, scene, rules = self._client, self._scene, self._rules
+        client, scene, rules = self.client, self.scene, self._rules
         drives = pybullet.getJointStates(scene.robot, scene.drives, client)
         x, y, heading = (drive[0] for drive in drives)
         reach_x, reach_y = self._reach  # against the alcove's far wall a contact gives way a millimetre beyond the exit
@@ -195,7 +199,7 @@ class PhysicsDynamics:
             door = pybullet.getJointState(scene.door, 0, client)[:2]
         props = list((before.physics or self._make_rest()).props)
         moved = self._find_moved(tuple(props))
-        for body, number in self._blocks:
+        for body, number in self.scene.blocks:
             if body not in moved:  # resting contacts creep by micrometres in every primitive
                 props[number] = (*props[number][:7], *(0.0,) * 6)
                 continue
@@ -218,7 +222,7 @@ class PhysicsDynamics:
         if dynamics.noise or dynamics.slip:
             normal, uniform = compute_noise(state.noise_key, state.primitives)
             scale = 0.0 if uniform < dynamics.slip else 1.0 + dynamics.noise * normal
-        self._write(state)
+        self.write(state)
         self._hold(state)
         if primitive.joint >= 0:
             pressed = self._move_joint(state, primitive, scale)
@@ -228,7 +232,7 @@ class PhysicsDynamics:
 
     def glide(self, state: RoomState, motion: Glide) -> Transition:
         """Run a short motion at an even rate in place of a primitive; as pure as `step`, noise and slip left out."""
-        self._write(state)
+        self.write(state)
         self._hold(state)
         count = max(1, round(motion.seconds * RATE))
         pairs = zip(self._rules.get_angles(state), motion.joints, self._rules.robot.limits, strict=True)
@@ -241,13 +245,11 @@ class PhysicsDynamics:
         """Transition to where Bullet's world is after the motion."""
         moved = self._read(state, pressed)
         poses = tuple(get_planar_pose(numbers) for numbers in moved.physics.props)
-        transition = self._rules.judge(state, moved, poses)
-        self._written = transition.state
-        return transition
+        return self._rules.judge(state, moved, poses)
 
     def _hold(self, state: RoomState) -> None:
         """Arm motors hold the joints; the door's hinge is locked, or free once solved."""
-        client, scene = self._client, self._scene
+        client, scene = self.client, self.scene
         for joint, angle, effort in zip(scene.joints, self._rules.get_angles(state), self._efforts, strict=True):
             pybullet.setJointMotorControl2(scene.robot, joint, pybullet.POSITION_CONTROL, angle, 0.0, effort,
                                            _POSITION_GAIN, 1.0, physicsClientId=client)
@@ -291,7 +293,7 @@ class PhysicsDynamics:
         Returns:
             Bits of the targets that were pressed.
         """
-        client, scene, pressed, done = self._client, self._scene, 0, 0.0
+        client, scene, pressed, done = self.client, self.scene, 0, 0.0
         self._touches = set()
         for rate in profile:
             pybullet.setJointMotorControlArray(scene.robot, scene.drives, pybullet.VELOCITY_CONTROL,
@@ -305,7 +307,7 @@ class PhysicsDynamics:
             pybullet.stepSimulation(client)
             if self._targets:
                 pressed |= self._find_pressed()
-            for body, _ in self._blocks:
+            for body, _ in self.scene.blocks:
                 self._touches |= {(body, point[2]) for point in pybullet.getContactPoints(body, physicsClientId=client)
                                   if point[9] > 0.0}
         return pressed
@@ -316,8 +318,8 @@ class PhysicsDynamics:
         Args:
             props: poses and velocities before it.
         """
-        movers = {self._scene.robot, self._scene.door}
-        moved = {body for body, number in self._blocks if max(map(abs, props[number][7:])) > _AT_REST}
+        movers = {self.scene.robot, self.scene.door}
+        moved = {body for body, number in self.scene.blocks if max(map(abs, props[number][7:])) > _AT_REST}
         while True:
             more = {body for body, other in self._touches if other in movers or other in moved} - moved
             if not more:
@@ -326,8 +328,8 @@ class PhysicsDynamics:
 
     def _find_pressed(self) -> int:
         """Bits of the targets that the presser pushes against now."""
-        pressed, scene = 0, self._scene
-        for point in pybullet.getContactPoints(scene.robot, physicsClientId=self._client):
+        pressed, scene = 0, self.scene
+        for point in pybullet.getContactPoints(scene.robot, physicsClientId=self.client):
             target = self._targets.get(point[2])
             if target is not None and point[9] >= PRESS_FORCE and self._is_presser(point[3], point[5]):
                 pressed |= 1 << target
@@ -335,10 +337,10 @@ class PhysicsDynamics:
 
     def _is_presser(self, link: int, at: tuple[float, float, float]) -> bool:
         if not self._by_hand:
-            return link == self._scene.base_link
-        hand = pybullet.getLinkState(self._scene.robot, self._scene.hand_link, computeForwardKinematics=1,
-                                     physicsClientId=self._client)[4]
-        return link != self._scene.base_link and math.dist(hand, at) <= self._hand_reach
+            return link == self.scene.base_link
+        hand = pybullet.getLinkState(self.scene.robot, self.scene.hand_link, computeForwardKinematics=1,
+                                     physicsClientId=self.client)[4]
+        return link != self.scene.base_link and math.dist(hand, at) <= self._hand_reach
 
 
 @lru_cache(maxsize=256)

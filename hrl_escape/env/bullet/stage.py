@@ -2,7 +2,7 @@
 
 Rendering a copy keeps the simulated world free of decoration: walls can be cut open, buttons
 have frames and objects cast shadows, and none of this can touch the robot or change a saved
-state. The copy follows a `BulletRoom`; it moves nothing by itself. Metres, the room frame.
+state. The copy follows the states of the room; it moves nothing by itself. Metres, the room frame.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from xml.etree import ElementTree
 import pybullet
 from numpy.typing import NDArray
 
-from hrl_escape.env.bullet.engine import BulletRoom
+from hrl_escape.env.bullet.scene import connect, disconnect
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import meshes, palette
 from hrl_escape.env.drawing.meshes import LAYER, Mesh, compute_outline, make_cylinder, make_prism, make_shadow
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Target
+from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
 from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
@@ -62,17 +63,28 @@ class _Lamp:
 
 
 class Stage:
-    """A copy of one room for cameras.
+    """A copy of one room for cameras, or for Bullet's window.
+
+    Args:
+        instance: the room.
+        rules: its rules.
+        window: show it in Bullet's window.
 
     Attributes:
         client: pybullet's number of the physics client.
         standing: everything that can be cut open for a better view.
+
+    Raises:
+        UnsupportedError: a window without a display, or too many clients in this process.
     """
 
-    def __init__(self, instance: RoomInstance, robot: Robot) -> None:
-        self._instance = instance
-        self.client = pybullet.connect(pybullet.DIRECT)
-        weakref.finalize(self, pybullet.disconnect, self.client)
+    def __init__(self, instance: RoomInstance, rules: Rules, window: bool = False) -> None:
+        self._instance, self._rules, robot = instance, rules, rules.robot
+        self.client = connect(window)
+        self.close = weakref.finalize(self, disconnect, self.client)
+        if window:
+            for flag in (pybullet.COV_ENABLE_GUI, pybullet.COV_ENABLE_RENDERING):
+                pybullet.configureDebugVisualizer(flag, 0, physicsClientId=self.client)
         self.standing = [self._add_solid(solid) for solid in instance.solids]
         self._lamps = [self._add_target(target) for target in instance.targets]
         self._base, self._shadow = self._add_base()
@@ -83,12 +95,14 @@ class Stage:
                        for door in instance.inner_doors]
         self._exit, self._exit_edge, self._is_open = *self._add_exit(), None
         self._add_floor()
+        if window:
+            pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=self.client)
 
     # --- following the room ------------------------------------------------------------
 
-    def follow(self, room: BulletRoom) -> None:
-        """Bring the copy into the room's present state."""
-        state, rules = room.state, room.rules
+    def follow(self, state: RoomState) -> None:
+        """Bring the copy into a state."""
+        rules = self._rules
         turn = pybullet.getQuaternionFromEuler((state.roll, state.pitch, rules.get_heading(state)))
         at = (state.x, state.y, state.z)
         for body in self._base:
@@ -98,8 +112,10 @@ class Stage:
             self._place(self._arm, at, turn)
             for joint, angle in zip(self._joints, rules.get_angles(state), strict=True):
                 pybullet.resetJointState(self._arm, joint, angle, physicsClientId=self.client)
-        for (body, shadow), original in zip(self._props, room.scene.props, strict=True):
-            (x, y, z), turn = pybullet.getBasePositionAndOrientation(original, physicsClientId=room.client)
+        first = [(p.x, p.y, p.prop.height / 2, 0.0, 0.0, math.sin(p.yaw / 2), math.cos(p.yaw / 2))
+                 for p in self._instance.props]
+        for (body, shadow), (x, y, z, *turn) in zip(self._props, first if state.physics is None else (
+                numbers[:7] for numbers in state.physics.props), strict=True):
             self._place(body, (x, y, 0.0 if shadow is None else z), turn)
             if shadow is not None:
                 self._place(shadow, (x, y, 0.0), _STILL)
@@ -110,8 +126,17 @@ class Stage:
         for lamp, is_lit in zip(self._lamps, puzzle.get_lit(state.puzzle), strict=True):
             self._light(lamp, is_lit)
         self._open_exit(puzzle.is_solved(state.puzzle))
-        if self._door is not None and room.scene.door is not None:
-            self._swing(self._door, pybullet.getJointState(room.scene.door, 0, physicsClientId=room.client)[0])
+        if self._door is not None:
+            self._move(self._door, meshes.find_hinge(self._door.solid), pybullet.getQuaternionFromEuler(
+                (0.0, 0.0, self._door.solid.yaw + self._find_door_angle(state))))
+
+    def _find_door_angle(self, state: RoomState) -> float:
+        """Angle of the exit's door on its hinge, rad; kinematic doors swing outwards so that the robot passes."""
+        if not isinstance(self._rules, Kinematics):
+            return state.physics.door[0] if state.physics else 0.0
+        rotation = self._rules.get_rotation(state.heading_steps, state.heading_offset)
+        is_shut = self._rules.is_door_shut(state.x, state.y, state.puzzle, rotation)
+        return 0.0 if is_shut else math.pi / 2 * self._instance.door_swing
 
     def _light(self, lamp: _Lamp, is_lit: bool) -> None:
         if is_lit != lamp.is_lit:
@@ -125,10 +150,6 @@ class Stage:
             self._is_open = is_open
             self._paint(self._exit, _EXIT_OPEN if is_open else _EXIT_LOCKED)
             self._paint(self._exit_edge, palette.EXIT_OPEN if is_open else _EXIT_EDGE)
-
-    def _swing(self, door: Standing, angle: float) -> None:
-        self._move(door, meshes.find_hinge(door.solid),
-                   pybullet.getQuaternionFromEuler((0.0, 0.0, door.solid.yaw + angle)))
 
     def _move(self, standing: Standing, at: tuple[float, float, float],
               turn: tuple[float, float, float, float]) -> None:

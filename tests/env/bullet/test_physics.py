@@ -28,6 +28,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import StateError
+from tests.env.bullet_world import BulletWorld
 from tests.env.pushing import solve
 from tests.forks import run_fork
 
@@ -110,12 +111,13 @@ def make_thin_room(seed: int, step: float) -> BulletRoom:
        st.sampled_from([0.7, 5.0]))
 def test_nothing_tunnels_and_bodies_hardly_overlap(seed, runs, step):
     room = make_thin_room(seed, step)
+    world = BulletWorld(room.rules)
     try:
         for action, times in runs:
             for _ in range(times):
                 at = room.step(action).state
                 assert abs(at.x) <= room.instance.reach_x and abs(at.y) <= room.instance.reach_y
-                assert room.compute_clearance() > -0.01
+                assert world.compute_clearance(at) > -0.01
     finally:
         room.close()
 
@@ -147,8 +149,10 @@ def test_no_episode_begins_with_the_arm_in_a_wall_or_an_obstacle(make_room):
                         obstacles=ObstaclesConfig(count=4, size_max=1.0), puzzle=ButtonsConfig(count=1))
     for seed in range(12):
         room = make_room(config, seed=seed)
-        for wall in room.scene.solids:
-            assert not pybullet.getClosestPoints(room.scene.robot, wall, 0.0, physicsClientId=room.client)
+        world = room.physics
+        world.write(room.state)
+        for wall in world.scene.solids:
+            assert not pybullet.getClosestPoints(world.scene.robot, wall, 0.0, physicsClientId=world.client)
 
 
 def test_an_arm_is_blocked_by_a_wall(make_room):
@@ -213,8 +217,9 @@ def test_the_hand_presses_and_other_links_do_not(make_room):
     room.set_state(rest._replace(x=-0.6, y=9.25, heading_steps=0))
     turned = play(room, [TURN_LEFT] * 3)
     assert [t.pressed for t in turned] == [()] * 3
-    contacts = pybullet.getContactPoints(room.scene.robot, room.scene.targets[0], physicsClientId=room.client)
-    assert any(point[3] == room.scene.joints[0] and point[9] > 0.0 for point in contacts)
+    scene, client = room.physics.scene, room.physics.client
+    contacts = pybullet.getContactPoints(scene.robot, scene.targets[0], physicsClientId=client)
+    assert any(point[3] == scene.joints[0] and point[9] > 0.0 for point in contacts)
 
 
 # --- the door --------------------------------------------------------------------------------
@@ -383,13 +388,14 @@ def test_a_state_with_other_props_is_refused(make_room):
         other.set_state(state)
 
 
-def test_the_world_shows_the_state_also_right_after_set_state(make_room):
+def test_the_world_is_put_into_any_state(make_room):
     room = make_room(get_preset("push-block"))
     states = [t.state for t in play(room, choose_actions(room, 6))]
+    scene, client = room.physics.scene, room.physics.client
     for state in states:
-        room.set_state(state)
-        link = pybullet.getLinkState(room.scene.robot, room.scene.base_link, computeForwardKinematics=True,
-                                     physicsClientId=room.client)
+        room.physics.write(state)
+        link = pybullet.getLinkState(scene.robot, scene.base_link, computeForwardKinematics=True,
+                                     physicsClientId=client)
         assert link[4][:2] == pytest.approx((state.x, state.y), abs=1e-6)
-        block = pybullet.getBasePositionAndOrientation(room.scene.props[0], physicsClientId=room.client)
+        block = pybullet.getBasePositionAndOrientation(scene.blocks[0][0], physicsClientId=client)
         assert block[0] == pytest.approx(state.physics.props[0][:3], abs=1e-9)
