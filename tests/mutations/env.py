@@ -201,7 +201,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a door stays shut to the batched engine once it was shut",
-        "env/batched/puzzles/mini_grid.py",
+        "env/batched/puzzles/maps.py",
         "turned = (state | 2 << 2 * number) ^ 1 << 2 * number",
         "turned = state | 2 << 2 * number",
         "env/test_mini_grid.py",
@@ -250,7 +250,7 @@ MUTATIONS = [
     ),
     Mutation(
         "in the batch the held block goes under the tower",
-        "env/batched/puzzles/blocks_world.py",
+        "env/batched/puzzles/words.py",
         "torch.where(stands, top, base) << 4 * block, taken)",
         "base << 4 * block, taken)",
         "env/puzzles/test_blocks_world.py",
@@ -271,7 +271,7 @@ MUTATIONS = [
     ),
     Mutation(
         "in the batch a box is pushed into another",
-        "env/batched/puzzles/sokoban.py",
+        "env/batched/puzzles/maps.py",
         "is_there = is_there & ~(boxes == to).any(0)",
         "is_there = is_there & (box >= 0)",
         "env/test_pushed_grids.py",

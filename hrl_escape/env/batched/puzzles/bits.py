@@ -34,14 +34,13 @@ class _BitTensorPuzzle(TensorPuzzle):
         """States after a press of one target in every room, int64 (rooms,); `bit` is its own in a word."""
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
-        """Apply presses in index order."""
         for target in range(targets):
             bit = as_signed(1 << target)
             state = torch.where((contacts.pressed & bit) != 0, self.press(tables, state, target, bit), state)
         return state
 
 
-class ButtonsTensorPuzzle(_BitTensorPuzzle):
+class _ButtonsTensorPuzzle(_BitTensorPuzzle):
     """Tensor form of `ButtonsPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[ButtonsPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
@@ -67,7 +66,6 @@ class ButtonsTensorPuzzle(_BitTensorPuzzle):
         return tables
 
     def press(self, tables: PuzzleTables, state: Tensor, target: int, bit: int) -> Tensor:
-        """A button goes on if its parents are and none that locks it is."""
         unmet = tables["parents"][target] & ~state
         if "locks" in tables:
             unmet = unmet | tables["locks"][target] & state
@@ -76,16 +74,14 @@ class ButtonsTensorPuzzle(_BitTensorPuzzle):
         return torch.where((state & bit) != 0, when_on, when_off)
 
     def find_shut(self, tables: PuzzleTables, state: Tensor, doors: int) -> Tensor:
-        """Return true where the button that opens a door is off, bool (doors, rooms)."""
         openers = tables["openers"]
         return (openers >= 0) & (state >> openers.clamp(min=0) & 1 == 0)
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Return true where the goal button is on, bool (rooms,)."""
         return ((state >> tables["goal"]) & 1) != 0
 
 
-class BitFlipTensorPuzzle(_BitTensorPuzzle):
+class _BitFlipTensorPuzzle(_BitTensorPuzzle):
     """Tensor form of `BitFlipPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[BitFlipPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
@@ -93,16 +89,14 @@ class BitFlipTensorPuzzle(_BitTensorPuzzle):
         return {"all_on": np.array([as_signed((1 << puzzle.count) - 1) for puzzle in puzzles], dtype=np.int64)}
 
     def press(self, tables: PuzzleTables, state: Tensor, target: int, bit: int) -> Tensor:
-        """A bit is flipped if all lower ones are on, and else cleared with them."""
         lower = (1 << target) - 1
         return torch.where((state & lower) == lower, state ^ bit, state & ~(lower | bit))
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Return true where all bits are on, bool (rooms,)."""
         return state == tables["all_on"]
 
 
-class LightBoxTensorPuzzle(_BitTensorPuzzle):
+class _LightBoxTensorPuzzle(_BitTensorPuzzle):
     """Tensor form of `LightBoxPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[LightBoxPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
@@ -115,22 +109,19 @@ class LightBoxTensorPuzzle(_BitTensorPuzzle):
                 "success": np.array([puzzle.success for puzzle in puzzles], dtype=np.float64)}
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
-        """Apply presses in index order where they have their effect."""
         pressed = torch.where(contacts.uniform < tables["success"], contacts.pressed, 0)
         return super().update(tables, state, contacts._replace(pressed=pressed), targets)
 
     def press(self, tables: PuzzleTables, state: Tensor, target: int, bit: int) -> Tensor:
-        """A light goes on if its parents are, and off with its family; otherwise all go off."""
         is_ready = (tables["parents"][target] & ~state) == 0
         return torch.where((state & bit) != 0, state & ~tables["families"][target],
                            torch.where(is_ready, state | bit, 0))
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Return true where the goal's light is on, bool (rooms,)."""
         return (state >> tables["goal"] & 1) != 0
 
 
-class LightsOutTensorPuzzle(_BitTensorPuzzle):
+class _LightsOutTensorPuzzle(_BitTensorPuzzle):
     """Tensor form of `LightsOutPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[LightsOutPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
@@ -142,20 +133,17 @@ class LightsOutTensorPuzzle(_BitTensorPuzzle):
                 "goal": np.array([puzzle.goal for puzzle in puzzles], dtype=np.int64)}
 
     def press(self, tables: PuzzleTables, state: Tensor, target: int, bit: int) -> Tensor:
-        """A light and its neighbours are flipped."""
         return state ^ tables["flips"][target]
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Return true where the board shows the goal pattern, bool (rooms,)."""
         return state == tables["goal"]
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
-        """The lights, then the goal's, float32 (2 targets, rooms)."""
         goal = tables["goal"].expand_as(state)
         return torch.cat([unpack_bits(word, targets, torch.float32) for word in (state, goal)])
 
 
-register_tensor_puzzle(ButtonsPuzzle, ButtonsTensorPuzzle())
-register_tensor_puzzle(BitFlipPuzzle, BitFlipTensorPuzzle())
-register_tensor_puzzle(LightBoxPuzzle, LightBoxTensorPuzzle())
-register_tensor_puzzle(LightsOutPuzzle, LightsOutTensorPuzzle())
+register_tensor_puzzle(ButtonsPuzzle, _ButtonsTensorPuzzle())
+register_tensor_puzzle(BitFlipPuzzle, _BitFlipTensorPuzzle())
+register_tensor_puzzle(LightBoxPuzzle, _LightBoxTensorPuzzle())
+register_tensor_puzzle(LightsOutPuzzle, _LightsOutTensorPuzzle())

@@ -1,4 +1,7 @@
-"""MiniGrid's levels in tensors: two bits a door, then the place of each thing, as in the puzzle's own state."""
+"""MiniGrid's levels and Sokoban in tensors: the word is the puzzle's own state, with the cell of each thing.
+
+Their rules, and what they show, are those of the puzzles' own files.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,15 @@ from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
 from hrl_escape.env.instance import SpaceLayout
-from hrl_escape.env.puzzles.base import USE
+from hrl_escape.env.puzzles.base import PUSH, USE
 from hrl_escape.env.puzzles.mini_grid import HELD, PLACE_BITS, MiniGridPuzzle
+from hrl_escape.env.puzzles.sokoban import BOX_BITS, SokobanPuzzle
 from hrl_escape.errors import UnsupportedError
 
+_CELL = (1 << BOX_BITS) - 1
 
-class MiniGridTensorPuzzle(TensorPuzzle):
+
+class _MiniGridTensorPuzzle(TensorPuzzle):
     """Tensor form of `MiniGridPuzzle`; all instances of a batch have equal numbers of doors, keys and balls."""
 
     def make_tables(self, puzzles: Sequence[MiniGridPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
@@ -56,7 +62,6 @@ class MiniGridTensorPuzzle(TensorPuzzle):
         return state >> 2 * tables["locked"].shape[0] + PLACE_BITS * things & HELD
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
-        """Take, put down, open or shut what is in the cell ahead."""
         doors, grip = tables["locked"].shape[0], contacts.grip
         row = contacts.ahead.clamp(min=0).unsqueeze(0)
         cell, door = (tables[name].expand(-1, state.shape[0]).gather(0, row).squeeze(0) for name in ("cells", "doors"))
@@ -80,7 +85,6 @@ class MiniGridTensorPuzzle(TensorPuzzle):
         return after
 
     def find_shut(self, tables: PuzzleTables, state: Tensor, doors: int) -> Tensor:
-        """Return true where a shut door or a thing blocks a cell, bool (inner doors, rooms)."""
         cells, door = (tables[name][:doors] for name in ("cells", "doors"))
         is_shut = (door >= 0) & (state >> 2 * door.clamp(min=0) & 1 == 0)
         for place in self._list_places(tables, state):
@@ -88,7 +92,6 @@ class MiniGridTensorPuzzle(TensorPuzzle):
         return is_shut
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Return true where a ball is held or, on a map without balls, all doors have been opened, bool (rooms,)."""
         has_ball = ((self._list_places(tables, state) == HELD) & tables["is_ball"]).any(0)
         opened = torch.ones_like(state, dtype=torch.bool)
         for number in range(tables["locked"].shape[0]):
@@ -96,7 +99,6 @@ class MiniGridTensorPuzzle(TensorPuzzle):
         return torch.where(tables["is_ball"].any(0), has_ball, opened)
 
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Bits of the doors that stand open, and of the thing that is held, int64 (rooms,)."""
         doors, lit = tables["locked"].shape[0], torch.zeros_like(state)
         for number in range(doors):
             lit = lit | (state >> 2 * number & 1) << number
@@ -105,7 +107,6 @@ class MiniGridTensorPuzzle(TensorPuzzle):
         return lit
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
-        """Two numbers a door, three a thing, float32 (numbers, rooms)."""
         numbers = [(state >> bit & 1).to(torch.float64) for bit in range(2 * tables["locked"].shape[0])]
         rows, columns = tables["size"]
         for place in self._list_places(tables, state):
@@ -115,4 +116,68 @@ class MiniGridTensorPuzzle(TensorPuzzle):
         return torch.stack(numbers).to(torch.float32)
 
 
-register_tensor_puzzle(MiniGridPuzzle, MiniGridTensorPuzzle())
+class _SokobanTensorPuzzle(TensorPuzzle):
+    """Tensor form of `SokobanPuzzle`."""
+
+    def make_tables(self, puzzles: Sequence[SokobanPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
+        """`cells`: cell of each inner door, -1 for none; `goals`: their cells (goals, instances); `size` of the map."""
+        levels = [puzzle.level for puzzle in puzzles]
+        cells = np.full((max(len(level.floor) for level in levels), len(levels)), -1, dtype=np.int64)
+        for number, level in enumerate(levels):
+            cells[: len(level.floor), number] = level.floor
+        return {"cells": cells, "goals": np.array([level.goals for level in levels], dtype=np.int64).T,
+                "size": np.array([[len(level.rows) for level in levels], [level.columns for level in levels]],
+                                 dtype=np.int64)}
+
+    def _list_boxes(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        """Cell of each box, int64 (boxes, rooms)."""
+        boxes = torch.arange(tables["goals"].shape[0], device=state.device).unsqueeze(1)
+        return state >> BOX_BITS * boxes & _CELL
+
+    def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
+        cells = tables["cells"].expand(-1, state.shape[0])
+        box, to = (cells.gather(0, number.clamp(min=0).unsqueeze(0)).squeeze(0)
+                   for number in (contacts.ahead, contacts.beyond))
+        boxes = self._list_boxes(tables, state)
+        is_there = (contacts.grip == PUSH) & (contacts.ahead >= 0) & (contacts.beyond >= 0) & (box >= 0) & (to >= 0)
+        is_there = is_there & ~(boxes == to).any(0)
+        for number, cell in enumerate(boxes):
+            moved = state & ~(_CELL << BOX_BITS * number) | to << BOX_BITS * number
+            state = torch.where(is_there & (cell == box), moved, state)
+        return state
+
+    def _find_filled(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        """Return true for each pair of a box and the goal on which it stands, bool (boxes, goals, rooms)."""
+        return self._list_boxes(tables, state).unsqueeze(1) == tables["goals"].unsqueeze(0)
+
+    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
+                       targets: int) -> Tensor:
+        then, now = (self._find_filled(tables, state).sum((0, 1)) for state in (before, after))
+        return (now - then).to(torch.float64)
+
+    def find_shut(self, tables: PuzzleTables, state: Tensor, doors: int) -> Tensor:
+        cells = tables["cells"][:doors]
+        is_shut = torch.zeros((cells.shape[0], state.shape[0]), dtype=torch.bool, device=state.device)
+        for cell in self._list_boxes(tables, state):
+            is_shut = is_shut | (cells == cell)
+        return is_shut
+
+    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        return self._find_filled(tables, state).any(0).all(0)
+
+    def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        filled = self._find_filled(tables, state)
+        lit = torch.cat([filled.any(1), filled.any(0)]).to(torch.int64)
+        return (lit << torch.arange(len(lit), device=state.device).unsqueeze(1)).sum(0)
+
+    def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
+        rows, columns = tables["size"]
+        seen = list[Tensor]()
+        for cell in self._list_boxes(tables, state):
+            seen += [cell // columns / rows.to(torch.float64), cell % columns / columns.to(torch.float64)]
+        filled = self._find_filled(tables, state).any(0).to(torch.float64)
+        return torch.cat([torch.stack(seen), filled]).to(torch.float32)
+
+
+register_tensor_puzzle(MiniGridPuzzle, _MiniGridTensorPuzzle())
+register_tensor_puzzle(SokobanPuzzle, _SokobanTensorPuzzle())
