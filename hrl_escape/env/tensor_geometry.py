@@ -94,6 +94,29 @@ class SplitShapes(NamedTuple):
         return _subtract(x, self.x, self.x_rest), _subtract(y, self.y, self.y_rest)
 
 
+class RoomSolids(NamedTuple):
+    """Walls and obstacles of each room of a batch."""
+
+    every: Shapes  # those of all instances, (solids, instances)
+    in_single: SplitShapes  # the same in single precision
+    instance: Tensor | None  # index of each room's instance, int64 (rooms,); None where there is one
+
+    def list_all(self) -> Shapes:
+        """All of them, (solids, rooms)."""
+        return self.every if self.instance is None else Shapes(*(field[..., self.instance] for field in self.every))
+
+    def list_split(self) -> SplitShapes:
+        """All of them in single precision, (solids, rooms)."""
+        if self.instance is None:
+            return self.in_single
+        return SplitShapes(*(field[..., self.instance] for field in self.in_single))
+
+    def gather(self, which: Tensor) -> Shapes:
+        """One of each room, (1, rooms), by its number, int64 (rooms,)."""
+        column = torch.zeros_like(which) if self.instance is None else self.instance
+        return Shapes(*(field[which, column].unsqueeze(0) for field in self.every))
+
+
 def stack_shapes(rows: Sequence[Sequence[Footprint]], least: int = 1) -> NDArray[np.float64]:
     """Stack the footprints of several instances, filled up to the same number (at least `least`) with far ones.
 

@@ -20,33 +20,17 @@ from hrl_escape.env.geometry import Footprint
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from hrl_escape.env.tensor_geometry import Shapes, SplitShapes
+    from hrl_escape.env.tensor_geometry import RoomSolids, Shapes
 
 
 STANDS_IN = 1e-6
 """Overlap with a shut door, m, beyond which a base counts as standing in it: the door then lets it out."""
 
 
-class TensorSolids(Protocol):
-    """Walls and obstacles of each room of a batch."""
-
-    def list_all(self) -> Shapes:
-        """All of them, (solids, rooms)."""
-        ...
-
-    def list_split(self) -> SplitShapes:
-        """All of them in single precision, (solids, rooms)."""
-        ...
-
-    def gather(self, which: Tensor) -> Shapes:
-        """One of each room, (1, rooms), by its number, int64 (rooms,)."""
-        ...
-
-
 class TensorBase(Protocol):
     """A base placed in each room of a batch; in its tensors shapes come first, rooms last."""
 
-    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: TensorSolids) -> Tensor:
+    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
         """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,)."""
         ...
 

@@ -8,13 +8,13 @@ from xml.etree import ElementTree
 
 from typing_extensions import Self
 
-from hrl_escape.env.bases.base import STANDS_IN, Base, TensorSolids, make_cylinder_link
+from hrl_escape.env.bases.base import STANDS_IN, Base, make_cylinder_link
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from hrl_escape.env.tensor_geometry import Shapes
+    from hrl_escape.env.tensor_geometry import RoomSolids, Shapes
 
 
 def compute_disc_contact(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], dx: float, dy: float,
@@ -108,7 +108,7 @@ class TensorDisc(NamedTuple):
     y: Tensor  # centre, m, float64 (rooms,)
     radius: float  # the same in all rooms, m
 
-    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: TensorSolids) -> Tensor:
+    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
         """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,).
 
         The first solid is found in single precision; the contact with it is computed again in double, so that

@@ -19,13 +19,13 @@ from xml.etree import ElementTree
 
 from typing_extensions import Self
 
-from hrl_escape.env.bases.base import STANDS_IN, Base, TensorSolids, make_box_link
+from hrl_escape.env.bases.base import STANDS_IN, Base, make_box_link
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from hrl_escape.env.tensor_geometry import Shapes
+    from hrl_escape.env.tensor_geometry import RoomSolids, Shapes
 
 TOUCH = 1e-9
 """Depth, m, to which rounding may put a base inside a solid that it touches."""
@@ -286,7 +286,7 @@ class TensorRectangle(NamedTuple):
                                             shapes.y + shapes.sin * a + shapes.cos * b, base))
         return torch.where(self.measure_gap(shapes) <= 0.0, 0.0, torch.stack(corners).amin(0))
 
-    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: TensorSolids) -> Tensor:
+    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
         """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,)."""
         return self.compute_first_contact(dx, dy, solids.list_all()).amin(0)
 

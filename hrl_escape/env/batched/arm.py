@@ -7,7 +7,7 @@ nothing, so that a planar arm compiles to a few products a joint.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -21,50 +21,11 @@ Matrix: TypeAlias = list[list[Number]]
 _AXES = range(3)
 
 
-class Link(NamedTuple):
-    """One joint of the chain from the base to the hand, in plain numbers."""
-
-    offset: tuple[float, ...]  # origin in the parent link, m
-    rotation: tuple[tuple[float, ...], ...]  # orientation in the parent link, rows of a matrix
-    axis: tuple[float, ...]  # unit axis; empty for a fixed joint
-    slides: bool  # True for a prismatic joint
-    number: int  # index among the joints that primitives move, or -1
-    rest: float  # value that it keeps if no primitive moves it, rad or m
-
-
-class Arm(NamedTuple):
-    """Constants of a robot's arm that kernels are compiled with."""
-
-    home: tuple[float, ...]  # joint angles at the start of an episode, rad
-    step: float  # angle of one joint primitive, rad
-    step_low: tuple[int, ...]  # fewest joint steps from home
-    step_high: tuple[int, ...]  # most joint steps from home
-    limits: tuple[tuple[float, float], ...]  # (low, high) of each joint, rad
-    links: tuple[Link, ...]  # the chain to the hand
-
-
-def make_arm(robot: Robot) -> Arm:
-    """Extract from a robot the chain of joints that moves its hand."""
-    links = []
-    for joint in robot.chain:
-        origin = joint.origin.round(15).tolist()  # entries that are 0 or 1 up to rounding cost nothing
-        used = joint.name in robot.joint_names
-        links.append(Link(
-            offset=tuple(row[3] for row in origin[:3]),
-            rotation=tuple(tuple(row[:3]) for row in origin[:3]),
-            axis=() if joint.kind == "fixed" else tuple(joint.axis.tolist()),
-            slides=joint.kind == "prismatic",
-            number=robot.joint_names.index(joint.name) if used else -1,
-            rest=robot.rest.get(joint.name, 0.0),
-        ))
-    return Arm(robot.home, robot.step, robot.step_low, robot.step_high, robot.limits, tuple(links))
-
-
-def compute_hand(arm: Arm, angles: Tensor) -> Vector:
+def compute_hand(robot: Robot, angles: Tensor) -> Vector:
     """Hand position in the base frame.
 
     Args:
-        arm: the arm.
+        robot: the robot.
         angles: joint angles in rad, shape (joints, rooms).
 
     Returns:
@@ -73,20 +34,22 @@ def compute_hand(arm: Arm, angles: Tensor) -> Vector:
     cosines, sines = torch.cos(angles), torch.sin(angles)
     position: Vector = [0.0, 0.0, 0.0]
     rotation: Matrix = [[float(i == j) for j in _AXES] for i in _AXES]
-    for link in arm.links:
-        position = _move(position, rotation, list(link.offset))
-        rotation = _turn(rotation, [list(row) for row in link.rotation])
-        if not link.axis:
+    for joint in robot.chain:
+        origin = joint.origin.round(15).tolist()[:3]  # entries that are 0 or 1 up to rounding cost nothing
+        position = _move(position, rotation, [row[3] for row in origin])
+        rotation = _turn(rotation, [row[:3] for row in origin])
+        if joint.kind == "fixed":
             continue
-        value: Number = link.rest
-        cos: Number = math.cos(link.rest)
-        sin: Number = math.sin(link.rest)
-        if link.number >= 0:
-            value, cos, sin = angles[link.number], cosines[link.number], sines[link.number]
-        if link.slides:
-            position = _move(position, rotation, [_times(a, value) for a in link.axis])
+        if joint.name in robot.joint_names:
+            number = robot.joint_names.index(joint.name)
+            value, cos, sin = angles[number], cosines[number], sines[number]
         else:
-            rotation = _turn(rotation, _rotate_about(link.axis, cos, sin))
+            value = robot.rest[joint.name]
+            cos, sin = math.cos(value), math.sin(value)
+        if joint.kind == "prismatic":
+            position = _move(position, rotation, [_times(a, value) for a in joint.direction])
+        else:
+            rotation = _turn(rotation, _rotate_about(joint.direction, cos, sin))
     return position
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 import torch
@@ -17,14 +17,14 @@ from hrl_escape.env.batched.rules import find_shut
 from hrl_escape.env.batched.tables import INSTEAD, Layout, Tables, pick, pick_rules
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Rules
-from hrl_escape.env.observations.base import BatchObservation, Observer, get_observation, make_observer
+from hrl_escape.env.observations.base import BatchObservation, BatchView, Observer, get_observation, make_observer
 from hrl_escape.env.tensor_geometry import Shapes, cast_rays
 from hrl_escape.errors import UnsupportedError
 
 
 def observe(layout: Layout, tables: Tables, state: TensorState, observation: BatchObservation) -> Tensor:
     """Observe every room, float32, shape (rooms, numbers); numbers of one kind lie together in memory, room by room."""
-    return torch.cat(observation(_Rooms(layout, tables, state))).T
+    return torch.cat(observation(cast("BatchView", _Rooms(layout, tables, state)))).T
 
 
 def load_observation(name: str) -> BatchObservation:

@@ -16,11 +16,11 @@ from hrl_escape.env.bases import TensorBase
 from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching, place_base
 from hrl_escape.env.batched.puzzles.base import TensorContacts
-from hrl_escape.env.batched.tables import Layout, RoomSolids, Tables, pick, pick_rules
+from hrl_escape.env.batched.tables import Layout, Tables, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH
-from hrl_escape.env.tensor_geometry import Shapes, as_flags, compute_distance, store
+from hrl_escape.env.tensor_geometry import RoomSolids, Shapes, as_flags, compute_distance, store
 
 
 class TensorTransition(NamedTuple):
@@ -148,7 +148,8 @@ def _is_free(layout: Layout, tables: Tables, state: TensorState, action: Tensor,
 def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
     """Share in [0, 1] of displacements until the first contact, float64 (rooms,)."""
     base = place_base(layout, tables, state, CONTACT_SKIN)
-    free = base.find_free_fraction(dx, dy, RoomSolids(layout, tables, state.instance))
+    solids = RoomSolids(tables.solids, tables.split_solids, None if layout.is_shared else state.instance)
+    free = base.find_free_fraction(dx, dy, solids)
     if layout.inner_doors:
         inner: Shapes = pick(layout, tables.inner_doors, state.instance)
         is_shut = find_shut(layout, tables, state) & ~base.stands_in(inner)

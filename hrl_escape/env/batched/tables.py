@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hrl_escape.env.batched.arm import Arm, make_arm
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorPuzzle, as_signed, get_tensor_puzzle
 from hrl_escape.env.config import DynamicsConfig, RobotConfig
 from hrl_escape.env.instance import RoomInstance, Start
@@ -22,7 +21,7 @@ from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.primitives import ActionTable
 from hrl_escape.env.puzzles.marks import make_mark_rows
 from hrl_escape.env.puzzles.traits import Mapped, Marked, Pushing, get_trait
-from hrl_escape.env.robot import make_robot
+from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.env.sight import list_hiders
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, stack_shapes
 from hrl_escape.errors import UnsupportedError
@@ -36,7 +35,6 @@ class Layout:
 
     robot: RobotConfig  # the robot's schematic
     actions: ActionTable  # its action table
-    arm: Arm  # its arm
     dynamics: DynamicsConfig  # noise, slip, and the part of the robot that presses
     puzzle: str  # kind of the puzzle
     targets: int  # number of targets, that of the instance with most
@@ -50,6 +48,11 @@ class Layout:
     is_puzzle_random: bool  # True if something is random in the puzzle of any room
     draws: bool  # True if anything is random in an episode
     resample: bool  # True if a new episode draws another instance
+
+    @property
+    def arm(self) -> Robot:
+        """The robot with its chain of joints."""
+        return make_robot(self.robot)
 
     @property
     def headings(self) -> int:
@@ -137,27 +140,6 @@ def pick_rules(layout: Layout, tables: Tables, instance: Tensor) -> tuple[Tensor
                   for name, table in tables.puzzle.items()}
 
 
-class RoomSolids(NamedTuple):
-    """Walls and obstacles of each room of a batch."""
-
-    layout: Layout  # the properties that the rooms share
-    tables: Tables  # their instances
-    instance: Tensor  # index of each room's instance, int64 (rooms,)
-
-    def list_all(self) -> Shapes:
-        """All of them, (solids, rooms)."""
-        return pick(self.layout, self.tables.solids, self.instance)
-
-    def list_split(self) -> SplitShapes:
-        """All of them in single precision, (solids, rooms)."""
-        return pick(self.layout, self.tables.split_solids, self.instance)
-
-    def gather(self, which: Tensor) -> Shapes:
-        """One of each room, (1, rooms), by its number, int64 (rooms,)."""
-        column = torch.zeros_like(which) if self.layout.is_shared else self.instance
-        return map_tensors(lambda table: table[which, column].unsqueeze(0), self.tables.solids)
-
-
 def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
     """Derive the layout that instances share.
 
@@ -183,7 +165,6 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
     return Layout(
         robot=first.robot,
         actions=first.robot.actions,
-        arm=make_arm(make_robot(first.robot)),
         dynamics=first.dynamics,
         puzzle=first.puzzle.kind,
         targets=len(first.frame.target_names),

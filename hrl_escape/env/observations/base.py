@@ -27,80 +27,21 @@ if TYPE_CHECKING:
 class BatchView(Protocol):
     """View of a batch of rooms for observations; the last axis of every tensor is the room."""
 
-    @property
-    def x(self) -> Tensor:
-        """Positions of the bases' axes along x, m, float64 (rooms,)."""
-        ...
-
-    @property
-    def y(self) -> Tensor:
-        """Positions of the bases' axes along y, m, float64 (rooms,)."""
-        ...
-
-    @property
-    def heading(self) -> Tensor:
-        """Heading, rad, within [-pi, pi), float64 (rooms,)."""
-        ...
-
-    @property
-    def rotation(self) -> tuple[Tensor, Tensor]:
-        """Cosine and sine of the heading, float64 (rooms,) each."""
-        ...
-
-    @property
-    def angles(self) -> Tensor:
-        """Joint angles, rad, float64 (joints, rooms)."""
-        ...
-
-    @property
-    def limits(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest angle of each joint, rad."""
-        ...
-
-    @property
-    def puzzle(self) -> Tensor:
-        """The puzzle's observation numbers, float32 (numbers, rooms)."""
-        ...
-
-    @property
-    def is_solved(self) -> Tensor:
-        """True where the exit is open, bool (rooms,)."""
-        ...
-
-    @property
-    def half_sizes(self) -> tuple[Tensor, Tensor]:
-        """Largest |x| and |y| of the floor in the frame of observations, m, float32 (rooms,) each."""
-        ...
-
-    @property
-    def targets(self) -> Shapes:
-        """Outlines of the targets, m, float64 (targets, rooms) each."""
-        ...
-
-    @property
-    def is_present(self) -> Tensor:
-        """True for the targets that an instance has, bool (targets, rooms)."""
-        ...
-
-    @property
-    def lit(self) -> Tensor:
-        """True for the targets that are on, bool (targets, rooms)."""
-        ...
-
-    @property
-    def marks(self) -> Tensor:
-        """Numbers of the targets' marks, float32 (targets, `MARK_WORDS`, rooms); (targets, 0, rooms) without marks."""
-        ...
-
-    @property
-    def are_cells(self) -> bool:
-        """True if the targets are cells of a map."""
-        ...
-
-    @property
-    def exit(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """x_min, x_max, y_min and y_max of the exits, m, float64 (rooms,) each."""
-        ...
+    x: Tensor  # positions of the bases' axes, m, float64 (rooms,)
+    y: Tensor  # likewise
+    heading: Tensor  # rad, within [-pi, pi), float64 (rooms,)
+    rotation: tuple[Tensor, Tensor]  # cosine and sine of the heading, float64 (rooms,) each
+    angles: Tensor  # joint angles, rad, float64 (joints, rooms)
+    limits: tuple[tuple[float, float], ...]  # lowest and highest angle of each joint, rad
+    puzzle: Tensor  # the puzzle's observation numbers, float32 (numbers, rooms)
+    is_solved: Tensor  # true where the exit is open, bool (rooms,)
+    half_sizes: tuple[Tensor, Tensor]  # largest |x| and |y| of the floor in the frame, m, float32 (rooms,) each
+    targets: Shapes  # outlines of the targets, m, float64 (targets, rooms) each
+    is_present: Tensor  # true for the targets that an instance has, bool (targets, rooms)
+    lit: Tensor  # true for the targets that are on, bool (targets, rooms)
+    marks: Tensor  # numbers of the targets' marks, float32 (targets, `MARK_WORDS`, rooms), of width 0 without marks
+    are_cells: bool  # True if the targets are cells of a map
+    exit: tuple[Tensor, Tensor, Tensor, Tensor]  # x_min, x_max, y_min and y_max, m, float64 (rooms,) each
 
     def cast_rays(self, ray_x: Tensor, ray_y: Tensor, among: Literal["solids", "hiders"]) -> Tensor:
         """Range of rays (rays, 1, rooms), m, to the first outline or shut door they meet, float64 (rays, rooms).

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_escape.env.batched.arm import compute_hand, make_arm
+from hrl_escape.env.batched.arm import compute_hand
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.robot import make_robot
 
@@ -22,6 +22,6 @@ ARMS += [RobotConfig(kind="urdf", urdf=SLIDE, joints=joints) for joints in (1, 2
 def test_the_hand_is_where_the_robot_says(config):
     robot = make_robot(config)
     angles = np.random.default_rng(0).uniform(-1.5, 1.5, size=(100, config.joints))
-    hand = compute_hand(make_arm(robot), torch.from_numpy(angles.T.copy()))
+    hand = compute_hand(robot, torch.from_numpy(angles.T.copy()))
     found = np.stack([np.broadcast_to(side, 100) for side in hand], axis=-1)
     assert np.abs(found - robot.compute_hand(angles)).max() < 1e-12
