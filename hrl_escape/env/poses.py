@@ -54,12 +54,6 @@ class RoomState(NamedTuple):
         """Base and arm: x, y, heading and joints, each with its offset."""
         return self.x, self.y, self.heading_steps, self.heading_offset, self.joint_steps, self.joint_offsets
 
-    def has_pose_of(self, other: RoomState) -> bool:
-        """Return whether base and arm are exactly as in another state."""
-        return (self.x == other.x and self.y == other.y and self.heading_steps == other.heading_steps
-                and self.heading_offset == other.heading_offset and self.joint_steps == other.joint_steps
-                and self.joint_offsets == other.joint_offsets)
-
 
 def list_touched(bits: int) -> tuple[int, ...]:
     """Indices of the targets whose bits are set, as in `RoomState.touching`, in rising order."""

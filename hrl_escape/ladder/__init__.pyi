@@ -1,7 +1,7 @@
 from .benchmark import Benchmark, list_benchmarks, load_benchmark
 from .certificate import certify_rung
 from .goals import GoalsEnv
-from .hidden import compute_commitment, derive_hidden_seed
+from .hidden import derive_hidden_seed
 from .instance_set import InstanceSet, InstanceSetEnv
 from .keys import compute_keys
 from .rung import Rung
@@ -15,7 +15,6 @@ __all__ = [
     "Rung",
     "SequenceEnv",
     "certify_rung",
-    "compute_commitment",
     "compute_keys",
     "derive_hidden_seed",
     "list_benchmarks",

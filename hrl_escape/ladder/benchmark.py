@@ -7,8 +7,10 @@ from pathlib import Path
 
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.ladder.certificate import certify_rung
-from hrl_escape.ladder.manifest import Manifest, list_manifests, load_manifest
+from hrl_escape.ladder.manifest import Manifest, list_benchmarks, load_manifest
 from hrl_escape.ladder.rung import Rung
+
+__all__ = ["Benchmark", "list_benchmarks", "load_benchmark"]
 
 
 class Benchmark:
@@ -50,11 +52,6 @@ class Benchmark:
         """
         for rung in [self[name] for name in rungs] or self:
             report(str(certify_rung(rung)))
-
-
-def list_benchmarks() -> tuple[str, ...]:
-    """Names of the benchmarks that come with the package."""
-    return list_manifests()
 
 
 def load_benchmark(name: str | Path) -> Benchmark:

@@ -4,17 +4,12 @@ Post-dated seeds are the default. A season announces a round of a public beacon,
 agents are frozen, by the hash of their code and weights, before it; the seeds follow from the round's value. Anybody
 can derive them, run the test and verify the score, for ever. A round has one value and a value one canonical form, so
 nobody can choose among tests by spelling it otherwise.
-
-Commit and reveal is the other way, where maintainers run the submissions: they publish `compute_commitment` of salt,
-seeds and version with the release, and the salt and the seeds with the next.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import re
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from hrl_escape.errors import ConfigError
@@ -61,20 +56,3 @@ def derive_hidden_seed(beacon: Beacon, benchmark: str, rung: str, index: int) ->
         index: number of the room, from 0.
     """
     return derive_seed(benchmark, rung, "hidden", str(beacon), index)
-
-
-def compute_commitment(salt: str, seeds: Sequence[int], version: str) -> str:
-    """Hash that commits to the seeds of a hidden test without telling them.
-
-    Args:
-        salt: secret random text, at least 16 characters; without it short lists of seeds could be guessed.
-        seeds: instance seeds of the test.
-        version: of the package that generates the rooms.
-
-    Raises:
-        ConfigError: too short a salt.
-    """
-    if len(salt) < 16:
-        raise ConfigError("salt", salt, "a random text of at least 16 characters")
-    text = json.dumps([salt, list(seeds), version], separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()

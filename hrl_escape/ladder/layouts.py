@@ -53,11 +53,6 @@ def list_points(room: RoomInstance) -> tuple[tuple[str, float, float], ...]:
     return tuple(sorted(points))
 
 
-def are_alike(first: LayoutKey, second: LayoutKey) -> bool:
-    """Return whether two layouts of one version look alike."""
-    return SeenLayouts([first]).find(second) is not None
-
-
 class SeenLayouts:
     """Layouts that were seen, in order, among which one that looks alike is found.
 

@@ -61,10 +61,6 @@ class RungRecord(Settings):
     task_overlap: Annotated[float, Range(0, 1)] = 0.0
     """Share of the test's rooms whose task some training room has."""
 
-    def get_record(self, role: str) -> SetRecord | None:
-        """Record of a set by its role."""
-        return getattr(self, role)
-
 
 @dataclasses.dataclass(frozen=True)
 class AxisRecord(Settings):
@@ -122,8 +118,8 @@ def list_changes(settings: Settings) -> dict[str, Any]:
     return found
 
 
-def list_manifests() -> tuple[str, ...]:
-    """Names of the manifests that come with the package."""
+def list_benchmarks() -> tuple[str, ...]:
+    """Names of the benchmarks that come with the package."""
     return tuple(sorted(entry.name.removesuffix(".json") for entry in _DATA.iterdir() if entry.name.endswith(".json")))
 
 
@@ -136,8 +132,8 @@ def load_manifest(name: str | Path) -> Manifest:
     """
     if isinstance(name, Path) or name.endswith(".json"):
         return Manifest.from_dict(read_json(name, "manifest"))
-    if name not in list_manifests():
-        raise UnknownNameError("benchmark", name, list_manifests())
+    if name not in list_benchmarks():
+        raise UnknownNameError("benchmark", name, list_benchmarks())
     return _load_own(name)
 
 

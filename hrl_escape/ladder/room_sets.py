@@ -70,10 +70,7 @@ def make_ladder_env(benchmark: str = "ladder-1", rung: str = "pair", set: str = 
 def make_ladder_vec(num_envs: int = 1, benchmark: str = "ladder-1", rung: str = "pair", set: str = "train",
                     slice: str = "", **arguments: Any) -> Any:
     """Make a vector environment over a rung's set; every episode draws a room. See `make_ladder_env`."""
-    from hrl_escape.env.vector_env import EscapeRoomVectorEnv  # loads torch
-
-    rooms = list(_find_ladder(benchmark, rung, set, slice))
-    return EscapeRoomVectorEnv(num_envs, instance=rooms, resample_instance=True, **arguments)
+    return _find_ladder(benchmark, rung, set, slice).make_vec(num_envs, **arguments)
 
 
 def _find_ladder(benchmark: str, rung: str, role: str, part: str) -> InstanceSet:

@@ -83,8 +83,7 @@ class Rung:
         return {role: rooms for role, rooms in every.items() if rooms is not None}
 
     def _make(self, role: str) -> InstanceSet:
-        record = self.record.get_record(role)
-        assert record is not None
+        record = getattr(self.record, role)
         skipped = set(record.skipped)
         seeds = record.seeds or LazySeeds(
             (seed for index, seed in self.iterate_seeds(role) if index not in skipped), record.count)

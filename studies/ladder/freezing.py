@@ -24,7 +24,7 @@ def freeze_rung(benchmark: str, record: RungRecord, layouts: int) -> RungRecord:
     rung, seen = Rung(benchmark, record, layouts=layouts), SeenLayouts()
     keys: dict[str, list[RoomKeys]] = {}
     for role in ROLES:
-        stated = record.get_record(role)
+        stated = getattr(record, role)
         if stated is None:
             continue
         skipped: list[int] = []

@@ -16,7 +16,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError, VerificationError
 from hrl_escape.ladder.benchmark import Benchmark, list_benchmarks, load_benchmark
 from hrl_escape.ladder.certificate import certify_rung, find_overlaps
-from hrl_escape.ladder.hidden import compute_commitment, derive_hidden_seed, read_beacon
+from hrl_escape.ladder.hidden import derive_hidden_seed, read_beacon
 from hrl_escape.ladder.keys import RoomKeys, compute_keys, compute_task_key
 from hrl_escape.ladder.manifest import Manifest, RungRecord, SetRecord
 from hrl_escape.ladder.rung import Rung, choose_seeds, is_held_out
@@ -174,15 +174,6 @@ def test_a_hidden_test_has_no_published_room():
                                     test=one))
     with pytest.raises(EscapeError, match="more room to vary"):
         rung.make_hidden_test(ROUND, count=1)
-
-
-def test_a_commitment_binds_seeds_salt_and_version():
-    salt = "a salt that nobody knows"
-    commitments = {compute_commitment(*words) for words in (
-        (salt, [1, 2], "0.2"), (salt, [2, 1], "0.2"), (salt, [1, 2], "0.3"), (salt + ".", [1, 2], "0.2"))}
-    assert len(commitments) == 4
-    with pytest.raises(ConfigError, match="16 characters"):
-        compute_commitment("fifteen letters", [1], "0.2")
 
 
 # --- the benchmark that comes with the package ---------------------------------------------

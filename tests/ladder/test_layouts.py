@@ -14,7 +14,7 @@ from hrl_escape.errors import VerificationError
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from hrl_escape.ladder.certificate import certify_rung, find_overlaps
 from hrl_escape.ladder.keys import compute_keys
-from hrl_escape.ladder.layouts import LATEST_LAYOUTS, SeenLayouts, are_alike, list_points
+from hrl_escape.ladder.layouts import LATEST_LAYOUTS, SeenLayouts, list_points
 from hrl_escape.ladder.manifest import Manifest, RungRecord, SetRecord
 from studies.ladder.freezing import freeze_manifest
 from tests.ladder.small import make_config, make_manifest
@@ -46,6 +46,10 @@ def turn(room: RoomInstance, quarters: int, is_mirrored: bool) -> RoomInstance:
 def shift(room: RoomInstance, distance: float) -> RoomInstance:
     first, *others = room.targets
     return dataclasses.replace(room, targets=(dataclasses.replace(first, y=first.y + distance), *others))
+
+
+def are_alike(first, second) -> bool:
+    return second in SeenLayouts([first])
 
 
 @pytest.mark.parametrize("quarters", range(4))
@@ -112,7 +116,7 @@ def test_a_room_that_looks_like_one_of_another_set_is_skipped_and_else_found_by_
                         valid=SetRecord(count=8), test=SetRecord(count=8))
     (frozen,) = freeze_manifest(Manifest(name="tight", rungs=(record,)), "0").rungs
     assert frozen.test.skipped or frozen.valid.skipped
-    planted = {role: dataclasses.replace(frozen.get_record(role), skipped=()) for role in ("valid", "test")}
+    planted = {role: dataclasses.replace(getattr(frozen, role), skipped=()) for role in ("valid", "test")}
     bench = Benchmark(Manifest(name="tight", layouts=2, rungs=(dataclasses.replace(frozen, **planted),)))
     with pytest.raises(VerificationError, match="has the layout of room"):
         certify_rung(bench["small"])

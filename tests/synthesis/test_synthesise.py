@@ -188,7 +188,7 @@ def test_a_situation_is_read_back_from_its_observation(preset):
         env.step(env.action_space.sample())
         state = env.get_state()
         read = rooms.read(rooms.pack(state))
-        assert read.state.has_pose_of(state) and read.state.touching == state.touching
+        assert read.state.pose == state.pose and read.state.touching == state.touching
         assert read.facts == env.instance.puzzle.symbolic.get_facts(state.puzzle)
         assert read.is_open == env.instance.puzzle.is_solved(state.puzzle)
 

@@ -67,7 +67,7 @@ def run(args: ShowArgs) -> None:
 
 
 def _describe(rung: Rung) -> dict[str, Any]:
-    records = {role: rung.record.get_record(role) for role in rung.sets}
+    records = {role: getattr(rung.record, role) for role in rung.sets}
     return {
         "benchmark": rung.benchmark, "rung": rung.name, "isolates": rung.isolates,
         "config": list_changes(rung.config), "task_overlap": rung.record.task_overlap,

@@ -15,25 +15,12 @@ from matplotlib.patches import Circle, FancyArrowPatch
 
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.marks import compute_depths
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
 _ROWS_A_COLUMN, _NODES_A_ROW = 12, 8
 _LARGEST_CELL = 38.0  # points
 _SWEEPS = 8
-
-
-def compute_layers(count: int, edges: Sequence[tuple[int, int]]) -> tuple[int, ...]:
-    """Longest path from a root to each node of a DAG, in edges."""
-    parents: list[list[int]] = [[] for _ in range(count)]
-    for parent, child in edges:
-        parents[child].append(parent)
-    depths = [0] * count
-    for _ in range(count):
-        deeper = [max((depths[p] + 1 for p in above), default=0) for above in parents]
-        if deeper == depths:
-            break
-        depths = deeper
-    return tuple(depths)
 
 
 def compute_layout(count: int, edges: Sequence[tuple[int, int]]) -> list[tuple[float, float]]:
@@ -44,7 +31,7 @@ def compute_layout(count: int, edges: Sequence[tuple[int, int]]) -> list[tuple[f
         take several rows; after 12 rows it continues in the next column, upwards and downwards
         in turn.
     """
-    depths = compute_layers(count, edges)
+    depths = compute_depths(count, edges)
     layers = [[n for n in range(count) if depths[n] == depth] for depth in range(max(depths, default=0) + 1)]
     _reduce_crossings(layers, edges)
     rows = [layer[i : i + _NODES_A_ROW] for layer in layers for i in range(0, len(layer), _NODES_A_ROW)]

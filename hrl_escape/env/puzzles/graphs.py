@@ -11,7 +11,7 @@ import dataclasses
 import random
 from collections import Counter
 from collections.abc import Callable, Iterable
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from hrl_escape.settings import Range
 Edges = tuple[tuple[int, int], ...]
 
 GraphKind = Literal["chain", "tree", "layered", "random", "larg-2019", "edges"]
-GRAPH_KINDS = get_args(GraphKind)
 ButtonNumber = Annotated[int, Range(0, 63)]
 
 

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.puzzles.graphs import Edges, compute_order, find_ancestors
+from hrl_escape.env.puzzles.graphs import Edges, find_ancestors
 from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
@@ -49,11 +50,14 @@ def make_mark_rows(marks: tuple[int, ...]) -> NDArray[np.float64]:
     return rows
 
 
-def compute_depths(count: int, edges: Edges) -> list[int]:
-    """Longest way to each node of a DAG from one without parents, in edges."""
+def compute_depths(count: int, edges: Iterable[tuple[int, int]]) -> list[int]:
+    """Longest way to each node of a DAG from one without parents, in edges; at most `count` where there are cycles."""
+    parents: list[list[int]] = [[] for _ in range(count)]
+    for parent, child in edges:
+        parents[child].append(parent)
     depths = [0] * count
-    for node in compute_order(count, edges):
-        depths[node] = max((depths[parent] + 1 for parent, child in edges if child == node), default=0)
+    for _ in range(count):
+        depths = [max((depths[parent] + 1 for parent in above), default=0) for above in parents]
     return depths
 
 

@@ -14,12 +14,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.graph_inset import compute_layers, compute_layout
+from hrl_escape.env.drawing.graph_inset import compute_layout
 from hrl_escape.env.drawing.map_axes import draw_room
 from hrl_escape.env.drawing.maps import Trajectory, make_map, make_map_image, save_map
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.graphs import GraphConfig, compute_order, sample_graph
+from hrl_escape.env.puzzles.marks import compute_depths
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import FileWriteError, UnsupportedError
 from tests.command_line import run_here
@@ -189,7 +190,7 @@ def graphs(draw):
 @given(graphs())
 def test_depth_is_the_longest_way_from_a_root(graph):
     count, edges = graph
-    depths = compute_layers(count, edges)
+    depths = compute_depths(count, edges)
     for node in range(count):
         above = [depths[parent] for parent, child in edges if child == node]
         assert depths[node] == (max(above) + 1 if above else 0)
@@ -199,7 +200,7 @@ def test_depth_is_the_longest_way_from_a_root(graph):
 def test_graphs_are_laid_out_apart_and_downwards(graph):
     count, edges = graph
     places = compute_layout(count, edges)
-    depths = compute_layers(count, edges)
+    depths = compute_depths(count, edges)
     assert all(abs(a[0] - b[0]) >= 1 or abs(a[1] - b[1]) >= 1 for a, b in itertools.combinations(places, 2))
     rows = sum(-(-depths.count(depth) // 8) for depth in set(depths))
     for parent, child in edges if rows <= 12 else ():
