@@ -123,10 +123,7 @@ class DataSet:
                ) -> Iterator[Any]:
         """Yield the data in blocks of whole episodes, in order, each `Decisions` or `Primitives`.
 
-        Args:
-            level: `decisions` or `primitives`.
-            gamma: discount per primitive.
-            size: least primitives of a block but the last.
+        Each but the last has at least `size` primitives; level and discount are the data set's by default.
         """
         every, gamma = (level or self.level) == "primitives", self.gamma if gamma is None else gamma
         make = self._make_primitives if every else self._make_decisions

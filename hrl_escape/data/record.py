@@ -331,12 +331,9 @@ def _measure(tape: Tape) -> dict[str, float]:
 
 
 def make_played_tape(name: str, rooms: str, paths: Sequence[str | Path]) -> Tape:
-    """Make a tape of saved episodes; its decisions are the moves, primitives among them.
+    """Make a tape of episodes that `hrl-escape play` saved; its decisions are the moves, primitives among them.
 
-    Args:
-        name: of the data set.
-        rooms: the rooms that were played, as `parse_room_set` reads them, such as `paper-two-button#0`.
-        paths: files that `hrl-escape play` saved.
+    The rooms that were played are told as `parse_room_set` reads them, such as `paper-two-button#0`.
 
     Raises:
         EpisodeFileError: no episode, a room that is not among `rooms`, or moves that do not lead where they led.

@@ -74,15 +74,10 @@ class FloorGrid(NamedTuple):
 
     def measure(self, shape: Footprint, around: float, within: tuple[Any, Any] | None = None
                 ) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
-        """Distances from a footprint to the centres of all cells that may be near it.
+        """Distances from a footprint to the centres of all cells that may be within `around` of it, m.
 
-        Args:
-            shape: the footprint.
-            around: distance that the window must hold, m.
-            within: corners of cells to which the window is cut.
-
-        Returns:
-            The window, as an index of arrays of the grid's shape, and the distance of each of its cells, m.
+        Returns the window of these cells, as an index of arrays of the grid's shape and cut to the corners `within`,
+        and the distances.
         """
         low, high = self.find_window(shape, around)
         if within is not None:
@@ -96,12 +91,7 @@ class FloorGrid(NamedTuple):
 
 
 def label_parts(free: NDArray[np.bool_], corners: bool) -> NDArray[np.int32]:
-    """Number the connected parts of free cells from 1 on; 0 elsewhere.
-
-    Args:
-        free: shape (columns, rows).
-        corners: cells that share only a corner are connected, too.
-    """
+    """Number the connected parts of free cells (columns, rows) from 1 on; 0 elsewhere. Corners may connect, too."""
     columns, rows = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
     if len(columns) and free[columns[0] : columns[-1] + 1, rows[0] : rows[-1] + 1].all():
         return free.astype(np.int32)  # an empty room: one rectangle
@@ -132,12 +122,9 @@ def join_cells(free: NDArray[np.bool_]) -> Any:
 
 
 def spread_waves(graph: Any, seeds: NDArray[np.int_] | Sequence[int], weighted: bool = False) -> NDArray[np.float64]:
-    """Least cost from any of the seeds to every node of a graph, (nodes,); infinity where none can be reached.
+    """Least cost from any of the seeds to every node of a sparse graph, (nodes,); infinity where none can be reached.
 
-    Args:
-        graph: sparse matrix, such as that of `join_cells`; its edges run both ways unless it is weighted.
-        seeds: nodes at cost 0.
-        weighted: edges cost what the matrix says, and run from row to column; else one each.
+    Edges run both ways and cost one each, unless it is weighted: then they run from row to column at the matrix's cost.
     """
     from scipy.sparse import csgraph
 

@@ -89,20 +89,11 @@ _TANGENT = 1e-12
 
 
 def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: float, shape: Footprint) -> float:
-    """Fraction of a displacement at which a moving disc first meets a footprint.
+    """Fraction of a displacement at which a moving disc, its clearance included, first meets a footprint.
 
-    Args:
-        x: disc centre.
-        y: disc centre.
-        dx: displacement.
-        dy: displacement.
-        radius: disc radius, clearance included.
-        shape: the outline that may be hit.
-
-    Returns:
-        The fraction in [0, 1), or infinity if the disc gets by. A disc already in contact
-        is stopped (0) only if it moves towards the shape; sliding along it is free. The
-        set of touching centres is convex, so its boundary is met at most once.
+    Returns the fraction in [0, 1), or infinity if the disc gets by. A disc already in contact
+    is stopped (0) only if it moves towards the shape; sliding along it is free. The
+    set of touching centres is convex, so its boundary is met at most once.
     """
     is_disc, cx, cy, cos, sin, half_x, half_y = shape
     px, py = x - cx, y - cy
@@ -172,14 +163,9 @@ def stack_footprints(shapes: Sequence[Footprint]) -> NDArray[np.float64]:
 
 
 def compute_distance_many(points: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance from each point to the nearest of several footprints.
+    """Distance from each point (n, 2) to the nearest row of `stack_footprints`, (n,).
 
-    Args:
-        points: shape (n, 2), float64.
-        shapes: rows of `stack_footprints`.
-
-    Returns:
-        Shape (n,), float64; 0 inside a footprint, infinity if there are none.
+    It is 0 inside a footprint, infinity if there are none.
     """
     best = np.full(len(points), np.inf)
     for is_disc, cx, cy, cos, sin, half_x, half_y in shapes.tolist():
@@ -195,11 +181,7 @@ def compute_distance_many(points: NDArray[np.float64], shapes: NDArray[np.float6
 
 
 class Neighbourhood:
-    """Footprints of a room, with queries for those near a place.
-
-    Args:
-        footprints: all of them.
-    """
+    """Footprints of a room, with queries for those near a place."""
 
     def __init__(self, footprints: Sequence[Footprint]) -> None:
         self.footprints = list(footprints)

@@ -294,14 +294,9 @@ class RoomInstance(Pictured, Schematic):
         return self.digest[:16]
 
     def compute_press_reach(self, target: Target, hand_height: float = 0.0) -> float:
-        """Largest floor distance from which the presser touches a target; -1 where it never does.
+        """Largest floor distance, m, of the body's axis from a target's footprint at which it is touched; -1 for never.
 
-        Args:
-            target: the target to touch.
-            hand_height: height of the hand above the floor, m, where the hand presses.
-
-        Returns:
-            Metres from the body's axis (or from the hand) to the target's footprint.
+        Where the hand presses, it is that of the hand, at a height above the floor.
         """
         margin = self.compute_press_margin(target, hand_height)
         is_body = self.dynamics.press_with == "body" and target.kind == "panel" and margin >= 0.0

@@ -128,11 +128,8 @@ class Rules(RobotPoses):
               prop_poses: tuple[tuple[float, float, float], ...] = (), grip: int = 0) -> Transition:
         """Complete a motion: presses, puzzle, reward, exit and horizon.
 
-        Args:
-            before: state before the primitive.
-            moved: state after its motion and what it pushed, with what is touched now, but the old primitive count.
-            prop_poses: where the props are now (physics).
-            grip: 1 if the primitive grips, -1 if it releases, 2 if it uses.
+        `moved` is the state after the motion and what it pushed, with what is touched now, but the old primitive count;
+        `grip` is 1 if the primitive grips, -1 if it releases, 2 if it uses. Under physics, props have poses.
         """
         pressed: tuple[int, ...] = ()
         puzzle = moved.puzzle

@@ -149,16 +149,7 @@ _WAIT = "turn-left"
 @lru_cache
 def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "strafing", use: bool = False,
                       move_step: float = 1.0, moves: tuple[Move, ...] = ()) -> ActionTable:
-    """Make the action table of a robot; names number its joints from 1.
-
-    Args:
-        joints: arm joints that can be moved.
-        gripper: it grips and releases.
-        drive: of the base.
-        use: it uses things.
-        move_step: length of the drive's moves, m.
-        moves: further primitives of the base.
-    """
+    """Make the action table of a robot, with further moves of the base; names number its joints from 1."""
     further = tuple(Primitive(move.name, move.forward, move.left, move.turn) for move in moves)
     translations = (*(Primitive(name, forward * move_step, left * move_step) for name, forward, left in _DIRECTIONS
                       if drive == "strafing" or not left), *(move for move in further if not move.turn))

@@ -147,16 +147,9 @@ class Robot:
 
 
 def sample_hand_positions(robot: Robot, count: int) -> NDArray[np.float64]:
-    """Hand positions on the joint lattice: of every configuration, or of a fixed sample.
+    """Hand positions in the base frame, (configurations, 3), m, on the whole joint lattice or at `count` fixed samples.
 
     The same robot and count give the same positions in any process.
-
-    Args:
-        robot: the robot.
-        count: most configurations to try; a lattice with no more than that is enumerated whole.
-
-    Returns:
-        Hand positions in the base frame, shape (configurations, 3), float64, metres.
     """
     return robot.compute_hand(np.array(robot.home) + robot.step * sample_joint_steps(robot, count))
 

@@ -42,12 +42,7 @@ def _reaches_into(shape: Footprint, half_width: float, half_depth: float) -> boo
 
 
 class Scanner:
-    """Rays among some outlines.
-
-    Args:
-        shapes: the outlines.
-        bearings: directions of lidar rays from straight ahead, counter-clockwise.
-    """
+    """Rays among some outlines; lidar bearings are from straight ahead, counter-clockwise."""
 
     def __init__(self, shapes: Sequence[Footprint], bearings: NDArray[np.float64]) -> None:
         boxes = np.array([shape[1:] for shape in shapes if not shape.is_disc], dtype=np.float64).reshape(-1, 6).T
@@ -61,14 +56,9 @@ class Scanner:
         self._tables: dict[int, tuple[NDArray[np.float64], ...]] = {}
 
     def measure(self, x: float, y: float, cos: float, sin: float, key: int | None = None) -> NDArray[np.float64]:
-        """Range of each lidar ray to the first outline; infinity where it meets none, 0 inside one.
+        """Range of each lidar ray from (x, y) to the first outline; infinity where it meets none, 0 inside one.
 
-        Args:
-            x: origin.
-            y: origin.
-            cos: of the heading.
-            sin: of the heading.
-            key: index of the heading, to cache its rays; None to compute them.
+        Rays of a heading are cached under a key of it, if one is given.
         """
         table = None if key is None else self._tables.get(key)
         if table is None:
@@ -79,14 +69,7 @@ class Scanner:
         return self._meet(x, y, table)
 
     def see(self, x: float, y: float, points: NDArray[np.float64], slack: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return for each point whether it is in sight.
-
-        Args:
-            x: eye.
-            y: eye.
-            points: shape (n, 2).
-            slack: length before each point in which nothing hides it, m, shape (n,).
-        """
+        """Return for each point (n, 2) whether it is in sight of (x, y); nothing hides the last `slack` (n,), m."""
         away_x, away_y = points[:, 0] - x, points[:, 1] - y
         distance = np.hypot(away_x, away_y)
         per_metre = 1.0 / np.maximum(distance, _TINY)

@@ -19,16 +19,9 @@ _SOFT_LIMIT = 0.1
 
 
 def check_state(rules: Rules, state: Any) -> None:
-    """Raise `StateError` for a state that no episode in this room could be in.
+    """Raise `StateError` for a state that no episode in this room could be in; the message names the field.
 
     The engine's own part of a state, `physics`, is left to the engine.
-
-    Args:
-        rules: the room's rules.
-        state: what should be a `RoomState`.
-
-    Raises:
-        StateError: it is none, or one of its numbers is impossible; the message names the field.
     """
     check_fields(rules, state)
     soft = rules.instance.dynamics.kind == "physics"

@@ -142,20 +142,12 @@ def compute_distance(x: Tensor, y: Tensor, shapes: Shapes) -> Tensor:
 
 def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: float,
                           shapes: Shapes | SplitShapes) -> Tensor:
-    """Share of displacements that discs can make before they meet each outline.
+    """Share of displacements that discs can make before they meet each outline; radii include the clearance.
 
     The branch-free form of `geometry.compute_first_contact`: the disc's centre enters the box grown by the radius;
     from there, it enters the circle about the point of the box that is nearest to it, which is the corner where it
     entered at a rounded corner, and next to nothing away elsewhere. A disc that touches already is stopped only if
     it moves inwards.
-
-    Args:
-        x: disc centres (rooms,), float64.
-        y: disc centres (rooms,), float64.
-        dx: displacements (rooms,), float64.
-        dy: displacements (rooms,), float64.
-        radius: disc radius, clearance included.
-        shapes: the outlines that may be hit.
 
     Returns:
         Shape (shapes, rooms), in [0, 1]; 1 if a shape lets the disc pass. Less than 0 if the disc touches already
@@ -197,22 +189,10 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
 
 def refine_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: float, shapes: Shapes,
                          share: Tensor) -> Tensor:
-    """Share of displacements until discs meet outlines, from shares that are nearly right.
+    """Share of displacements until discs meet outlines, one a room, from shares (shapes, rooms) that are nearly right.
 
     The outline is met at the side or corner that faces the disc after that share. The result is exact to the
     outlines' type if the disc is moving inwards there, and else means nothing; it may not be a number.
-
-    Args:
-        x: disc centres (rooms,), float64.
-        y: disc centres (rooms,), float64.
-        dx: displacements (rooms,), float64.
-        dy: displacements (rooms,), float64.
-        radius: disc radius, clearance included.
-        shapes: the outlines that are met, one a room.
-        share: of the displacements, (shapes, rooms).
-
-    Returns:
-        Shape (shapes, rooms).
     """
     motion, reach = _Motion.make(x, y, dx, dy, shapes), shapes.rounding + radius
     ex, ey = motion.ox + share * motion.vx, motion.oy + share * motion.vy
@@ -263,17 +243,9 @@ def _invert(velocity: Tensor) -> Tensor:
 
 
 def cast_rays(x: Tensor, y: Tensor, ray_x: Tensor, ray_y: Tensor, shapes: Shapes) -> Tensor:
-    """Range of rays from points (rooms,) to each outline; infinity where one is missed.
+    """Range (rays, shapes, rooms), m, of rays from points (rooms,) to each outline; infinity where one is missed.
 
-    Args:
-        x: origins (rooms,), float64.
-        y: origins (rooms,), float64.
-        ray_x: unit directions (rays, 1, rooms).
-        ray_y: unit directions (rays, 1, rooms).
-        shapes: outlines with (shapes, rooms) fields.
-
-    Returns:
-        Shape (rays, shapes, rooms), metres; 0 or less from inside a box.
+    Directions are unit vectors (rays, 1, rooms), outlines have (shapes, rooms) fields. 0 or less from inside a box.
     """
     px, py = shapes.look_from(x, y)
     along = px * ray_x + py * ray_y

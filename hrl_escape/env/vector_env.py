@@ -39,13 +39,7 @@ _AUTORESETS: dict[AutoresetMode, Autoreset] = {
 
 
 class BatchVectorEnv(VectorEnv):
-    """Base of Gymnasium's vector environments over the batched engine: kinds of reset, and arrays or tensors.
-
-    Args:
-        num_envs: number of rooms.
-        autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
-        output: `numpy` arrays, or `torch` tensors on the device, which cost no copy.
-    """
+    """Base of Gymnasium's vector environments over the batched engine: kinds of reset, and arrays or tensors."""
 
     metadata: dict[str, Any] = {}
     autoreset_mode: AutoresetMode
@@ -188,11 +182,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         return self._give(observation), self._make_infos(self.room.inform())
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Run one primitive in every room.
-
-        Args:
-            actions: whole numbers (num_envs,), a numpy array, a list, or a tensor on the rooms' device.
-        """
+        """Run one primitive in every room: whole numbers (num_envs,), a list, an array, or a tensor on the device."""
         self._check_open()
         seen, reward, terminated, truncated, info, final_seen, final_info = self.room.step(self._take(actions))
         infos = self._make_infos(info)

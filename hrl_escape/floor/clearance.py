@@ -56,13 +56,7 @@ class CollisionMap:
     """
 
     def __init__(self, instance: RoomInstance, *, door_shut: bool, reach: float = 0.0) -> None:
-        """Build the map.
-
-        Args:
-            instance: the room.
-            door_shut: True to shut the exit door, if there is one.
-            reach: distances up to the radius plus this are stored, m.
-        """
+        """Build the map, with the exit door shut or not; distances up to the radius and `reach`, m, are stored."""
         robot = instance.robot
         self.radius, self.inner = robot.outer_radius + CONTACT_SKIN, robot.inner_radius + CONTACT_SKIN
         self.base = robot.base.grow(CONTACT_SKIN)
@@ -91,12 +85,9 @@ class CollisionMap:
         self._near: dict[int, tuple[Footprint, ...]] = {}
 
     def adapt(self, instance: RoomInstance, door_shut: bool, changed: Sequence[Footprint]) -> CollisionMap:
-        """Make the map of a room that differs in some solids only; cells far from these are taken over.
+        """Make the map of a room that differs only in some solids: their footprints, before and after.
 
-        Args:
-            instance: the edited room: same floor, same body.
-            door_shut: as in the constructor.
-            changed: footprints of the solids that came, went or moved (before and after).
+        It has the same floor and body; cells far from what has changed are taken over.
         """
         new = copy.copy(self)
         new.__dict__.pop("_labels", None)
@@ -161,13 +152,9 @@ class CollisionMap:
         return near
 
     def does_fit(self, x: float, y: float, rotation: tuple[float, float], margin: float = 0.0) -> bool:
-        """Return whether the body, with its clearance, fits at a place on the floor and a heading. Exact for no margin.
+        """Return whether the body, with its clearance, fits at a place and heading (cosine, sine). Exact for no margin.
 
-        Args:
-            x: place, m.
-            y: place, m.
-            rotation: cosine and sine of the heading; no matter for a disc.
-            margin: further clearance on all sides, at most `horizon` less `radius`, m.
+        The margin is a further clearance on all sides, at most `horizon` less `radius`, m.
         """
         if self.base.turns_anywhere or self.is_clear(x, y, self.radius + margin):
             return self.is_clear(x, y, self.radius + margin - TOUCH)

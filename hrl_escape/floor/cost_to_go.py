@@ -197,13 +197,8 @@ class FieldMaker:
               keeps: Callable[[Any], bool]) -> FieldMaker:
         """Make the grid of a room that differs in some solids only, equal to one made anew; the base turns anywhere.
 
-        Columns of cells that no changed solid comes near are taken over, and fields where no cell has changed.
-
-        Args:
-            instance: the edited room: same floor, same base.
-            collision: its clearances, with the door as here.
-            changed: footprints of the solids that came, went or moved (before and after).
-            keeps: (key of a field) -> whether its goal is still the same.
+        `changed` are their footprints before and after. Columns of cells that none of them comes near are taken over,
+        and fields where no cell has changed and `keeps` says of their key that the goal is still the same.
         """
         new = copy.copy(self)
         new.collision = collision
@@ -247,13 +242,10 @@ class FieldMaker:
 
     def find_seeds(self, goal: Footprint, reach: float, facing: NDArray[np.bool_] | None = None,
                    presser: Presser = POINT) -> Seeds:
-        """Find the states that are in a goal, or one move away: the body's axis within `reach` of a footprint.
+        """Find the states that are in a goal, or one move away: the body's axis within `reach` of a footprint, m.
 
-        Args:
-            goal: footprint of the goal.
-            reach: largest distance from it, m.
-            facing: headings that reach it, shape (headings,); by default any heading will do.
-            presser: shape that must touch the goal; for a rectangle, `reach` alone is only necessary.
+        By default any heading will do, else those of `facing` (headings,). Where the presser that must touch the goal
+        is a rectangle, `reach` alone is only necessary.
         """
         row = stack_footprints([goal])[0]
         away = compute_distance_many(self.points, row[None])
@@ -285,12 +277,7 @@ class FieldMaker:
 
     def make_field(self, seeds: Seeds, allowed: NDArray[np.bool_] | None = None, clock: Clock = NO_LIMIT
                    ) -> NDArray[np.int16]:
-        """Compute a field from states with a known cost-to-go. Raises `OutOfTime`.
-
-        Args:
-            seeds: the states.
-            allowed: cells that may be used, shape (cells,); by default all.
-            clock: time limit.
+        """Compute a field from states with a known cost-to-go, over the cells `allowed` (cells,). Raises `OutOfTime`.
 
         Returns:
             Shape (cells * headings,), int16, with the headings of the seeds; -1 where none of them can be reached.
@@ -315,12 +302,9 @@ class FieldMaker:
 
     def get_field(self, key: object, find_seeds: Callable[[FieldMaker], Seeds], clock: Clock = NO_LIMIT
                   ) -> NDArray[np.int16]:
-        """Field under a key, computed on first use; beyond `CACHE_BYTES` the least recently used are dropped.
+        """Field under a key, which is all that its seeds depend on; computed on first use.
 
-        Args:
-            key: the goal, and everything else that its seeds depend on.
-            find_seeds: finds them.
-            clock: time limit.
+        Beyond `CACHE_BYTES` the least recently used are dropped.
         """
         if key not in self._fields:
             self._fields[key] = self.make_field(find_seeds(self), clock=clock)

@@ -1,7 +1,16 @@
 """Kernels of cost-to-go fields: representative places, links between cells, and Dijkstra's search.
 
 Arrays in, arrays out; `cost_to_go.py` gives them their meaning and keeps them. Kernels are compiled on first use and
-kept on disk.
+kept on disk. Each takes columns or cells of a grid of (columns, rows) from `first` to before `last`; `low` is the
+grid's corner, `size` the side of a cell, m.
+
+| array | shape | meaning |
+|---|---|---|
+| `points` | (cells, 2) | a representative place in each cell, m |
+| `standing` | (cells,) | whether the body fits there, perhaps at some headings only |
+| `turns` | (classes + 1, 2) | cosine and sine of each heading class, and of the next one after the last |
+| `fits` | (cells,) or (cells * classes,) | whether the body fits, at a heading where that matters |
+| `can_turn` | (cells * classes,) | whether it can turn from a class to the next one and back |
 """
 
 from __future__ import annotations
@@ -41,21 +50,10 @@ def _find_cell(points, fits, layers, layer, columns, rows, i, j, x, y):
 
 @kernel_in_place
 def choose_points(scene, low, size, rows, first, last, within, points, standing):
-    """Choose a representative place in each cell of some columns of a grid, and test whether the body fits there.
+    """Fill in place and `standing` of the cells `within` some columns; the others count as blocked.
 
     The place is the cell's centre if the body fits there, else the one of 5 x 5 with the most clearance. A rectangular
     base counts as fitting where the largest disc within it does.
-
-    Args:
-        scene: the room.
-        low: corner of the grid, shape (2,).
-        size: side of a cell, m.
-        rows: cells along y.
-        first: first column.
-        last: column to stop before.
-        within: cells to look at, shape (columns * rows,); the others count as blocked.
-        points: places, shape (columns * rows, 2), m; filled in.
-        standing: True where the body fits, shape (columns * rows,); filled in.
     """
     for i in range(first, last):
         for j in range(rows):
@@ -77,19 +75,7 @@ def choose_points(scene, low, size, rows, first, last, within, points, standing)
 
 @kernel_in_place
 def choose_headings(scene, points, standing, turns, turn_step, first, last, fits, can_turn):
-    """Test at which headings a rectangular base fits in some cells, and where it can turn on the spot.
-
-    Args:
-        scene: the room.
-        points: a representative place in each cell, shape (cells, 2).
-        standing: False where no heading fits, shape (cells,).
-        turns: cosine and sine of each heading class and of the next one after the last, shape (classes + 1, 2).
-        turn_step: angle between two of them, rad.
-        first: first cell.
-        last: cell to stop before.
-        fits: True where the base fits, shape (cells * classes,); filled in.
-        can_turn: True where it can turn from a class to the next one and back, shape (cells * classes,); filled in.
-    """
+    """Fill in at which headings a rectangular base `fits` in some cells, and where it `can_turn` on the spot."""
     classes = turns.shape[0] - 1
     for cell in range(first, last):
         if not standing[cell]:
@@ -105,22 +91,9 @@ def choose_headings(scene, points, standing, turns, turn_step, first, last, fits
 
 @kernel_in_place
 def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, steps, first, last, landing, link_cost):
-    """Find the cells to which moves lead from some cells.
+    """Fill in the cells, or -1, to which moves lead from some cells and what they cost: by cell, class and translation.
 
-    Args:
-        scene: the room.
-        points: a representative place in each cell, shape (cells, 2).
-        fits: True where the body fits there, shape (cells,), or (cells * classes,) where that depends on its heading.
-        turns: cosine and sine of each heading class, shape (at least classes, 2).
-        cells_a_row: cells along y; a cell's index is i * cells_a_row + j.
-        low: corner of the grid, shape (2,).
-        size: side of a cell, m.
-        moves: displacements, shape (classes, translations, 2), m.
-        steps: primitives of a whole displacement.
-        first: first cell.
-        last: cell to stop before.
-        landing: cell at the end of each (cell, class, translation); filled in, -1 for none.
-        link_cost: primitives of each; filled in.
+    `moves` are displacements, (classes, translations, 2), m; a whole one costs its `steps` primitives.
     """
     classes, translations = moves.shape[0], moves.shape[1]
     columns = points.shape[0] // cells_a_row
@@ -145,13 +118,7 @@ def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, ste
 
 @kernel
 def link_cells(landing, link_cost, classes, translations):
-    """Reverse the moves: for each state, list the states that lead to it.
-
-    Args:
-        landing: from `find_landings`.
-        link_cost: from `find_landings`.
-        classes: heading classes.
-        translations: moves of each class.
+    """Reverse the moves that `find_landings` found: for each state, list the states that lead to it.
 
     Returns:
         starts (cells * classes + 1,), sources (links,), costs (links,): state (cell, class) is entered from
@@ -220,29 +187,12 @@ def run_dijkstra(starts, sources, costs, classes, headings, turn_steps, can_turn
                  buckets, filled, counts, most):
     """Fewest primitives from every (cell, heading) to the nearest seed, by Dijkstra's search with buckets (Dial 1969).
 
-    Each call continues the search; it is over when `counts[0]` is negative.
-
-    Args:
-        starts: from `link_cells`.
-        sources: from `link_cells`.
-        costs: from `link_cells`.
-        classes: heading classes of the links.
-        headings: headings of the field, a multiple of `classes` or equal to it.
-        turn_steps: headings by which each turn advances, shape (turns,).
-        can_turn: True where the body can turn from a class to the next one, shape (cells * classes,); empty where it
-            always can.
-        allowed: cells that may be used, shape (cells,), bool.
-        seeds: states cell * headings + heading, in the order of their costs, shape (seeds,).
-        seed_costs: their cost-to-go, shape (seeds,).
-        best: cost-to-go of each state, shape (cells * headings,); `UNREACHED` at first, -1 in the end where no seed
-            can be reached.
-        buckets: states of the next levels, shape (levels, any), empty at first.
-        filled: states in each bucket, shape (levels,).
-        counts: level, seeds used, states in the fullest bucket, most links of a state; shape (4,).
-        most: states to take up in this call; a level is always finished.
-
-    Returns:
-        The buckets.
+    Each call continues the search over the links of `link_cells`, takes up `most` states and then ends its level; the
+    search is over when `counts[0]` is negative. `headings` are a multiple of `classes` or equal to it, each turn
+    advances by one of `turn_steps`, and an empty `can_turn` always can. `seeds` are states cell * headings + heading in
+    the order of their costs. `best`, of each state, is `UNREACHED` at first, -1 in the end where no seed is reached.
+    `buckets` (levels, any), which are returned, hold the states of the next levels, each as many as `filled` says.
+    `counts` are level, seeds used, states in the fullest bucket, and most links of a state.
     """
     wide = filled.shape[0]
     level, used, fullest, most_links = counts[0], counts[1], counts[2], counts[3]

@@ -222,15 +222,9 @@ def can_turn_body(scene, x, y, turn, to, angle):
 
 @kernel_part
 def is_touched(x, y, turn, presser, shape, reach):
-    """Return whether a presser touches a footprint.
+    """Return whether a presser at a place, m, and heading (cosine, sine) touches a footprint.
 
-    Args:
-        x: place of the presser, m.
-        y: place of the presser, m.
-        turn: cosine and sine of its heading.
-        presser: a `Presser`.
-        shape: the footprint.
-        reach: largest distance from the point, m: beyond the base it is less by its outer radius.
+    `reach` is the largest distance from the point, m: beyond the base it is less by its outer radius.
     """
     if measure_distance(x, y, shape) > reach:
         return False
@@ -241,13 +235,7 @@ def is_touched(x, y, turn, presser, shape, reach):
 
 
 def make_sweep_scene(collision: CollisionMap, door: int, span: float) -> SweepScene:
-    """Index a room's solids by floor cell, for the sweeps.
-
-    Args:
-        collision: clearances of the room.
-        door: number of the shut exit door among its solids, or -1.
-        span: length of the longest sweep, m.
-    """
+    """Index a room's solids by floor cell, for sweeps up to `span` m; `door` numbers the shut exit door, or is -1."""
     width, depth = collision.resolution * np.array(collision.distance.shape)
     size = max(min(span, 2.0), 0.5, width / 128, depth / 128)
     grid = FloorGrid(collision.low, size, (math.ceil(width / size), math.ceil(depth / size)))

@@ -14,12 +14,7 @@ __all__ = ["Benchmark", "list_benchmarks", "load_benchmark"]
 
 
 class Benchmark:
-    """Rungs by name: `bench["lattice"].train`.
-
-    Args:
-        manifest: the benchmark's manifest.
-        source: the name or file that `load_benchmark` finds it by; the manifest's name by default.
-    """
+    """Rungs by name: `bench["lattice"].train`. The source is the name or file that `load_benchmark` finds it by."""
 
     def __init__(self, manifest: Manifest, source: str = "") -> None:
         self.manifest, self.name, self.source = manifest, manifest.name, source or manifest.name

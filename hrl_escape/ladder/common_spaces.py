@@ -77,13 +77,7 @@ def _merge(parts: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
 
 
 class CommonSpacesEnv(gymnasium.Wrapper, RecordConstructorArgs):
-    """Shows an environment in common spaces; rows and actions that it lacks are empty and masked.
-
-    Args:
-        env: an environment with rows of objects, among those that were joined.
-        rows: of `CommonSpaces`.
-        about: of `CommonSpaces`.
-    """
+    """Shows an environment, one of those that were joined, in `CommonSpaces`; what it lacks is empty and masked."""
 
     def __init__(self, env: gymnasium.Env, rows: Sequence[str], about: Sequence[str | None] | None) -> None:
         RecordConstructorArgs.__init__(self, rows=list(rows), about=None if about is None else list(about))

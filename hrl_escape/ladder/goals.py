@@ -104,24 +104,12 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     def compute_reward(self, achieved_goal: NDArray[np.float32], desired_goal: NDArray[np.float32], info: Any
                        ) -> NDArray[np.float64]:
-        """Reward of a step after which a goal was achieved and another one desired: 0 where they are equal, else -1.
-
-        Args:
-            achieved_goal: float32 (..., targets + 1).
-            desired_goal: float32 (..., targets + 1).
-            info: not looked at.
-        """
+        """Reward of a step after which goals (..., targets + 1) are achieved and desired: 0 if equal, else -1."""
         return self.compute_terminated(achieved_goal, desired_goal, info).astype(np.float64) - 1
 
     def compute_terminated(self, achieved_goal: NDArray[np.float32], desired_goal: NDArray[np.float32], info: Any
                            ) -> NDArray[np.bool_]:
-        """Termination of a step after which a goal was achieved and another one desired: true where they are equal.
-
-        Args:
-            achieved_goal: float32 (..., targets + 1).
-            desired_goal: float32 (..., targets + 1).
-            info: not looked at.
-        """
+        """Termination of such a step: true if they are equal."""
         return np.all(np.asarray(achieved_goal) == np.asarray(desired_goal), axis=-1)
 
     def _make_goal(self, lit: tuple[bool, ...], is_exit: bool) -> NDArray[np.float32]:

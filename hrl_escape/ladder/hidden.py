@@ -47,12 +47,8 @@ def derive_seed(*words: str | int) -> int:
 
 
 def derive_hidden_seed(beacon: Beacon, benchmark: str, rung: str, index: int) -> int:
-    """Seed of one room of a hidden test.
+    """Seed of one room of a hidden test, numbered from 0.
 
-    Args:
-        beacon: a round that was announced before, and published after all agents were frozen.
-        benchmark: name of the benchmark.
-        rung: name of the rung.
-        index: number of the room, from 0.
+    The beacon is a round that was announced before, and published after all agents were frozen.
     """
     return derive_seed(benchmark, rung, "hidden", str(beacon), index)

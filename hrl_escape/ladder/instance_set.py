@@ -38,12 +38,7 @@ def derive_task(config: RoomConfig, seed: int) -> str:
 
 
 class LazySeeds(Sequence[int]):
-    """Instance seeds, drawn from an iterator as they are needed.
-
-    Args:
-        seeds: iterator over at least `count` seeds.
-        count: number of seeds.
-    """
+    """So many instance seeds, drawn from an iterator as they are needed."""
 
     def __init__(self, seeds: Iterator[int], count: int) -> None:
         self._seeds, self._count = seeds, count
@@ -184,10 +179,7 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
                  ) -> EscapeRoomVectorEnv | BatchedOptionsEnv:
         """Make a batch of rooms over one table of all instances; every episode draws one.
 
-        Args:
-            num_envs: rooms that step together.
-            options: make a `BatchedOptionsEnv`; a table gives its arguments.
-            arguments: all other arguments of the batch, such as `device="cuda"`.
+        `options` makes a `BatchedOptionsEnv`; a table gives its arguments. Others are the batch's: `device="cuda"`.
         """
         arguments = {"instance": list(self), "resample_instance": True} | arguments
         if isinstance(options, Mapping) or options:
@@ -237,14 +229,10 @@ def _check_names(words: str, given: Iterable[str], maker: Callable[..., Any], le
 
 
 class InstanceSetEnv(EscapeRoomEnv):
-    """`EscapeRoomEnv` whose every reset draws a room of a set from the episode's stream.
+    """`EscapeRoomEnv` whose every reset draws a room of a set, or of its description, from the episode's stream.
 
     `info["instance"]` is a number, from 0 in the order in which rooms first appear: it tells rooms apart, and names
     none of a published set, whose graph could be looked up by its content hash.
-
-    Args:
-        rooms: the set, or the content of its description.
-        arguments: arguments of `EscapeRoomEnv` beside the room.
     """
 
     def __init__(self, rooms: InstanceSet | Mapping[str, Any], **arguments: Any) -> None:

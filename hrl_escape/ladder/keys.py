@@ -25,14 +25,9 @@ Form = tuple[tuple[int, ...], tuple[tuple[int, int], ...]]
 
 
 def compute_canonical_form(colours: Sequence[int], edges: Iterable[tuple[int, int]]) -> Form:
-    """Colours and edges of a directed graph under its canonical numbering.
+    """Colours, in canonical order, and sorted (from, to) edges of a directed graph under its canonical numbering.
 
-    Args:
-        colours: a whole number a node, which relabelling keeps.
-        edges: (from, to) pairs of node numbers.
-
-    Returns:
-        Colours in canonical order, and the sorted edges.
+    Relabelling keeps the colour of a node.
     """
     return _Search(colours, tuple(edges)).find()
 

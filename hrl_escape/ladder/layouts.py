@@ -54,11 +54,7 @@ def list_points(room: RoomInstance) -> tuple[tuple[str, float, float], ...]:
 
 
 class SeenLayouts:
-    """Layouts that were seen, in order, among which one that looks alike is found.
-
-    Args:
-        layouts: the first of them.
-    """
+    """Layouts that were seen, in order, among which one that looks alike is found."""
 
     def __init__(self, layouts: Iterable[LayoutKey] = ()) -> None:
         self._count = 0

@@ -123,14 +123,7 @@ class Rung:
 
 def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], count: int, seen: Container[LayoutKey],
                  layouts: int = 1) -> tuple[list[int], dict[int, RoomKeys]]:
-    """Choose the first seeds whose rooms can be generated and look like none that was seen.
-
-    Args:
-        config: the schematic.
-        candidates: (index, seed) pairs.
-        count: number of seeds.
-        seen: layouts of other sets.
-        layouts: version of these.
+    """Choose the first seeds, of (index, seed) pairs, whose rooms can be generated and look like none that was seen.
 
     Returns:
         Indices skipped, and the keys of the rooms chosen, by seed.

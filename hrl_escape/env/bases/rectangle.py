@@ -53,21 +53,10 @@ def _compute_sides(x: float, y: float, cos: float, sin: float, size: tuple[float
 
 def compute_base_contact(x: float, y: float, cos: float, sin: float, size: tuple[float, ...],
                          dx: float, dy: float, shape: Footprint) -> float:
-    """Fraction of a displacement at which a moving rectangle first meets a footprint.
+    """Fraction in [0, 1) of a displacement at which a moving rectangle meets a footprint; infinity if it gets by.
 
-    Args:
-        x: centre of the rectangle.
-        y: centre of the rectangle.
-        cos: of its heading.
-        sin: of its heading.
-        size: half its size along its heading and across, clearance included.
-        dx: displacement.
-        dy: displacement.
-        shape: the outline that may be hit.
-
-    Returns:
-        The fraction in [0, 1), or infinity if the rectangle gets by. One that touches already is stopped (0) only if
-        it moves towards the shape; sliding along it is free.
+    `size` is half its size along its heading (cos, sin) and across, clearance included. One that touches already is
+    stopped (0) only if it moves towards the shape; sliding along it is free.
     """
     half_length, half_width = size[0], size[1]
     if shape[0]:
@@ -142,16 +131,7 @@ def is_turn_blocked(x: float, y: float, cos: float, sin: float, to_cos: float, t
                     size: tuple[float, ...], shape: Footprint) -> bool:
     """Return whether a footprint blocks the turn of a rectangle about its centre; the two are apart before it.
 
-    Args:
-        x: centre of the rectangle.
-        y: centre of the rectangle.
-        cos: of its heading before.
-        sin: of its heading before.
-        to_cos: of its heading afterwards.
-        to_sin: of its heading afterwards.
-        turn: angle, rad, counter-clockwise positive.
-        size: half its size along its heading and across, clearance included.
-        shape: the outline that may be hit.
+    `size` is half its size along its heading and across, clearance included; `turn` is in rad, counter-clockwise.
     """
     half_length, half_width = size[0], size[1]
     around = math.hypot(half_length, half_width)

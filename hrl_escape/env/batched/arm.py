@@ -22,14 +22,9 @@ _AXES = range(3)
 
 
 def compute_hand(robot: Robot, angles: Tensor) -> Vector:
-    """Hand position in the base frame.
+    """Hand position in the base frame at joint angles (joints, rooms), rad.
 
-    Args:
-        robot: the robot.
-        angles: joint angles in rad, shape (joints, rooms).
-
-    Returns:
-        x, y and z in metres, each (rooms,), or one number if no joint changes it.
+    Returns x, y and z in metres, each (rooms,), or one number if no joint changes it.
     """
     cosines, sines = torch.cos(angles), torch.sin(angles)
     position: Vector = [0.0, 0.0, 0.0]

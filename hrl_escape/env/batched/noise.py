@@ -11,47 +11,19 @@ import math
 import torch
 from torch import Tensor
 
-from hrl_escape.env.noise import CHANCE_PURPOSE, EPISODE_PURPOSE, PUZZLE_PURPOSE, ROUNDS
-
-_MASK = 0xFFFFFFFF
-_MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
-_WEYL = (0x9E3779B9, 0xBB67AE85)
-
-Words = tuple[Tensor, Tensor, Tensor, Tensor]
-
-
-def philox(counter: Words, key: tuple[Tensor, Tensor]) -> Words:
-    """Return four 32-bit words of Philox4x32-10.
-
-    Args:
-        counter: four int64 tensors of 32-bit words.
-        key: two int64 tensors of 32-bit words.
-    """
-    c0, c1, c2, c3 = counter
-    k0, k1 = key
-    for _ in range(ROUNDS):
-        p0, p1 = _MULTIPLIERS[0] * c0, _MULTIPLIERS[1] * c2  # modulo 2**64: both halves are right
-        c0, c1 = ((p1 >> 32) & _MASK) ^ c1 ^ k0, p1 & _MASK
-        c2, c3 = ((p0 >> 32) & _MASK) ^ c3 ^ k1, p0 & _MASK
-        k0, k1 = (k0 + _WEYL[0]) & _MASK, (k1 + _WEYL[1]) & _MASK
-    return c0, c1, c2, c3
+from hrl_escape.env.noise import CHANCE_PURPOSE, EPISODE_PURPOSE, MASK, PUZZLE_PURPOSE, Words, philox
 
 
 def _run(key: Tensor, count: Tensor, purpose: int) -> Words:
     count = count.to(torch.int64)
     none = torch.zeros_like(count)
-    return philox((count & _MASK, (count >> 32) & _MASK, none + purpose, none), (key & _MASK, (key >> 32) & _MASK))
+    return philox((count & MASK, (count >> 32) & MASK, none + purpose, none), (key & MASK, (key >> 32) & MASK))
 
 
 def compute_noise(key: Tensor, primitive: Tensor) -> tuple[Tensor, Tensor]:
     """Return (standard normal, uniform in (0, 1)) for a primitive of each room's episode.
 
-    Args:
-        key: 64-bit keys of the episodes, int64 (rooms,).
-        primitive: number of the primitive within its episode, integers (rooms,).
-
-    Returns:
-        Two float64 tensors (rooms,): single precision would round the tail of the normal away.
+    Both are float64 (rooms,): single precision would round the tail of the normal away.
     """
     a, b, c, _ = _run(key, primitive, 0)
     scale = 1.0 / 2**32

@@ -38,14 +38,7 @@ class TensorTransition(NamedTuple):
 
 
 def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> TensorTransition:
-    """Apply one primitive in every room. Pure; an action outside the table does nothing.
-
-    Args:
-        layout: the properties that the rooms share.
-        tables: their instances.
-        state: their states.
-        action: numbers of primitives, integers (rooms,).
-    """
+    """Apply one primitive, an integer (rooms,), in every room. Pure; an action outside the table does nothing."""
     scale = None
     if layout.is_random:
         normal, uniform = compute_noise(state.noise_key, state.primitives)
@@ -91,14 +84,7 @@ def _find_grip(layout: Layout, action: Tensor) -> Tensor:
 
 
 def _find_effects(layout: Layout, action: Tensor, name: str, unit: Tensor) -> Tensor:
-    """One field of the chosen base primitives (`forward`, `left` or `turn`), (rooms,); 0 for joint steps.
-
-    Args:
-        layout: the properties that the rooms share.
-        action: numbers of primitives, int64 (rooms,).
-        name: of the field.
-        unit: size of one, () or (rooms,).
-    """
+    """One field of the chosen base primitives (`forward`, `left` or `turn`) in units (rooms,); 0 for joint steps."""
     found = torch.zeros_like(unit)
     for number in layout.actions.base:
         effect = getattr(layout.actions.primitives[number], name)
@@ -279,14 +265,7 @@ def is_in_exit(layout: Layout, tables: Tables, instance: Tensor, x: Tensor, y: T
 
 
 def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -> TensorState:
-    """Begin a new episode in some rooms, from their own random numbers; the others stay as they are.
-
-    Args:
-        layout: the properties that the rooms share.
-        tables: their instances.
-        state: their states.
-        where: the rooms to restart, bool (rooms,).
-    """
+    """Begin a new episode where a mask, bool (rooms,), says so, from those rooms' own random numbers."""
     episode = state.episode + 1
     instance, noise_key = state.instance, state.noise_key
     chosen = torch.zeros_like(instance)
@@ -316,14 +295,7 @@ def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -
 
 
 def begin(layout: Layout, tables: Tables, seed: Tensor, instance: Tensor) -> TensorState:
-    """Seed every room and begin its first episode.
-
-    Args:
-        layout: the properties that the rooms share.
-        tables: their instances.
-        seed: key of each room's random numbers, int64 (rooms,).
-        instance: index of each room's instance, int64 (rooms,); drawn anew if the layout resamples.
-    """
+    """Seed every room and begin its first episode, in an instance that is drawn anew if the layout resamples."""
     rooms, device = len(seed), seed.device
     numbers = torch.zeros(rooms, dtype=torch.float64, device=device)
     steps = torch.zeros(rooms, dtype=torch.int32, device=device)

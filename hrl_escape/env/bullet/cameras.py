@@ -158,16 +158,7 @@ def _make_backdrop(view: _View, height: int) -> NDArray[np.uint8]:
 
 def _draw_trail(picture: NDArray[np.uint8], depths: NDArray[np.float32], view: _View, matrix: NDArray[np.float64],
                 trail: Sequence[tuple[float, float]], width: float) -> NDArray[np.uint8]:
-    """Paint a ribbon along the visible parts of the trail.
-
-    Args:
-        picture: (height, width, 3).
-        depths: Bullet's depth buffer, (height, width).
-        view: the camera.
-        matrix: projection times view, (4, 4).
-        trail: (x, y) positions, m.
-        width: of the ribbon, m.
-    """
+    """Paint a ribbon (width in m) along the visible parts of a trail; the matrix is projection times view."""
     corners, middles = _make_ribbon(np.array(trail, dtype=np.float64), width)
     if not len(corners):
         return picture

@@ -31,11 +31,7 @@ class BulletRoom:
     """
 
     def __init__(self, instance: RoomInstance, window: bool = False) -> None:
-        """Build the room and begin an episode at its first start.
-
-        Args:
-            instance: the room.
-            window: open Bullet's window (needs a display).
+        """Build the room, and open Bullet's window if one is wanted; it begins an episode at its first start.
 
         Raises:
             UnsupportedError: a window without a display; under physics, too many rooms open in this process.
@@ -51,12 +47,7 @@ class BulletRoom:
     # --- the episode ---------------------------------------------------------------------
 
     def reset(self, start: Start, noise_key: int = 0) -> RoomState:
-        """Begin an episode.
-
-        Args:
-            start: pose of the robot; the arm is at home, the puzzle at its start.
-            noise_key: 64-bit key of the episode's noise and slip.
-        """
+        """Begin an episode at a pose: arm at home, puzzle at its start; the key decides noise and slip."""
         self._require_open()
         self._enter(self._mover.make_state(start, noise_key))
         return self.state
@@ -78,10 +69,7 @@ class BulletRoom:
         self._enter(state)
 
     def step(self, action: int) -> Transition:
-        """Apply one primitive.
-
-        Args:
-            action: a number of `rules.actions`, not checked here.
+        """Apply one primitive, a number of `rules.actions`, which is not checked.
 
         Raises:
             ClosedError: the room was closed, or its window.

@@ -283,15 +283,10 @@ class PhysicsDynamics:
 
     def _run(self, profile: Sequence[float], way: tuple[float, float, float],
              joints: Sequence[tuple[int, float, float]] = ()) -> int:
-        """Simulate one sub-step for each rate of a profile.
+        """Simulate one sub-step for each rate of a profile, in 1/s; returns the bits of the targets that were pressed.
 
-        Args:
-            profile: rates in 1/s by which `way` and the joints' displacements are covered.
-            way: displacement of the base along x and y, m, and about z, rad.
-            joints: index of each joint that moves, its angle and its displacement, rad.
-
-        Returns:
-            Bits of the targets that were pressed.
+        The base goes a `way` along x and y, m, and about z, rad. `joints` are number, angle and displacement, rad, of
+        each that moves.
         """
         client, scene, pressed, done = self.client, self.scene, 0, 0.0
         self._touches = set()
@@ -313,11 +308,7 @@ class PhysicsDynamics:
         return pressed
 
     def _find_moved(self, props: tuple[tuple[float, ...], ...]) -> set[int]:
-        """Bodies of the blocks that were in motion, or touched by something that moves, in the last primitive.
-
-        Args:
-            props: poses and velocities before it.
-        """
+        """Bodies of the blocks that moved since these poses and velocities, or were touched by something that moves."""
         movers = {self.scene.robot, self.scene.door}
         moved = {body for body, number in self.scene.blocks if max(map(abs, props[number][7:])) > _AT_REST}
         while True:

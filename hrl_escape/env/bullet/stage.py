@@ -316,13 +316,7 @@ _INDICES: list[int] = []
 
 
 def create_mesh_shape(client: int, mesh: Mesh, colour: tuple[float, ...]) -> int:
-    """Make a matt visual shape in a physics client; returns its number.
-
-    Args:
-        client: pybullet's number of the physics client.
-        mesh: the triangles.
-        colour: red, green, blue and opacity, 0 to 1.
-    """
+    """Make a matt visual shape of a colour (red, green, blue and opacity, 0 to 1) in a client; returns its number."""
     with _LOCK:
         _INDICES[:] = mesh.triangles.ravel().tolist()
         return pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=_VERTICES.fill(mesh.vertices),

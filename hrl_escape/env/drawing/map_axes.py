@@ -49,12 +49,7 @@ def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories
               names: bool = True) -> None:
     """Draw a room on axes whose limits are set (wider than the room, for names to fit).
 
-    Args:
-        axes: matplotlib axes.
-        instance: the room.
-        state: robot and lit targets to draw.
-        trajectories: paths, drawn under the robot.
-        names: add the targets' names, and metres along the edges.
+    Paths are drawn under the robot; `names` adds the targets' names, and metres along the edges.
     """
     axes.set_aspect("equal")
     if names:

@@ -67,16 +67,7 @@ def make_map(instance: RoomInstance, state: RoomState | None = None, trajectorie
 
 
 def make_strip(instances: Sequence[RoomInstance], most: int = 4, inches: float = 2.2) -> Figure:
-    """Draw rooms side by side at the start of their episodes, without names.
-
-    Args:
-        instances: the rooms.
-        most: number of rooms, the first of them, that are drawn.
-        inches: side of the square that each is drawn in.
-
-    Returns:
-        A figure that belongs to no window.
-    """
+    """Draw the first rooms side by side at the start of their episodes, without names; the figure has no window."""
     with matplotlib.rc_context(STYLE):
         shown = [instances[number] for number in range(min(most, len(instances)))]
         figure = Figure(figsize=(inches * len(shown), inches), dpi=150, layout="constrained",

@@ -80,13 +80,9 @@ def make_flat(outline: Sequence[Point], z: float, up: bool = True) -> Mesh:
 
 
 def _make_badge(outline: Sequence[Point], target: Target, front: Point, lift: float) -> Mesh:
-    """A flat polygon, star-shaped about (0, 0), on the front of a panel.
+    """A flat polygon on the front of a panel, star-shaped about (0, 0), lifted from its face by so many metres.
 
-    Args:
-        outline: corners, counter-clockwise, in halves of the panel's smaller side.
-        target: the panel.
-        front: unit vector from the panel to the side that shows it.
-        lift: distance from its face, m.
+    Its corners are counter-clockwise, in halves of the panel's smaller side.
     """
     scale, (x, y) = 0.8 * min(target.half_x, target.half_z), front
     centre = np.array([target.x + (target.half_y + lift) * x, target.y + (target.half_y + lift) * y, target.z])

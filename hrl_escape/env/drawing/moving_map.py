@@ -60,13 +60,7 @@ def make_moving_map(instance: RoomInstance, states: Sequence[RoomState], decisio
 
 
 def embed_moving_map(instance: RoomInstance, page: str, width: int = 480) -> str:
-    """Make an HTML frame that holds a moving map of a room.
-
-    Args:
-        instance: the room, which decides the frame's height.
-        page: what `make_moving_map` gave.
-        width: of the frame, in pixels; it gets narrower where there is less space.
-    """
+    """Make an HTML frame, some pixels wide or narrower, that holds the page `make_moving_map` gave for a room."""
     x_min, x_max, y_min, y_max = compute_extent(instance)
     height = round(width * (y_max - y_min + 2 * _PAD) / (x_max - x_min + 2 * _PAD)) + _CONTROLS
     return (f'<iframe class="moving-map" sandbox="allow-scripts" loading="lazy" title="{escape(instance.name)}" '

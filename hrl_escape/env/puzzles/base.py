@@ -256,9 +256,6 @@ class DerivedModel(Modelled):
 
     It has a proposition per state, and an operator per target with a conditional effect per state. Effects are those of
     the most likely outcome; other outcomes lead to states as well.
-
-    Args:
-        puzzle: the puzzle.
     """
 
     def __init__(self, puzzle: Puzzle) -> None:

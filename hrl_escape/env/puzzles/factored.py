@@ -190,12 +190,7 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
 
 
 def compute_distances(count: int, turn: Callable[[int, int], int]) -> dict[int, int]:
-    """Fewest presses from state 0 to each state that presses lead to.
-
-    Args:
-        count: number of factors.
-        turn: (state, factor) -> the state after a press.
-    """
+    """Fewest presses from state 0 to each state that presses lead to; `turn` gives a state after one of a factor."""
     distances, queue = {0: 0}, [0]
     for state in queue:
         for factor in range(count):

@@ -120,16 +120,9 @@ def sample_graph(config: GraphConfig, count: int, rng: np.random.Generator) -> E
 
 def sample_relabelled(config: GraphConfig, count: int, rng: np.random.Generator, goal: int | None = None
                       ) -> tuple[Edges, int]:
-    """Sample a graph, then shuffle its numbers if it is a generated one that is to be relabelled.
+    """Sample a graph and its goal, then shuffle its numbers if it is a generated one that is to be relabelled.
 
-    Args:
-        config: the family of graphs.
-        count: number of nodes.
-        rng: generator.
-        goal: number of the goal before shuffling; None takes the last in topological order.
-
-    Returns:
-        Edges, and the number of the goal.
+    Without a given goal (a number before shuffling), it is the last in topological order. Returns edges and goal.
     """
     edges = sample_graph(config, count, rng)
     last: int = compute_order(count, edges)[-1] if goal is None else goal
@@ -140,17 +133,10 @@ def sample_relabelled(config: GraphConfig, count: int, rng: np.random.Generator,
 
 
 def sample_locks(count: int, edges: Edges, goal: int, most: int, rng: np.random.Generator) -> Edges:
-    """Sample pairs (a, b) of nodes of which the first locks the second: dead ends that can be entered and avoided.
+    """Sample up to `most` pairs (a, b) of nodes of which the first locks the second: dead ends that can be avoided.
 
     The goal needs b, neither of the two needs the other, and an order drawn first puts every b before its a.
     Fewer are sampled if the graph has too few.
-
-    Args:
-        count: number of nodes.
-        edges: (parent, child) pairs.
-        goal: the node to reach.
-        most: number of pairs.
-        rng: generator.
     """
     label = rng.permutation(count).tolist()
     order = compute_order(count, tuple((label[parent], label[child]) for parent, child in edges))

@@ -122,14 +122,9 @@ def _get_map(rows: tuple[str, ...]) -> tuple[BoxMap, list[dict[int, int]]]:
 def find_fewest_shoves(rows: tuple[str, ...], player: int, boxes: frozenset[int]) -> tuple[Shove, ...] | None:
     """Pushes of a solution with the fewest moves, walks included; None if there is none.
 
-    A* with the fewest pushes that lone boxes need, each to a goal of its own. Boxes never enter cells from which no
-    pushes lead to a goal. Beyond 10,000 states it continues greedily, so fewer moves may exist; beyond 300,000 it
-    gives up.
-
-    Args:
-        rows: the level; its own player and boxes do not count.
-        player: cell of the player.
-        boxes: cells of the boxes.
+    Player and boxes stand on the cells that are told, not where the rows have theirs. A* with the fewest pushes that
+    lone boxes need, each to a goal of its own. Boxes never enter cells from which no pushes lead to a goal. Beyond
+    10,000 states it continues greedily, so fewer moves may exist; beyond 300,000 it gives up.
     """
     level, pushes = _get_map(rows)
     goals = frozenset(level.goals)
@@ -196,10 +191,7 @@ def tidy_level(rows: Sequence[str]) -> tuple[str, ...]:
 def draw_level(side: int, boxes: int, rng: np.random.Generator) -> tuple[str, ...]:
     """Draw a level by playing backwards: boxes begin on goals and are pulled away as far as possible.
 
-    Args:
-        side: of the square of cells, without outer walls.
-        boxes: number of boxes.
-        rng: source of all that is random.
+    The side is that of the square of cells, without outer walls.
 
     Raises:
         ConfigError: the cells are too few for the boxes.

@@ -51,12 +51,7 @@ class Floorplan(NamedTuple):
 
 
 def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzle) -> Floorplan:
-    """Sample walls and exit of a schematic.
-
-    Args:
-        config: the schematic.
-        rng: generator.
-        puzzle: its map, if it has one, gives the walls and perhaps the exit.
+    """Sample walls and exit of a schematic; the map of a puzzle that has one gives the walls and perhaps the exit.
 
     Raises:
         Rejected: interior walls or exit found no place in this sample.

@@ -33,14 +33,7 @@ class OutOfWork(Exception):
 
 
 class Work:
-    """Counter of work against a limit, in units of about a microsecond on one core.
-
-    Args:
-        limit: most units.
-
-    Attributes:
-        done: units spent.
-    """
+    """Counter of work against a limit, in units of about a microsecond on one core; `done` are spent."""
 
     def __init__(self, limit: float) -> None:
         self.limit, self.done = limit, 0.0

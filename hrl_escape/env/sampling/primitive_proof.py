@@ -61,11 +61,9 @@ def find_unmet_constraint(instance: RoomInstance) -> str | None:
 
 
 def find_unproven(instance: RoomInstance, floors: Floors) -> str | None:
-    """Name the goal to which no primitives were found; None if the room is proven to be solvable.
+    """Name the goal to which no primitives were found in a room; None if it is proven to be solvable.
 
-    Args:
-        instance: a room whose geometric certificate holds.
-        floors: its free space; its budget pays for the search.
+    Its geometric certificate holds, and the budget of its free space pays for the search.
 
     Raises:
         OutOfWork: the budget is spent.

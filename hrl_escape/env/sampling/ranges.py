@@ -13,12 +13,7 @@ from hrl_escape.ranges import fill_ranges, list_ranges
 def sample_puzzle(config: RoomConfig, seed: int) -> tuple[RoomConfig, Puzzle]:
     """Sample the numbers and the puzzle of an instance, in a fraction of the time of `generate`.
 
-    Args:
-        config: the schematic.
-        seed: instance seed.
-
-    Returns:
-        The schematic with numbers in place of ranges, and the instance's puzzle.
+    Returns the schematic with numbers in place of ranges, and the instance's puzzle.
     """
     config = _draw_ranges(config, np.random.default_rng([seed, 2]))
     return config, config.puzzle.make_puzzle(np.random.default_rng([seed, 0]))

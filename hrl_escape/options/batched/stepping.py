@@ -17,11 +17,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from hrl_escape.env.batched.noise import philox
 from hrl_escape.env.batched.observations import observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rules import is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables, pick
+from hrl_escape.env.noise import MASK, philox
 from hrl_escape.env.observations.base import BatchObservation
 from hrl_escape.env.tensor_geometry import wrap
 from hrl_escape.options.batched.cost_to_go import CostFields, classify_headings, interpolate_cost, locate
@@ -57,7 +57,6 @@ FAIL_AFTER = 120
 _OF_GOAL = ("age", "postures", "least", "stalled", "cells", "costs", "plan_left")
 _OF_RUN = (*_OF_GOAL, "option", "run", "goal", "order_left")
 _UNREAD = ("plan", "order")  # while nothing of them is left: they stay as they are
-_MASK = 0xFFFFFFFF
 REACHED, TIMEOUT, EPISODE_OVER, FAILED, INTERRUPTED = range(len(ENDINGS))
 
 
@@ -255,7 +254,7 @@ def _draw_uniform(degradation: OptionDegradation, names: Sequence[str], option: 
     """
     keys = torch.tensor([degradation.make_key(name) for name in names], device=option.device)[option]
     episode, primitive = state.noise_key, state.primitives.to(torch.int64)
-    word, *_ = philox((primitive & _MASK, torch.full_like(episode, purpose), episode & _MASK, (episode >> 32) & _MASK),
+    word, *_ = philox((primitive & MASK, torch.full_like(episode, purpose), episode & MASK, (episode >> 32) & MASK),
                       (keys[:, 0], keys[:, 1]))
     return (word.to(torch.float64) + 0.5) / 2**32
 

@@ -215,22 +215,13 @@ class TensorPuzzle(ABC):
     def make_tables(self, puzzles: Sequence[Any], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Stack the tables that the rules read; the last axis is the instance, except in the tables of `whole`.
 
-        Args:
-            puzzles: one per instance.
-            frame: names of the targets of the instance that has most, and bounds of its observation numbers. Targets
-                that an instance lacks are never touched, and the numbers that it lacks are 0.
+        `frame` has the targets of the instance that has most, and bounds of its observation numbers. Targets that an
+        instance lacks are never touched, and the numbers that it lacks are 0.
         """
 
     @abstractmethod
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
-        """Apply presses in index order.
-
-        Args:
-            tables: columns of each room, (..., rooms) or (..., 1).
-            state: int64 (rooms,).
-            contacts: what was touched.
-            targets: number of targets.
-        """
+        """Apply presses in index order to states (rooms,); tables are columns of each room, (..., rooms or 1)."""
 
     @abstractmethod
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
