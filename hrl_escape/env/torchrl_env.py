@@ -7,27 +7,92 @@ of Gymnasium's modes.
 
 from __future__ import annotations
 
-from typing import Any
+from abc import abstractmethod
+from typing import Any, Generic, TypeVar
 
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 from typing_extensions import Unpack
 
 from hrl_escape.env.batched.engine import TensorRoom, draw_seed
-from hrl_escape.env.batched.rooms import RoomArguments, Rooms
+from hrl_escape.env.batched.rooms import RoomArguments
 from hrl_escape.env.sampling.sources import SchematicForm
+from hrl_escape.env.vector_env import BatchVectorEnv, EscapeRoomVectorEnv
+
+_ENDS = ("done", "terminated", "truncated")
+Vector = TypeVar("Vector", bound=BatchVectorEnv)
 
 
-class EscapeRoomTorchRLEnv(EnvBase):
+class BatchTorchRLEnv(EnvBase, Generic[Vector]):
+    """Base of TorchRL's environments over the batched engine: their specs, seeds, and resets by mask.
+
+    `set_seed(n)` seeds room i with n + i at its next reset; without it, seeds come from the system's entropy.
+
+    Args:
+        rooms: the rooms, with resets disabled, that give tensors.
+        shown: specs of the keys beside the observation.
+    """
+
+    def __init__(self, rooms: Vector, shown: dict[str, Any]) -> None:
+        super().__init__(device=rooms.device, batch_size=(rooms.num_envs,))
+        self.rooms, self._first_seed = rooms, draw_seed()
+        self._awaits_seed = torch.ones(rooms.num_envs, dtype=torch.bool, device=rooms.device)
+        self._is_over = torch.zeros_like(self._awaits_seed)
+        space: Any = rooms.single_observation_space
+        low, high = (torch.from_numpy(side).expand(rooms.num_envs, -1) for side in (space.low, space.high))
+        batch: dict[str, Any] = {"shape": self.batch_size, "device": self.device}
+        column: dict[str, Any] = {"shape": (*self.batch_size, 1), "device": self.device}
+        self.observation_spec = Composite(
+            observation=Bounded(low=low, high=high, dtype=torch.float32, device=self.device), **shown, **batch)
+        actions: Any = rooms.single_action_space
+        self.action_spec = Categorical(int(actions.n), dtype=torch.int64, **batch)
+        self.reward_spec = Unbounded(dtype=torch.float32, **column)
+        self.done_spec = Composite({name: Binary(n=1, dtype=torch.bool, **column) for name in _ENDS}, **batch)
+
+    @abstractmethod
+    def _show(self, info: dict[str, Any]) -> dict[str, Tensor]:
+        """Values of the keys beside the observation."""
+
+    def _get_reward(self, reward: Tensor, info: dict[str, Any]) -> Tensor:
+        return reward
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        where = None if tensordict is None else tensordict.get("_reset", None)
+        where = torch.ones_like(self._awaits_seed) if where is None else where.reshape(-1)
+        observation, info = torch.empty(0), {}
+        for mask, seed in ((where & self._awaits_seed, self._first_seed), (where & ~self._awaits_seed, None)):
+            if bool(mask.any()):
+                observation, info = self.rooms.reset(seed=seed, options=None if mask.all() else {"reset_mask": mask})
+        self._awaits_seed = self._awaits_seed & ~where
+        ended = self._is_over & ~where
+        return self._pack(observation, info, ended, torch.zeros_like(ended))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        observation, reward, terminated, truncated, info = self.rooms.step(tensordict["action"])
+        packed = self._pack(observation, info, terminated, truncated)
+        return packed.set("reward", self._get_reward(reward, info).unsqueeze(-1))
+
+    def _pack(self, observation: Tensor, info: dict[str, Any], terminated: Tensor, truncated: Tensor) -> TensorDictBase:
+        self._is_over = terminated | truncated
+        ends = zip(_ENDS, (self._is_over, terminated, truncated), strict=True)
+        return TensorDict({"observation": observation, **self._show(info),
+                           **{name: column.unsqueeze(-1) for name, column in ends}},
+                          batch_size=self.batch_size, device=self.device)
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._first_seed = draw_seed() if seed is None else int(seed)
+        self._awaits_seed = torch.ones_like(self._awaits_seed)
+
+
+class EscapeRoomTorchRLEnv(BatchTorchRLEnv[EscapeRoomVectorEnv]):
     """Many rooms that step together; see `EscapeRoomEnv` for the task itself.
 
     Keys, all with the batch size (num_envs,) in front: `observation` (float32), `action` (int64, categorical),
     `reward` (float32, 1), `done`, `terminated` and `truncated` (bool, 1), `buttons_on` (int8, one a target).
-    `terminated` is success, except in puzzles that can be failed.
-
-    `set_seed(n)` seeds room i with n + i at its next reset; without it, seeds come from the system's entropy.
+    `terminated` is success, except in puzzles that can be failed. Rooms are seeded as in `BatchTorchRLEnv`.
 
     Args:
         num_envs: number of rooms.
@@ -37,68 +102,26 @@ class EscapeRoomTorchRLEnv(EnvBase):
             `compile`; see `Rooms`.
 
     Attributes:
-        rooms: the rooms as they were asked for.
-        room: the batched engine.
+        rooms: the rooms as a Gymnasium `VectorEnv`.
     """
 
     def __init__(self, num_envs: int = 1, config: SchematicForm = "paper-two-button", *, observation: str = "features",
                  **rooms: Unpack[RoomArguments]) -> None:
-        given = Rooms(num_envs, config, observation=observation, **rooms)
-        room = TensorRoom(given, autoreset="disabled")
-        super().__init__(device=room.device, batch_size=(num_envs,))
-        self.rooms, self.room = given, room
-        self._first_seed = draw_seed()
-        self._awaits_seed = torch.ones(num_envs, dtype=torch.bool, device=room.device)
-        low, high = (torch.from_numpy(side).expand(num_envs, -1) for side in (room.low, room.high))
-        batch: dict[str, Any] = {"shape": torch.Size([num_envs]), "device": self.device}
-        column: dict[str, Any] = {"shape": torch.Size([num_envs, 1]), "device": self.device}
-        self.observation_spec = Composite(
-            observation=Bounded(low=low, high=high, dtype=torch.float32, device=self.device),
-            buttons_on=Binary(shape=torch.Size([num_envs, room.layout.targets]), dtype=torch.int8, device=self.device),
-            **batch,
-        )
-        self.action_spec = Categorical(room.actions, dtype=torch.int64, **batch)
-        self.reward_spec = Unbounded(dtype=torch.float32, **column)
-        self.done_spec = Composite(
-            {name: Binary(n=1, dtype=torch.bool, **column) for name in ("done", "terminated", "truncated")}, **batch
-        )
+        given = EscapeRoomVectorEnv(num_envs, config, observation=observation, autoreset_mode="Disabled",
+                                    output="torch", **rooms)
+        super().__init__(given, {"buttons_on": Binary(shape=torch.Size([num_envs, given.room.layout.targets]),
+                                                dtype=torch.int8, device=given.device)})
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
-        where = None if tensordict is None else tensordict.get("_reset", None)
-        where = torch.ones_like(self._awaits_seed) if where is None else where.reshape(-1)
-        fresh, further = where & self._awaits_seed, where & ~self._awaits_seed
-        if bool(fresh.all()):
-            observation = self.room.reset(self._make_seeds())
-        else:
-            if bool(fresh.any()):
-                self.room.reset(self._make_seeds(), fresh)
-            observation = self.room.reset(where=further)
-        self._awaits_seed = self._awaits_seed & ~where
-        ended = self.room.state.has_ended != 0
-        return self._pack(observation, self.room.inform().buttons_on, ended, torch.zeros_like(ended))
+    @property
+    def room(self) -> TensorRoom:
+        """The batched engine."""
+        return self.rooms.room
 
-    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        observation, reward, terminated, truncated, info, *_ = self.room.step(tensordict["action"])
-        packed = self._pack(observation, info.buttons_on, terminated, truncated)
-        return packed.set("reward", reward.unsqueeze(-1))
-
-    def _pack(self, observation: torch.Tensor, buttons_on: torch.Tensor, terminated: torch.Tensor,
-              truncated: torch.Tensor) -> TensorDictBase:
-        return TensorDict(
-            {"observation": observation, "buttons_on": buttons_on, "terminated": terminated.unsqueeze(-1),
-             "truncated": truncated.unsqueeze(-1), "done": (terminated | truncated).unsqueeze(-1)},
-            batch_size=self.batch_size, device=self.device,
-        )
-
-    def _set_seed(self, seed: int | None) -> None:
-        self._first_seed = draw_seed() if seed is None else int(seed)
-        self._awaits_seed = torch.ones_like(self._awaits_seed)
-
-    def _make_seeds(self) -> torch.Tensor:
-        return torch.arange(self.room.count, device=self.device) + self._first_seed
+    def _show(self, info: dict[str, Any]) -> dict[str, Tensor]:
+        return {"buttons_on": info["buttons_on"]}
 
     def to(self, device: Any) -> EnvBase:
         """Move the rooms and the specs; returns itself."""
         self.room.to(device)
-        self._awaits_seed = self._awaits_seed.to(self.room.device)
+        self._awaits_seed, self._is_over = self._awaits_seed.to(self.room.device), self._is_over.to(self.room.device)
         return super().to(device)

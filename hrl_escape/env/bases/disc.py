@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 from typing_extensions import Self
 
-from hrl_escape.env.bases.base import STANDS_IN, Base, make_cylinder_link
+from hrl_escape.env.bases.base import STANDS_IN, Base, TensorBase, make_cylinder_link
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 
 if TYPE_CHECKING:
@@ -96,24 +96,21 @@ class Disc(Base):
         """Make the base's URDF link, upright on the floor; kg, m."""
         return make_cylinder_link(name, mass, self.size[0], height, f"0 0 {height / 2!r}", "0 0 0")
 
-    def place(self, x: Tensor, y: Tensor, find_rotation: Callable[[], tuple[Tensor, Tensor]]) -> TensorDisc:
+    def place(self, x: Tensor, y: Tensor, find_rotation: Callable[[], tuple[Tensor, Tensor]]) -> TensorBase:
         """Place the disc in each room of a batch; the heading does not matter."""
-        return TensorDisc(x, y, self.size[0])
+        return _TensorDisc(x, y, self.size[0])
 
 
-class TensorDisc(NamedTuple):
-    """A disc in each room."""
+class _TensorDisc(NamedTuple):
+    """A disc in each room; see `TensorBase`."""
 
     x: Tensor  # centre, m, float64 (rooms,)
     y: Tensor  # centre, m, float64 (rooms,)
     radius: float  # the same in all rooms, m
 
     def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
-        """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,).
-
-        The first solid is found in single precision; the contact with it is computed again in double, so that
-        rounding does not grow from contact to contact.
-        """
+        # The first solid is found in single precision; the contact with it is computed again in double, so that
+        # rounding does not grow from contact to contact.
         import torch
 
         from hrl_escape.env.tensor_geometry import compute_first_contact, refine_first_contact, store
@@ -129,25 +126,21 @@ class TensorDisc(NamedTuple):
         return store(torch.where(nearly < 1.0, exactly, nearly))  # it passes one solid and may still meet another
 
     def compute_first_contact(self, dx: Tensor, dy: Tensor, shapes: Shapes) -> Tensor:
-        """Share in [0, 1] of displacements until the first contact with each outline, (shapes, rooms)."""
         from hrl_escape.env.tensor_geometry import compute_first_contact
 
         return compute_first_contact(self.x, self.y, dx, dy, self.radius, shapes).clamp(min=0.0)
 
     def compute_distance(self, shapes: Shapes) -> Tensor:
-        """Distance to outlines, (shapes, rooms); 0 where they overlap."""
         from hrl_escape.env.tensor_geometry import compute_distance
 
         return (compute_distance(self.x, self.y, shapes) - self.radius).clamp(min=0.0)
 
     def stands_in(self, shapes: Shapes) -> Tensor:
-        """Return true where it overlaps outlines by more than `STANDS_IN`, bool (shapes, rooms)."""
         from hrl_escape.env.tensor_geometry import compute_distance
 
         return compute_distance(self.x, self.y, shapes) < self.radius - STANDS_IN
 
     def is_turn_blocked(self, to_cos: Tensor, to_sin: Tensor, turn: Tensor, shapes: Shapes) -> Tensor:
-        """All false, for a disc turns freely, bool (shapes, rooms)."""
         import torch
 
         return torch.zeros_like(shapes.x + self.x, dtype=torch.bool)
