@@ -43,7 +43,7 @@ class ArmKinematics:
         self.robot = robot
         self.model = pinocchio.buildModelFromXML(robot.urdf)
         self._data = self.model.createData()
-        self._frame = self.model.getFrameId(robot.hand_link)
+        self._frame = self.model.getFrameId(robot.hand_link, pinocchio.BODY)
         self._used = [self.model.getJointId(name) for name in robot.joint_names]
         self._rest = _make_rest(self.model, robot)
 
@@ -172,8 +172,9 @@ class ArmCollisions:
     """Collision test of the arm against solids, the floor and the robot itself, by coal.
 
     The base against solids is left to `CollisionMap`. Links joined to each other never count, nor do pairs that an SRDF
-    allows; without one, those that meet with all joints at home (the arm's foot and the base). Nor does a link that
-    rests on the floor at home. The hand is the sphere that presses, added to the shape of its link.
+    allows; without one, or with one that allows none, those that meet with all joints at home (the arm's foot and the
+    base). Nor does a link that rests on the floor at home. The hand is the sphere that presses, added to the shape of
+    its link.
 
     Attributes:
         robot: the robot.
@@ -188,7 +189,7 @@ class ArmCollisions:
         self._used = [self._model.getJointId(name) for name in robot.joint_names]
         self._rest = _make_rest(self._model, robot)
         geometry = pinocchio.buildGeomFromUrdfString(self._model, robot.urdf, pinocchio.GeometryType.COLLISION)
-        number = self._model.getFrameId(robot.hand_link)
+        number = self._model.getFrameId(robot.hand_link, pinocchio.BODY)
         hand = self._model.frames[number]
         geometry.addGeometryObject(
             pinocchio.GeometryObject("hand", hand.parentJoint, number, hand.placement, coal.Sphere(hand_radius)))
@@ -197,7 +198,7 @@ class ArmCollisions:
             if isinstance(item.geometry, coal.BVHModelBase):
                 item.geometry.buildConvexHull(True, "Qt")  # convex hulls are faster to test, and larger, so safe
                 item.geometry = item.geometry.convex
-        base = self._model.getFrameId(BASE_LINK)
+        base = self._model.getFrameId(BASE_LINK, pinocchio.BODY)
         for number, solid in enumerate(solids):
             place = f"{solid.role} at ({solid.x:.4g}, {solid.y:.4g}), number {number}"
             geometry.addGeometryObject(_make_collision_object(place, solid))
@@ -209,7 +210,7 @@ class ArmCollisions:
         apart = [(i, j) for i in range(own) for j in range(i + 1, own) if not self._is_joined(geometry, i, j)]
         floor = geometry.addGeometryObject(_make_floor())
         resting = [(i, floor) for i in range(own) if geometry.geometryObjects[i].parentFrame != base]
-        if srdf is None:
+        if srdf is None or "<disable_collisions" not in srdf:
             self._keep_clear(geometry, apart)
         else:
             for pair in apart:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.arm_motion import BulletCheck, check_motions, compare_solvers, make_planner, place_base
+from hrl_escape.env.config import RobotConfig, RoomConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
@@ -200,8 +201,27 @@ def test_pairs_that_touch_at_home_count_where_the_srdf_does_not_allow_them():
     planner, state = make_planner("franka-panda", 7)
     home = planner.rules.robot.home
     assert planner.is_free(state, home)
-    strict = ArmPlanner(planner.instance, srdf="<robot name='panda'/>")
+    other = '<disable_collisions link1="panda_link0" link2="panda_link1"/>'
+    strict = ArmPlanner(planner.instance, srdf=f"<robot name='panda'>{other}</robot>")
     met = strict._get_collisions(0.0).list_collisions(state.x, state.y, 0.0, home)
     assert "panda_link5 meets panda_link7" in met and not strict.is_free(state, home)
     allowed = "".join('<disable_collisions link1="{}" link2="{}"/>'.format(*pair.split(" meets ")) for pair in met)
     assert ArmPlanner(planner.instance, srdf=f"<robot name='panda'>{allowed}</robot>").is_free(state, home)
+    assert ArmPlanner(planner.instance, srdf="<robot name='panda'/>").is_free(state, home), "it has no such matrix"
+
+
+GRIPPER = """
+<robot name="so"><link name="foot"/>
+  <link name="gripper"><visual><origin xyz="0.4 0 0"/><geometry><box size="0.8 0.1 0.1"/></geometry></visual></link>
+  <joint name="gripper" type="revolute"><parent link="foot"/><child link="gripper"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+def test_a_joint_may_be_named_as_its_link():
+    """As in the URDF of the SO-100."""
+    robot = RobotConfig(kind="urdf", urdf=GRIPPER, joints=1, hand_link="gripper", body_radius=0.4, body_height=0.5)
+    planner = ArmPlanner(generate(RoomConfig(robot=robot), 0))
+    state = planner.rules.make_state(planner.instance.starts[0])
+    assert planner.kinematics.compute_placement((0.5,))[:2, 0] == pytest.approx([math.cos(0.5), math.sin(0.5)])
+    assert planner.plan(state, (0.5,)).points[-1] == pytest.approx(0.5)
