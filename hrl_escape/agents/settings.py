@@ -21,6 +21,14 @@ class AgentSettings(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
+class DiscountSettings(AgentSettings):
+    """Discount of agents that count time in primitives alone."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+
+
+@dataclasses.dataclass(frozen=True)
 class LearningSettings(AgentSettings):
     """Discounting of actions of different duration, treatment of truncated episodes, and the clock of schedules."""
 

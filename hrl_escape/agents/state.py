@@ -185,11 +185,7 @@ def list_kept(kind: type[Stateful]) -> Iterator[Kept | Columns]:
 
 
 def read_value(value: Any, where: str) -> Any:
-    """Form of a value in a tree.
-
-    Args:
-        value: of an attribute.
-        where: in words, for the message.
+    """Form of an attribute's value in a tree; `where` names it in messages.
 
     Raises:
         TypeError: it has none.
@@ -218,11 +214,6 @@ def read_value(value: Any, where: str) -> Any:
 
 def restore_value(value: Any, saved: Any, where: str) -> Any:
     """The value that a form in a tree stands for; parts, generators and tensors are changed in place.
-
-    Args:
-        value: that is there.
-        saved: the form.
-        where: in words, for messages.
 
     Raises:
         CheckpointError: the form does not fit.

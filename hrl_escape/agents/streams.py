@@ -284,10 +284,6 @@ class OpenChoices(Stateful):
     """The masks and probabilities that streams' present decisions were chosen with, and their generator.
 
     Args:
-        count: number of streams.
-        actions: number of actions.
-        device: device of all tensors.
-        rng: seeds the generator.
         memory: numbers in a stream's recurrent memory.
 
     Attributes:
@@ -351,12 +347,7 @@ class OpenChoices(Stateful):
 
 
 def gather_decisions(ended: EndedDecisions, gamma: float, agent_gamma: float) -> StreamTransitions:
-    """Rows of the decisions that ended.
-
-    Args:
-        ended: result of a step.
-        gamma: discount of its rewards.
-        agent_gamma: discount that they are needed at; another one will do where all last one primitive.
+    """Rows of the decisions that ended, of streams discounted by `gamma`, for an agent that discounts by its own.
 
     Raises:
         DiscountMismatchError: a decision of several primitives, discounted by another gamma than the agent's.

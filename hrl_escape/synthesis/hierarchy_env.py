@@ -82,8 +82,6 @@ class HierarchyVectorEnv(VectorWrapper):
 
     Args:
         env: copies of one instance, of which none begins an episode in the step in which the last one ends.
-        kind: kind of hierarchy that the agent takes, as in `synthesise`.
-        leaves: `planned` or `learned`.
 
     Raises:
         UnknownNameError: no such kind or leaves.

@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from gymnasium import spaces
 
-from hrl_escape.agents.hierarchy.goals import GoalSet, GoalView
+from hrl_escape.agents.hierarchy.goal_space import GoalSet, GoalView
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.planning.goals import Goal
 from hrl_escape.synthesis.situation import Situations
@@ -29,12 +29,7 @@ Literal: TypeAlias = tuple[str, bool]
 
 def find_landmarks(model: SymbolicModel, facts: frozenset[str], goal: Iterable[str] | None = None
                    ) -> Mapping[str, frozenset[str]] | None:
-    """Find the facts that do not hold and that every plan from here makes true.
-
-    Args:
-        model: operators and propositions.
-        facts: those that hold here.
-        goal: facts to make true; None for the model's own goal.
+    """Find the facts that do not hold here and that every plan makes true, for these goal facts or the model's own.
 
     Returns:
         Landmark -> the landmarks that every plan makes true before it; None if no plan leads to the goal, even without
@@ -76,9 +71,6 @@ EXIT = "exit"
 
 class OpenLandmarks:
     """Landmarks that come next, and the target to press on the way to one.
-
-    Args:
-        rooms: the room.
 
     Attributes:
         names: facts that may be landmarks somewhere, and last the exit.

@@ -43,7 +43,6 @@ class Situations:
     """Predicates, views and plans of one room.
 
     Args:
-        instance: the room.
         cell: size of the squares by which learned leaves know a place, m; the length of a move by default.
 
     Attributes:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hrl_escape.agents.hierarchy.goals import GoalSet
+from hrl_escape.agents.hierarchy.goal_space import GoalSet
 from hrl_escape.agents.hierarchy.machine import Machine, choose, do, machine
 from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen
@@ -205,10 +205,6 @@ def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
 
     With planned leaves the planner obeys: it walks into the next cell, or to the nearest thing that a search in this
     cell is for, provided that its way ends here.
-
-    Args:
-        rooms: the room.
-        planned: the planner walks; else walking is learned over primitives.
     """
     half_width, half_depth = rooms.instance.reach_x, rooms.instance.reach_y
     landmarks, depth = OpenLandmarks(rooms), compute_depth(rooms, planned)

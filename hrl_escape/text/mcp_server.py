@@ -19,12 +19,7 @@ except ImportError as missing:
 
 
 def make_server(session: RoomSession, after_call: Callable[[], object] = lambda: None) -> Server[Any]:
-    """Make a server of a game that has begun; what is told at its beginning are the server's instructions.
-
-    Args:
-        session: the game.
-        after_call: called after every call, to save the game, say.
-    """
+    """Make a server of a game that has begun, whose first text is its instructions; `after_call` follows every call."""
     async def list_tools(context: Any, params: Any) -> types.ListToolsResult:
         return types.ListToolsResult(tools=[types.Tool.model_validate(tool) for tool in session.tools()])
 

@@ -59,10 +59,6 @@ class RoomSession:
 
         A wrong call costs one primitive, as a masked option does, and so does one of an option that cannot start.
         After the end of a game nothing happens any more.
-
-        Args:
-            name: of the tool.
-            arguments: by name.
         """
         env = self.env
         if env.is_over:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
-from hrl_escape.agents.settings import AgentSettings
-from hrl_escape.settings import Range
+from hrl_escape.agents.settings import DiscountSettings
 
 TOOLS = "smdp-tools"
 """Name of the agent that calls tools."""
@@ -17,7 +16,7 @@ TOLD_LEVELS: tuple[Level, ...] = get_args(Level)
 
 
 @dataclasses.dataclass(frozen=True)
-class ToolsSettings(AgentSettings):
+class ToolsSettings(DiscountSettings):
     """Settings of the agent `smdp-tools`."""
 
     _section = "ToolsSettings"
@@ -26,5 +25,3 @@ class ToolsSettings(AgentSettings):
     model of another package."""
     told: Level = "places"
     """Names of things and what is lit (names), where they are too (places), or the symbolic model as well (model)."""
-    gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive of what is logged; nothing is learned."""

@@ -162,10 +162,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return step
 
     def begin(self, call: ToolCall) -> Turn | None:
-        """Begin a call.
-
-        Args:
-            call: what a caller said; it may be anything at all.
+        """Begin a call, which may be anything at all.
 
         Returns:
             The answer where the call takes no primitives, else None: `action` then says what to step with.

@@ -70,14 +70,7 @@ def place(x: float, y: float) -> str:
 
 def tell_room(instance: RoomInstance, state: RoomState, has_places: bool,
                   get_heading: Callable[[RoomState], float]) -> str:
-    """Describe what there is, what is lit and what the puzzle shows, in one line each.
-
-    Args:
-        instance: the room.
-        state: its present state.
-        has_places: say where things are.
-        get_heading: heading of a state, rad.
-    """
+    """Describe what there is, what is lit and what the puzzle shows, in one line each; places if `has_places`."""
     puzzle = instance.puzzle
 
     def locate(x: float, y: float) -> str:

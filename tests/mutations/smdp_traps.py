@@ -159,9 +159,9 @@ MUTATIONS = [
     ),
     Mutation(
         "a checkpoint forgets a generator",
-        "agents/algorithms/dqn.py",
-        '"_replay_rng", Kept("values.learner"',
-        'Kept("values.learner"',
+        "agents/components/replay.py",
+        '"_action_rng", "_replay_rng")',
+        '"_action_rng")',
         "agents/training/test_resuming.py::test_a_restored_agent_goes_on_to_the_same_bits[dqn-corrected]",
     ),
     Mutation(

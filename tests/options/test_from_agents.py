@@ -21,7 +21,7 @@ from hrl_escape.agents.algorithms.given.macro_q import MacroQ
 from hrl_escape.agents.algorithms.given.maxq_q import MaxqQ
 from hrl_escape.agents.algorithms.given.r_maxq import RMaxq
 from hrl_escape.agents.algorithms.q_learning import QLearning
-from hrl_escape.agents.hierarchy.goals import GoalSet
+from hrl_escape.agents.hierarchy.goal_space import GoalSet
 from hrl_escape.agents.hierarchy.regions import Landmarks, Quadtree
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.registry import list_agents

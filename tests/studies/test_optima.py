@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hrl_escape.agents.hierarchy.goal_space import make_goals
-from hrl_escape.agents.hierarchy.goals import make_goal_hierarchy
+from hrl_escape.agents.hierarchy.goal_space import make_goal_hierarchy, make_goals
 from hrl_escape.agents.hierarchy.task_graph import flat, maxq
 from hrl_escape.errors import UnsupportedError
 from studies.optima import TabularModel, compute_price, enumerate_model, read_model

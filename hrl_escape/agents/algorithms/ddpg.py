@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from hrl_escape.agents.agent import SMDPTransition, count_actions, count_steps
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import (
     OrnsteinUhlenbeck,
     choose_best,
@@ -28,7 +28,6 @@ from hrl_escape.agents.components.exploration import (
 )
 from hrl_escape.agents.components.networks import (
     Learner,
-    ObservationEncoder,
     compute_td_loss,
     make_forward,
     make_generator,
@@ -36,13 +35,12 @@ from hrl_escape.agents.components.networks import (
 )
 from hrl_escape.agents.components.replay import (
     Experience,
-    ReplayBuffer,
     ReplaySettings,
     ReplayStreamAgent,
     UpdateSchedule,
     make_experience,
 )
-from hrl_escape.agents.larg2019.linear_relaxation import LinearRelaxation
+from hrl_escape.agents.larg2019.keras_rl import LinearRelaxation
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
@@ -122,20 +120,14 @@ class DDPG(ReplayStreamAgent):
     name: ClassVar[str] = "ddpg"
     Settings: ClassVar[type] = DDPGSettings
     settings: DDPGSettings
-    is_markov: bool = True
-    STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"), "_action_rng",
-             "_replay_rng", Kept("_actor_learner", "actor"), Kept("_critic_learner", "critic"), "_vector",
+    STATE = (Kept("_actor_learner", "actor"), Kept("_critic_learner", "critic"), "_vector",
              Kept("_noise.state", "noise"))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: DDPGSettings | None = None) -> None:
-        self.settings = settings = settings or DDPGSettings()
-        self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
-        self._actions = actions = count_actions(action_space, self.name)
-        self.replay = ReplayBuffer(settings.replay_capacity, encoder.shape, encoder.dtype, actions, (actions,))
+        super().__init__(observation_space, action_space, seed, settings, relaxed=True)
+        settings, encoder, actions = self.settings, self._encoder, self._actions
         self._schedule = UpdateSchedule(min(settings.warmup, settings.actor_warmup), settings.updates_per_step)
-        self._action_rng, self._replay_rng, self._stream_rng = (
-            make_rng(seed, purpose) for purpose in ("actions", "replay", "streams"))
         generator = make_generator(make_rng(seed, "weights"))
         self.actor = make_network(encoder, actions, settings, generator)
         self.critic = make_network(encoder, 1, settings, generator, extra_inputs=actions)
@@ -182,15 +174,10 @@ class DDPG(ReplayStreamAgent):
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Store the decision, then make the updates that are due."""
-        settings = self.settings
-        self.replay.add(make_experience(transition, self._encoder, settings)._replace(action=self._vector))
+        self.replay.add(make_experience(transition, self._encoder, self.settings)._replace(action=self._vector))
         if self._noise is not None and (transition.terminated or transition.truncated):
             self._noise.reset()
-        due = self._schedule.advance(count_steps(transition, settings), len(self.replay))
-        metrics = {"epsilon": compute_epsilon(settings, self._schedule.steps)}
-        for _ in range(due):
-            metrics |= self.update(self.replay.sample(settings.batch_size, self._replay_rng))
-        return metrics | self._conduct
+        return self.make_due_updates(transition) | self._conduct
 
     def begin_streams(self, count: int, device: torch.device) -> None:
         """Move networks and replay to a device; every stream begins an episode, and what replay holds stays.

@@ -23,13 +23,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from hrl_escape.agents.agent import GoalRule, SMDPTransition, count_actions, count_steps
+from hrl_escape.agents.agent import GoalRule, SMDPTransition
 from hrl_escape.agents.components.bonuses import NoveltySettings
 from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,
-    compute_epsilon,
     compute_exploration_entropy,
     make_rng,
     sample_action,
@@ -47,10 +46,8 @@ from hrl_escape.agents.components.networks import (
 from hrl_escape.agents.components.replay import (
     Experience,
     NStep,
-    ReplayBuffer,
     ReplaySettings,
     ReplayStreamAgent,
-    UpdateSchedule,
     make_experience,
 )
 from hrl_escape.agents.state import Kept, Stateful
@@ -94,10 +91,6 @@ class ActionValues(Stateful):
     """Q_theta, its target and its average: choices by them, and steps of Q_theta towards given targets.
 
     Args:
-        name: of the algorithm, for messages.
-        encoder: of the observations.
-        action_space: Discrete.
-        seed: fixes the weights.
         settings: of networks, exploration and targets, as `DQNSettings` has them.
         network: a module of the user's own; None makes what the settings say.
 
@@ -106,7 +99,6 @@ class ActionValues(Stateful):
         target: Q_target, the same.
         average: of the online network's weights, which the greedy policy follows (Polyak and Juditsky 1992). It begins
             as a plain mean, so that it forgets the first weights. With `average_rate` 0 it is the online network.
-        learner: their optimiser.
         conduct: entropy of the latest exploring choice, and whether it was greedy, to log.
     """
 
@@ -185,7 +177,6 @@ class DQN(ReplayStreamAgent):
 
     Attributes:
         values: Q_theta, its target and its average.
-        replay: of the one environment.
 
     Raises:
         AgentSettingsError: `hindsight_goals` in an environment without goals, or the module does not fit.
@@ -194,24 +185,15 @@ class DQN(ReplayStreamAgent):
     name: ClassVar[str] = "dqn"
     Settings: ClassVar[type] = DQNSettings
     settings: DQNSettings
-    is_markov: bool = True
-    STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"), "_action_rng",
-             "_replay_rng", Kept("values.learner", "learner"), "_n_step", "_bonus",
-             Kept("_hindsight", is_left_out=True))
+    STATE = (Kept("values.learner", "learner"), "_n_step", "_bonus", Kept("_hindsight", is_left_out=True))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: DQNSettings | None = None, goal_rule: GoalRule | None = None,
                  network: nn.Module | None = None) -> None:
-        self.settings = settings or self.Settings()
-        settings = self.settings
-        self._actions = count_actions(action_space, self.name)
-        self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
+        super().__init__(observation_space, action_space, seed, settings)
+        settings, encoder = self.settings, self._encoder
         self.values = ActionValues(self.name, encoder, action_space, seed, settings, network)
-        self.replay = ReplayBuffer(settings.replay_capacity, encoder.shape, encoder.dtype, self._actions)
         self._n_step = NStep(settings.n_step)
-        self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
-        self._action_rng, self._replay_rng, self._stream_rng = (
-            make_rng(seed, purpose) for purpose in ("actions", "replay", "streams"))
         self._bonus = make_bonus(observation_space, seed, settings, self.name)
         self._hindsight = HindsightReplay(
             observation_space, goal_rule, settings.hindsight_goals, settings.n_step, encoder, settings,
@@ -254,19 +236,14 @@ class DQN(ReplayStreamAgent):
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Store the decision, then make the updates that are due."""
-        settings = self.settings
         bonus = self._bonus.visit(transition.next_observation)
-        experience = make_experience(transition, self._encoder, settings, bonus)
+        experience = make_experience(transition, self._encoder, self.settings, bonus)
         for joined in self._n_step.push(experience, transition.terminated or transition.truncated):
             self.replay.add(joined)
         if self._hindsight is not None:
             for relabelled in self._hindsight.push(transition, experience, bonus):
                 self.replay.add(relabelled)
-        due = self._schedule.advance(count_steps(transition, settings), len(self.replay))
-        metrics = {"epsilon": compute_epsilon(settings, self._schedule.steps)}
-        for _ in range(due):
-            metrics |= self.update(self.draw(self.replay, settings.batch_size, self._replay_rng))
-        return metrics | self.values.conduct
+        return self.make_due_updates(transition) | self.values.conduct
 
     # --- streams -------------------------------------------------------------------------
 

@@ -55,8 +55,6 @@ class PPOSettings(NoveltySettings, ClippedSettings, LearningSettings):
     network: Literal["mlp", "objects"] = "mlp"
     """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
     permutation of the objects; for the observation `objects`."""
-    entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policy's entropy in the loss."""
     memory: Literal["none", "gru"] = "none"
     """`gru`: a gated recurrent unit remembers the episode's observations, for tasks that the present one does not
     decide. It begins every episode empty."""

@@ -19,6 +19,7 @@ from hrl_escape.agents.agent import SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.factored.observation import FactorReader
+from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range
@@ -28,11 +29,9 @@ SWEEPS = 20_000
 
 
 @dataclass(frozen=True)
-class RMaxSettings(ResolutionSettings):
+class RMaxSettings(DiscountSettings, ResolutionSettings):
     """States as `r-max` tells them apart, samples that make a pair known, and the value of unknown pairs."""
 
-    gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
     visits: Annotated[int, Range(1)] = 1
     """Samples that make a pair of state and action known (m); 1 is enough where outcomes are deterministic."""
     optimistic_value: float = 100.0

@@ -6,8 +6,7 @@ Over options it measures how much the options' planners already know (Sutton, Pr
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -15,29 +14,20 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
-from hrl_escape.agents.settings import AgentSettings
-from hrl_escape.settings import Range
-
-
-@dataclass(frozen=True)
-class RandomSettings(AgentSettings):
-    """A discount for the logs; the policy has nothing to set."""
-
-    gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive, for its logs only."""
+from hrl_escape.agents.settings import DiscountSettings
 
 
 class RandomAgent(Agent):
     """pi(a | s) = 1 / (number of legal actions at s)."""
 
-    Settings: ClassVar[type] = RandomSettings
-    settings: RandomSettings
+    Settings: ClassVar[type] = DiscountSettings
+    settings: DiscountSettings
     STATE = ("_rng",)
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: RandomSettings | None = None) -> None:
+                 settings: DiscountSettings | None = None) -> None:
         count_actions(action_space, "random")
-        self.settings = settings or RandomSettings()
+        self.settings = settings or DiscountSettings()
         self._rng = make_rng(seed, "actions")
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:

@@ -14,24 +14,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, count_actions, count_steps
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.algorithms.dqn import ActionValues, ValueSettings
-from hrl_escape.agents.components.exploration import (
-    choose_best,
-    compute_epsilon,
-    compute_policy,
-    make_rng,
-    sample_index,
-)
-from hrl_escape.agents.components.networks import ObservationEncoder
-from hrl_escape.agents.components.replay import (
-    Experience,
-    ReplayBuffer,
-    ReplayStreamAgent,
-    UpdateSchedule,
-    make_experience,
-)
-from hrl_escape.agents.larg2019.late_terminal import LateTerminal
+from hrl_escape.agents.components.exploration import choose_best, compute_policy, sample_index
+from hrl_escape.agents.components.replay import Experience, ReplayStreamAgent, make_experience
+from hrl_escape.agents.larg2019.keras_rl import LateTerminal
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
@@ -74,20 +61,12 @@ class Sarsa(ReplayStreamAgent):
     name: ClassVar[str] = "sarsa"
     Settings: ClassVar[type] = SarsaSettings
     settings: SarsaSettings
-    is_markov: bool = True
-    STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"), "_action_rng",
-             "_replay_rng", Kept("values.learner", "learner"), "_next_action", "_late_terminal")
+    STATE = (Kept("values.learner", "learner"), "_next_action", "_late_terminal")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: SarsaSettings | None = None) -> None:
-        self.settings = settings = settings or SarsaSettings()
-        self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
-        self.values = ActionValues(self.name, encoder, action_space, seed, settings)
-        self._actions = count_actions(action_space, self.name)
-        self.replay = ReplayBuffer(settings.replay_capacity, encoder.shape, encoder.dtype, self._actions)
-        self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
-        self._action_rng, self._replay_rng, self._stream_rng = (
-            make_rng(seed, purpose) for purpose in ("actions", "replay", "streams"))
+        super().__init__(observation_space, action_space, seed, settings)
+        self.values = ActionValues(self.name, self._encoder, action_space, seed, self.settings)
         self._next_action: int | None = None  # bootstrapped from, to be taken next
         self._late_terminal = LateTerminal()
 
@@ -112,13 +91,9 @@ class Sarsa(ReplayStreamAgent):
         experience = make_experience(transition, self._encoder, self.settings)
         if self.settings.replay_capacity:
             self.replay.add(experience)
-        due = self._schedule.advance(count_steps(transition, self.settings), len(self.replay))
-        metrics = {"epsilon": compute_epsilon(self.settings, self._schedule.steps)}
+        metrics = self.make_due_updates(transition) | self.values.conduct
         if self.settings.replay_capacity:
-            for _ in range(due):
-                metrics |= self.update(self.replay.sample(self.settings.batch_size, self._replay_rng))
-            return metrics | self.values.conduct
-        metrics |= self.values.conduct
+            return metrics
         if self.settings.late_terminal:
             for late, taken in self._late_terminal.push(experience, transition, self.settings):
                 if self._schedule.is_warm:
@@ -153,12 +128,7 @@ class Sarsa(ReplayStreamAgent):
         return self.values.online(encoded) / self.settings.reward_scale
 
     def update(self, batch: Experience, next_action: int | None = None) -> dict[str, float]:
-        """One gradient step on a batch of arrays; returns numbers to log.
-
-        Args:
-            batch: of decisions.
-            next_action: the action taken at s', in a batch of one decision; None if it is not known.
-        """
+        """One gradient step on a batch of arrays; `next_action` is that taken at s', if known, in a batch of one."""
         tensors = Experience(*map(torch.as_tensor, batch))
         with torch.no_grad():
             targets = self.compute_targets(tensors, next_action)

@@ -18,6 +18,7 @@ from torchrl.modules import EGreedyModule, QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate, ValueEstimators
 
 from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.components.exploration import EpsilonSettings
 from hrl_escape.agents.components.replay import UpdateSchedule
 from hrl_escape.agents.components.torchrl_agent import TorchRLAgent, TorchRLReplay, TorchRLSettings
 from hrl_escape.agents.state import Kept
@@ -25,15 +26,9 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class TorchRLDQNSettings(TorchRLSettings):
+class TorchRLDQNSettings(EpsilonSettings, TorchRLSettings):
     """Exploration, replay and targets of `torchrl-dqn`."""
 
-    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
-    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
-    epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Primitives over which epsilon falls linearly."""
     double: bool = True
     """The online network chooses the next action, the target network values it."""
     target_every: Annotated[int, Range(1)] = 200

@@ -46,9 +46,7 @@ class CountBonus(Stateful):
     """Counts of visits by cell, and the bonus of the next visit.
 
     Args:
-        space: of the observations.
         settings: `bonus_weight` and `bonus_bins`.
-        agent: name of the agent, for messages.
 
     Raises:
         UnsupportedSpaceError: a weight above 0 and observations that cannot be binned, such as pictures.

@@ -43,11 +43,9 @@ class DistillationBonus(Stateful):
     """Prediction error of a random network's outputs, and the bonus that it gives.
 
     Args:
-        space: of the observations, vectors or pictures.
         seed: of the agent; the weights follow from it and from nothing else.
         weight: largest cost of a familiar observation, in units of return.
         settings: of the agent's networks; the predictor learns at their learning rate.
-        agent: name of the agent, for messages.
     """
 
     STATE = ("_learner", "_visits", "_errors", "_mean", "_squares", Kept("_kept_batch", "batch"))
@@ -135,12 +133,6 @@ def make_bonus(
     space: gymnasium.Space, seed: int, settings: Any, agent: str
 ) -> CountBonus | DistillationBonus:
     """The bonus that an agent's settings ask for; with a weight of 0 it counts nothing.
-
-    Args:
-        space: of the observations.
-        seed: of the agent.
-        settings: of the agent: `bonus`, `bonus_weight`, `bonus_bins` and those of networks.
-        agent: its name, for messages.
 
     Raises:
         UnsupportedSpaceError: observations that the bonus cannot use.

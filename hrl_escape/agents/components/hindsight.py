@@ -54,13 +54,9 @@ class HindsightReplay(Stateful):
     """The episode so far, and its backups under goals that it achieved.
 
     Args:
-        space: of the observations, a Dict with goals.
         rule: reward and termination as functions of two goals; None where the environment has no goals.
         goals: k, how many are drawn for a decision.
-        n_step: decisions joined into one backup.
-        encoder: of the observations.
         settings: `LearningSettings` with `reward_scale`.
-        rng: draws the new goals.
 
     Raises:
         AgentSettingsError: the environment has no goals.

@@ -44,10 +44,6 @@ class GatedCell(nn.Module):
 class Memory:
     """A recurrent memory of encoded observations.
 
-    Args:
-        network: of one `GatedCell`.
-        size: numbers in a state.
-
     Attributes:
         network: its weights.
         size: numbers in a state.
@@ -127,13 +123,7 @@ def cut_stretches(stream: Tensor, place: Tensor, span: int) -> Stretches:
 
 def make_memory(encoder: ObservationEncoder, settings: Any, by_objects: bool, generator: torch.Generator
                 ) -> Memory | None:
-    """Make the memory that settings ask for, if any.
-
-    Args:
-        encoder: of the observations.
-        settings: `memory` and `memory_units`.
-        by_objects: give each row of objects a state of its own.
-        generator: draws the weights.
+    """Make the memory that settings ask for, if any; `by_objects` gives each row of objects a state of its own.
 
     Raises:
         UnsupportedSpaceError: a memory of pictures.

@@ -70,7 +70,6 @@ class ObservationEncoder:
     observation with goals becomes the vector of the observation, then that of the desired goal.
 
     Attributes:
-        space: of the observations.
         shape: shape of an encoded observation.
         dtype: uint8 for images, else float32.
 
@@ -373,11 +372,7 @@ class ObjectLayers(nn.Module):
     """Deep-sets layers from observations in rows to one number an action, or to one number.
 
     Args:
-        space: of the observations.
         about: for each action the name of its object, or None; no actions for the value of a state.
-        settings: `hidden` layers and `initialisation`.
-        generator: draws the weights.
-        output_gain: factor on the last layer's initial weights.
         memory: numbers after the observation that belong to the rows, as many to each.
     """
 
@@ -457,15 +452,7 @@ def _lay_out(rows: tuple[str, ...], about: tuple[str | None, ...]) -> tuple[list
 
 def make_action_network(encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
                         generator: torch.Generator, output_gain: float = 1.0, memory: int = 0) -> Network:
-    """Network of one number an action, as `settings.network` says.
-
-    Args:
-        encoder: of the observations.
-        action_space: Discrete; a `PointingDiscrete` says what its actions are about.
-        settings: `hidden` layers, `initialisation` and `network`.
-        generator: draws the weights.
-        output_gain: factor on the last layer's initial weights.
-        memory: numbers of a memory after the observation.
+    """Network of one number an action, as `settings.network` says; a `PointingDiscrete` says what actions are about.
 
     Raises:
         UnsupportedSpaceError: `network=objects` with observations that are no rows of objects.
@@ -493,12 +480,7 @@ def _get_rows(encoder: ObservationEncoder) -> ObjectsBox:
 
 
 def copy_network(module: nn.Module, encoder: ObservationEncoder, action_space: gymnasium.Space) -> Network:
-    """Copy of a user's own module as a network of one number an action.
-
-    Args:
-        module: from encoded observations (batch, *encoder.shape) to (batch, actions); its weights are the first ones.
-        encoder: of the observations.
-        action_space: Discrete.
+    """Copy of a user's own module, from encoded observations (batch, *encoder.shape) to (batch, actions).
 
     Raises:
         AgentSettingsError: the module has no weights, others than float32, or outputs of another shape.
@@ -586,14 +568,10 @@ class Learner(Stateful):
     """Gradient descent on some networks: Adam, clipping, the check for divergence, and its checkpoint.
 
     Args:
-        name: the algorithm's name, for messages.
-        networks: named networks that the checkpoint holds.
-        trained: those whose parameters this optimiser moves.
         settings: `learning_rate`, `adam_epsilon` and `max_grad_norm`.
         learning_rate: another than that of the settings.
 
     Attributes:
-        updates: steps made.
         gradient_norm: Euclidean norm of the last step's gradient, before it was clipped.
     """
 

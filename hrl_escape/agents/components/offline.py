@@ -137,9 +137,6 @@ class DecisionTable:
     Args:
         state: number of the state of each decision, int64 (n,).
         next_state: of the state reached; those at which the data shows no decision have numbers too.
-        data: the decisions.
-        states: number of states.
-        actions: number of actions.
         discounts: gamma^k, or what is to stand for it; 0 where nothing follows.
         rewards: R, likewise.
 
@@ -169,12 +166,7 @@ class DecisionTable:
 
 
 def list_best(data: Decisions, share: float) -> NDArray[np.bool_]:
-    """Decisions of the best trajectories by plain return, bool (n,).
-
-    Args:
-        data: the decisions.
-        share: share of the trajectories; those that were cut count only where all were.
-    """
+    """Decisions of the best share of trajectories by plain return, bool (n,); of those not cut, if there are any."""
     if share >= 1.0:
         return np.ones(len(data.action), np.bool_)
     returns = np.bincount(data.trajectory, data.summed_reward)
@@ -193,7 +185,6 @@ class OfflineAgent(Agent):
     of the table's `scores`, or of the network named `acting`.
 
     Attributes:
-        name: of the algorithm.
         is_fitted: a further sweep would change nothing.
         is_table: values stand in a table.
         networks: by name; none with `values=table`.
@@ -237,11 +228,7 @@ class OfflineAgent(Agent):
     # --- learning ------------------------------------------------------------------------
 
     def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:
-        """Take the data.
-
-        Args:
-            data: decisions, or primitives as decisions of one primitive each.
-            primitives: those inside the decisions, for agents that learn from both.
+        """Take the data, and for agents that learn from both the primitives inside its decisions.
 
         Raises:
             AgentSettingsError: it holds nothing.

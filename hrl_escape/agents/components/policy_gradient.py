@@ -21,8 +21,8 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class ClippedSettings(NetworkSettings):
-    """Networks, and rounds of updates with the clipped objective from rollouts of decisions."""
+class PolicySettings(NetworkSettings):
+    """Networks of policies and critics, and steps down the sum of their losses."""
 
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
     """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
@@ -31,6 +31,16 @@ class ClippedSettings(NetworkSettings):
     """Step size of Adam."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
     """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the policy's entropy in the loss."""
+    value_weight: Annotated[float, Range(0)] = 0.5
+    """Weight of half the squared value error in the loss."""
+
+
+@dataclass(frozen=True)
+class ClippedSettings(PolicySettings):
+    """Rounds of updates with the clipped objective from rollouts of decisions."""
+
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
     """Lambda of generalised advantage estimation."""
     lambda_per: Literal["decision", "primitive"] = "decision"
@@ -49,8 +59,6 @@ class ClippedSettings(NetworkSettings):
     normalise_advantages: bool = True
     """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Where no episode has escaped yet,
     that blows noise up to full-sized steps; without it such steps are as small as the rewards."""
-    value_weight: Annotated[float, Range(0)] = 0.5
-    """Weight of half the squared value error in the loss."""
 
 
 class Rollout(NamedTuple):
@@ -72,15 +80,7 @@ class Rollout(NamedTuple):
 
 def collect_decisions(choices: OpenChoices, decisions: StreamTransitions, encoder: ObservationEncoder, settings: Any,
                       bonus: Tensor | None = None) -> Rollout:
-    """Decisions of streams that ended, as a part of a rollout, with what they were chosen with.
-
-    Args:
-        choices: of the streams, in which these decisions end.
-        decisions: of some streams.
-        encoder: of observations.
-        settings: `LearningSettings` with `reward_scale`.
-        bonus: to be added to rewards, in units of return, (n,); None for none.
-    """
+    """Decisions of streams that ended, with what they were chosen with; `bonus` (n,) is in units of return."""
     reward, bootstrap = compute_backups(decisions, settings)
     reward = reward if bonus is None else reward + bonus
     over = decisions.terminated | decisions.truncated
@@ -213,7 +213,7 @@ def compute_clipped_parts(log_policy: Tensor, mask: Tensor, action: Tensor, valu
         old_log_probability: of the action, under the policy that chose it, (n,).
         advantage: (n,).
         target: of the value, (n,).
-        settings: `ClippedSettings` with `entropy_weight`.
+        settings: `ClippedSettings`.
     """
     policy_loss = compute_clipped_loss(take_column(log_policy, action), old_log_probability, advantage, settings.clip,
                                        settings.normalise_advantages)

@@ -16,15 +16,16 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
+import gymnasium
 import numpy as np
 import torch
 from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import SMDPTransition, compute_backup
-from hrl_escape.agents.components.exploration import EpsilonSettings, compute_epsilon
+from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions, count_steps
+from hrl_escape.agents.components.exploration import EpsilonSettings, compute_epsilon, make_rng
 from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
@@ -73,14 +74,7 @@ class Experience(NamedTuple):
 
 def make_experience(transition: SMDPTransition, encoder: ObservationEncoder, settings: Any, bonus: float = 0.0
                     ) -> Experience:
-    """The backup of a decision, in scaled rewards.
-
-    Args:
-        transition: the decision.
-        encoder: of its observations.
-        settings: `LearningSettings` with `reward_scale`.
-        bonus: added to its reward, in units of return.
-    """
+    """The backup of a decision, in scaled rewards; `bonus`, in units of return, is added to its reward."""
     reward, bootstrap = compute_backup(transition, settings)
     return Experience(encoder.encode(transition.observation), transition.action_mask, transition.action,
                       (reward + bonus) * settings.reward_scale, bootstrap, encoder.encode(transition.next_observation),
@@ -88,15 +82,7 @@ def make_experience(transition: SMDPTransition, encoder: ObservationEncoder, set
 
 
 class UpdateSchedule(Stateful):
-    """Clock of an agent with replay, and the updates that are due on it.
-
-    Args:
-        warmup: steps before the first update.
-        rate: updates for each step from then on.
-
-    Attributes:
-        steps: of the clock, so far.
-    """
+    """Clock of an agent with replay, in `steps`, and the updates due on it: `rate` a step after the warm-up."""
 
     STATE = ("steps", "_due")
 
@@ -155,10 +141,6 @@ class ReplayBuffer(_Ring):
     """The last `capacity` backups, sampled uniformly with replacement.
 
     Args:
-        capacity: how many are kept.
-        observation_shape: shape of an encoded observation.
-        observation_dtype: its dtype.
-        actions: number of actions, the length of masks.
         action_shape: () for an index, (actions,) for a relaxed action.
     """
 
@@ -270,9 +252,7 @@ class StreamReplay(_Ring):
     """The last `capacity` backups of all streams, sampled uniformly with replacement.
 
     Args:
-        capacity: how many are kept.
         observation: a batch of encoded observations, for shape, dtype and device.
-        actions: number of actions.
     """
 
     def __init__(self, capacity: int, observation: Tensor, actions: int) -> None:
@@ -298,14 +278,7 @@ class StreamReplay(_Ring):
 
 
 class StreamNStep(Stateful):
-    """Joins n consecutive decisions of each stream into one backup; see `NStep`.
-
-    Args:
-        n: decisions to join.
-        streams: number of streams.
-        observation: as for `StreamReplay`.
-        actions: number of actions.
-    """
+    """Joins n consecutive decisions of each stream into one backup; see `NStep`."""
 
     STATE = ("_is_there", *(Kept(f"_pending.{name}", name) for name in Experience._fields))
 
@@ -355,13 +328,23 @@ class ReplayStreams(NamedTuple):
 class ReplayStreamAgent(StreamAgent):
     """Base of agents that learn action values or preferences by updates from replay."""
 
+    name: ClassVar[str]
     settings: Any
-    STATE = (Kept("_streams", is_left_out=True), Kept("_stream_rng", is_left_out=True))
-    _actions: int
-    _encoder: ObservationEncoder
-    _schedule: UpdateSchedule
-    _stream_rng: np.random.Generator
+    is_markov: bool = True
+    STATE = (Kept("_streams", is_left_out=True), Kept("_stream_rng", is_left_out=True), "replay",
+             Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"), "_action_rng", "_replay_rng")
     _streams: ReplayStreams | None = None
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any,
+                 relaxed: bool = False) -> None:
+        self.settings = settings = settings or self.Settings()
+        self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
+        self._actions = actions = count_actions(action_space, self.name)
+        self.replay = ReplayBuffer(settings.replay_capacity, encoder.shape, encoder.dtype, actions,
+                                   (actions,) if relaxed else ())
+        self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
+        self._action_rng, self._replay_rng, self._stream_rng = (
+            make_rng(seed, purpose) for purpose in ("actions", "replay", "streams"))
 
     @abstractmethod
     def move(self, device: torch.device) -> None:
@@ -378,6 +361,14 @@ class ReplayStreamAgent(StreamAgent):
     def draw(self, replay: Any, batch: int, rng: Any) -> Experience:
         """A batch of one environment's replay or of that of many streams, uniformly."""
         return replay.sample(batch, rng)
+
+    def make_due_updates(self, transition: SMDPTransition) -> dict[str, float]:
+        """Advance the clock by a decision, and make the updates from replay that are due; returns numbers to log."""
+        due = self._schedule.advance(count_steps(transition, self.settings), len(self.replay))
+        metrics = {"epsilon": compute_epsilon(self.settings, self._schedule.steps)}
+        for _ in range(due):
+            metrics |= self.update(self.draw(self.replay, self.settings.batch_size, self._replay_rng))
+        return metrics
 
     def compute_bonus(self, decisions: StreamTransitions) -> Tensor | None:
         """Pay for novelty beside the rewards of decisions, in units of return, (n,); None for none."""
@@ -430,15 +421,7 @@ class ReplayStreamAgent(StreamAgent):
 
 def sample_actions(values: Tensor, mask: Tensor, settings: Any, steps: int,
                    generator: torch.Generator) -> Tensor:
-    """Draw an action for each row of values (n, actions) as `sample_action` does, int64 (n,).
-
-    Args:
-        values: in units of return.
-        mask: bool (n, actions), legal.
-        settings: of exploration, as `DQNSettings` has them.
-        steps: on the clock.
-        generator: on the device of the values.
-    """
+    """Draw an action for each row of values (n, actions), in units of return, as `sample_action` does, int64 (n,)."""
     waits = torch.empty_like(values).exponential_(generator=generator).clamp_(min=1e-30).log()
     if settings.exploration == "boltzmann":
         ratio = values / settings.temperature

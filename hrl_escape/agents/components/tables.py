@@ -81,12 +81,7 @@ def make_cell_finder(space: gymnasium.Space, settings: ResolutionSettings, agent
 
 
 class QTable(Stateful):
-    """Action values and update counts of the states met so far.
-
-    Args:
-        actions: number of actions.
-        settings: step sizes and initial value.
-    """
+    """Action values and update counts of the states met so far."""
 
     STATE = (Columns({"values": "_values", "counts": "_counts"}),)
 
@@ -171,10 +166,6 @@ class TabularAgent(Agent):
 
     Ties are drawn: in learning by the agent's own generator, in evaluation by that of the episode, so that evaluating
     frozen tables twice gives the same numbers.
-
-    Attributes:
-        name: of the algorithm, for messages.
-        table: Q.
     """
 
     name: ClassVar[str]

@@ -29,7 +29,7 @@ from torchrl.objectives import LossModule
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.networks import ObservationEncoder, make_generator
-from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import DivergenceError
 from hrl_escape.settings import Range
@@ -43,11 +43,9 @@ logging.getLogger("torchrl").setLevel(logging.WARNING)  # or it tells of every r
 
 
 @dataclass(frozen=True)
-class TorchRLSettings(AgentSettings):
+class TorchRLSettings(DiscountSettings):
     """Settings that the agents made of TorchRL's parts have in common."""
 
-    gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a decision of k primitives discounts by gamma^k."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
@@ -192,12 +190,7 @@ class TorchRLAgent(Agent):
 
 
 class TorchRLReplay:
-    """TorchRL's replay buffer, with a checkpoint of arrays.
-
-    Args:
-        capacity: decisions kept.
-        batch_size: decisions drawn.
-    """
+    """TorchRL's replay buffer, with a checkpoint of arrays."""
 
     def __init__(self, capacity: int, batch_size: int) -> None:
         self._buffer = ReplayBuffer(storage=LazyTensorStorage(capacity), batch_size=batch_size)

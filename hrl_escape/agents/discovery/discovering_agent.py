@@ -248,12 +248,7 @@ class GraphDiscoverySettings(DiscoverySettings):
 
 
 class GraphDiscovery(Discovery):
-    """Base of discoveries that look at the graph now and then.
-
-    Args:
-        settings: say when.
-        slots: most options at once.
-    """
+    """Base of discoveries that look at the graph now and then."""
 
     STATE = ("_decisions",)
 

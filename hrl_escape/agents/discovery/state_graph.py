@@ -24,11 +24,7 @@ def _list_edges(counts: dict[tuple[int, int, int], int]) -> NDArray[np.int64]:
 
 
 class StateGraph(Stateful):
-    """States by number in order of first meeting, and counts of what actions did.
-
-    Args:
-        actions: how many there are.
-    """
+    """States by number in order of first meeting, and counts of what actions did."""
 
     STATE = (
         Kept("_numbers", "keys", pack_keys, lambda keys: {key: number for number, key in enumerate(unpack_keys(keys))}),

@@ -28,10 +28,6 @@ ChooseHypotheses = Callable[[int, int], NDArray[np.int64]]
 class Packing:
     """Bit layout of states: the position of each factor, and the pattern of each context of each hypothesis.
 
-    Args:
-        learner: whose factors and hypotheses.
-        agent: name of the agent, for messages.
-
     Attributes:
         shifts: (factors,), lowest bit of each.
         masks: for each factor, all its bits.
@@ -105,14 +101,6 @@ def compile_action(learner: StructureLearner, packing: Packing, action: int, cho
 
     An action that has never changed anything has no rules; all hypotheses of `choose(action, over)` then
     say where it was tried.
-
-    Args:
-        learner: samples seen.
-        packing: of its factors.
-        action: which.
-        choose: see `ChooseHypotheses`.
-        bonuses: bonus of each level.
-        visits: samples that make a context known.
     """
     active = learner.list_active(action)
     found: dict[tuple[int, int], list] = {}

@@ -85,12 +85,7 @@ def _predict(line: tuple[float, float], distance: NDArray[np.float64]) -> NDArra
 
 
 def fit_durations(history: DurationHistory, actions: int) -> DurationModel:
-    """Fit durations to a history.
-
-    Args:
-        history: decisions; may be empty.
-        actions: how many there are.
-    """
+    """Fit durations to a history, which may be empty."""
     starts, chosen, ends, duration, previous = history
     if not len(chosen):
         return DurationModel(np.ones((actions + 1, actions)), np.full(actions, actions), np.zeros((actions, 0)),
@@ -201,12 +196,7 @@ class FactoredModel:
     """History of an agent, and the model derived from it.
 
     Args:
-        space: of the observations.
-        actions: how many.
-        gamma: discount per primitive.
-        max_parents: largest set of parents that is considered.
         conditions: `all-on` or `any`; see `FactoredRMaxSettings`.
-        agent: name of the agent, for messages.
         make_learner: (sizes of the factors, actions, max_parents, all_on) -> the learner.
         compile: makes the model of an action, with the arguments of `compile_action`.
 

@@ -20,10 +20,6 @@ from hrl_escape.errors import UnsupportedSpaceError
 class FactorReader:
     """Splits observations into factors and pose.
 
-    Args:
-        space: of the observations.
-        agent: name of the agent, for messages.
-
     Attributes:
         components: int64 (factors,), index of each factor in the flattened observation.
         sizes: int64 (factors,), number of values of each.

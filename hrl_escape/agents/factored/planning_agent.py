@@ -20,17 +20,15 @@ from hrl_escape.agents.factored.compiled_model import ActionModel, compile_actio
 from hrl_escape.agents.factored.model import Belief, FactoredModel, PendingPlan
 from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.agents.factored.structure import StructureLearner
-from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class PlanningSettings(AgentSettings):
+class PlanningSettings(DiscountSettings):
     """Hypotheses that are considered, and the bound of the search."""
 
-    gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
     max_parents: Annotated[int, Range(0, 8)] = 2
     """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
     conditions: Literal["all-on", "any"] = "all-on"
@@ -44,7 +42,6 @@ class PlanningAgent(Agent):
     """Base of agents that follow plans in a learned factored model.
 
     Attributes:
-        name: of the algorithm, for messages.
         model: the history, and everything derived from it.
     """
 

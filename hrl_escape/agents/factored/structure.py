@@ -31,8 +31,6 @@ class StructureLearner:
 
     Args:
         sizes: (factors,), values of each factor.
-        actions: how many.
-        max_parents: largest set of parents.
         all_on: a set has two contexts only, all of its bits on (0) and not (1), instead of one for each combination
             of their values.
 

@@ -104,7 +104,6 @@ class TreeLearner(StructureLearner):
 
     Args:
         sizes: (factors,), all 2.
-        actions: how many.
         evidence: nats by which a split must raise the criterion.
     """
 

@@ -1,23 +1,138 @@
-"""Goals as points: what all agents with goals ask of them, whether they name places or displacements.
+"""Goals as the interface between levels: by number alone, with a manager and a worker, or as points.
 
-A goal space projects an observation onto a point. A goal is a point to be at or, where goals are relative, a
-displacement still to be made (Nachum et al. 2018). A NaN in a goal stands for a component that does not matter.
+What a goal is, and whether it is reached, is read from the observation. A goal space projects an observation onto a
+point. A goal is a point to be at or, where goals are relative, a displacement still to be made (Nachum et al. 2018). A
+NaN in a goal stands for a component that does not matter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hrl_escape.agents.hierarchy.goals import GoalSet, GoalView
-from hrl_escape.agents.hierarchy.task import BaseTask, Seen, Stack
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
+
+
+@dataclass(frozen=True)
+class GoalView:
+    """Part of an observation that a level sees."""
+
+    space: gymnasium.Space  # of what it sees
+    see: Callable[[Any], Any]  # observation -> that part
+
+
+class ViewTask(BaseTask):
+    """A task that sees a part of the observation, or all of it without a view."""
+
+    def __init__(self, name: str, choices: int, view: GoalView | None) -> None:
+        super().__init__(name, choices, None if view is None else view.space)
+        self._view = view
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        """That part."""
+        return seen.observation if self._view is None else self._view.see(seen.observation)
+
+
+@dataclass(frozen=True)
+class GoalSet:
+    """Finitely many goals, numbered from 0."""
+
+    count: int  # how many there are
+    reached: Callable[[Any, int], bool]  # (observation, goal) -> whether it is reached there
+    is_open: Callable[[Any, int], bool] | None = None
+    """(observation, goal) -> whether the manager may name it there; anywhere by default."""
+    policy: Callable[[Any, int], int | None] | None = None
+    """(observation, goal) -> the primitive towards it, None where there is none; by default that is learned."""
+    manager_view: GoalView | None = None  # what of an observation the manager sees; all by default
+    worker_view: GoalView | None = None  # what of it the worker sees, beside the goal
+    names: tuple[str, ...] = ()  # of the goals, for options made of them; numbers by default
+    places: tuple[tuple[float, float] | None, ...] = ()
+    """X and y of each goal on the floor, m, for drawings; none by default."""
+    source: Literal["given", "synthesised"] = "given"  # where the goals come from
+    privileges: tuple[str, ...] = ("goals",)  # what they tell the agent that the observation does not
+
+
+class Manager(ViewTask):
+    """Names an open goal that is not reached; paid by the environment."""
+
+    def __init__(self, goals: GoalSet, worker: Worker) -> None:
+        super().__init__("manager", goals.count, goals.manager_view)
+        self._goals, self._worker = goals, worker
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        """Goals that are open and not reached here, and towards which the worker can do something."""
+        goals = self._goals
+        return np.array([
+            not goals.reached(seen.observation, goal)
+            and (goals.is_open is None or goals.is_open(seen.observation, goal))
+            and bool(self._worker.legal(seen, goal).any())
+            for goal in range(goals.count)
+        ], np.bool_)  # fmt: skip
+
+    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
+        """The worker, told the goal."""
+        return Call(self._worker, int(choice))
+
+
+class Worker(ViewTask):
+    """Walks to the goal it is told, paid for reaching it alone.
+
+    Args:
+        patience: primitives after which the call is given up; 0 never gives up.
+    """
+
+    def __init__(self, goals: GoalSet, primitives: int, patience: int = 0) -> None:
+        super().__init__("worker", primitives, goals.worker_view)
+        self._goals, self._patience = goals, patience
+        self.is_planned = goals.policy is not None
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        """The legal primitives; of a policy that is given, its one."""
+        policy = self._goals.policy
+        return seen.mask if policy is None else allow_only(policy(seen.observation, context), seen.mask)
+
+    def list_calls(self) -> Mapping[str, Any]:
+        """One a goal, under the goal's name."""
+        names = self._goals.names or tuple(f"goal {goal}" for goal in range(self._goals.count))
+        return {name: goal for goal, name in enumerate(names)}
+
+    def is_callable(self, seen: Seen, context: Any) -> bool:
+        """The goal is open, not reached, and there is a way."""
+        is_open = self._goals.is_open
+        return (is_open is None or is_open(seen.observation, context)) and super().is_callable(seen, context)
+
+    def find_place(self, context: Any) -> tuple[float, float] | None:
+        """Place of the goal."""
+        return self._goals.places[context] if self._goals.places else None
+
+    def is_reached(self, frame: Frame, seen: Seen) -> bool:
+        """The goal of a call is reached."""
+        return self._goals.reached(seen.observation, frame.context)
+
+    def ends(self, frame: Frame, seen: Seen) -> float:
+        """Certain where the goal is reached, or patience has run out."""
+        given_up = self._patience > 0 and frame.primitives >= self._patience
+        return float(given_up or self.is_reached(frame, seen))
+
+    def pay(self, step: Step, frame: Frame) -> float:
+        """1 on reaching the goal, by the last primitive of a choice that lasts several."""
+        return step.arrival * self.is_reached(frame, step.next_seen)
+
+
+def make_goal_hierarchy(goals: GoalSet, primitives: int, patience: int = 0) -> Hierarchy:
+    """A manager over a worker."""
+    worker = Worker(goals, primitives, patience)
+    return Hierarchy(Manager(goals, worker), (worker,), source=goals.source, privileges=goals.privileges)
+
+
+# --- goals as points ---------------------------------------------------------------------
 
 GoalPoint = NDArray[np.float64]
 """(dimensions,), in the units of the projection; or points, (..., dimensions)."""
@@ -75,26 +190,12 @@ class GoalSpace:
         return int(measure_straight(point, self.goals).argmin())
 
 
-class GoalTask(BaseTask):
-    """A task that sees what a goal space shows of an observation.
-
-    Args:
-        name: unique in its hierarchy.
-        space: of its goals.
-        choices: how many it has.
-
-    Attributes:
-        goal_space: of its goals.
-    """
+class GoalTask(ViewTask):
+    """A task that sees what a goal space shows of an observation, and knows the space as `goal_space`."""
 
     def __init__(self, name: str, space: GoalSpace, choices: int) -> None:
-        super().__init__(name, choices, None if space.view is None else space.view.space)
+        super().__init__(name, choices, space.view)
         self.goal_space = space
-
-    def view(self, seen: Seen, stack: Stack) -> Any:
-        """The part of the observation that tables see."""
-        view = self.goal_space.view
-        return seen.observation if view is None else view.see(seen.observation)
 
 
 def make_goal_space(space: gymnasium.Space, agent: str) -> GoalSpace:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -24,22 +24,19 @@ from hrl_escape.agents.agent import Agent, OptionPolicy, RunningCall, SMDPTransi
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_action
 from hrl_escape.agents.hierarchy.call_stack import Return, arrive, descend, load_stack, save_stack
 from hrl_escape.agents.hierarchy.task import BaseTask, Frame, Hierarchy, Seen, Stack, Step
-from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import RowStreamAgent, StreamAgent, StreamTransitions
 from hrl_escape.errors import AgentSettingsError, DiscountMismatchError, StepContractError, UnsupportedError
-from hrl_escape.settings import Range
 
 if TYPE_CHECKING:
     import torch
 
 
 @dataclass(frozen=True)
-class StackSettings(AgentSettings):
+class StackSettings(DiscountSettings):
     """Settings of how calls run."""
 
-    gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
     polled: Literal["never", "evaluation", "always"] = "never"
     """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
@@ -48,14 +45,7 @@ class StackSettings(AgentSettings):
 class CallRunner(RowStreamAgent):
     """Runs the calls of a hierarchy on a flat environment.
 
-    Args:
-        hierarchy: what is run.
-        seed: of terminations that are drawn, and of tasks that decide for themselves.
-        settings: discount and polling.
-
     Attributes:
-        hierarchy: what is run.
-        settings: as given.
         stack: the running calls, the root first; what `watch` shows.
     """
 
@@ -220,13 +210,7 @@ class CallRunner(RowStreamAgent):
 
 
 class TabularRunner(CallRunner):
-    """Base of runners whose calls choose by tables of values, and explore as `TabularSettings` say.
-
-    Args:
-        hierarchy: what is run.
-        seed: fixes exploration, and what `CallRunner` draws.
-        settings: `StackSettings` and `TabularSettings` in one.
-    """
+    """Base of runners whose calls choose by tables of values, and explore as `TabularSettings` say."""
 
     STATE = ("_steps", "_action_rng")
 
@@ -306,10 +290,7 @@ class StackAgent(CallRunner):
     own view.
 
     Args:
-        hierarchy: tasks, and who learns at each.
         observation_space: the environment's, for tasks that name no view space of their own.
-        seed: fixes everything, the learners' seeds included.
-        settings: discount of the root, polling.
 
     Attributes:
         learners: task name -> its learner; tasks that share one map to the same object.

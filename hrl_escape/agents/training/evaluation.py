@@ -130,17 +130,7 @@ def evaluate(agent: Agent, env: gymnasium.Env, episodes: int, seed: int = 0, pri
 
 def evaluate_trials(agent: Agent, env: gymnasium.Env, episodes: int, trials: int, seed: int = 0, primitives: int = 0,
                     decisions: int = 0, after_episode: Callable[[], object] = lambda: None) -> tuple[Evaluation, ...]:
-    """Evaluate each trial of episodes that have several, such as those of a `SequenceEnv`.
-
-    Args:
-        agent: acts greedily with frozen weights.
-        env: the environment; its `info["trial"]` is the number of a step's trial.
-        episodes: number of episodes.
-        trials: number of trials in an episode.
-        seed: fixes the episodes, as for `evaluate`.
-        primitives: primitives trained for, kept with the results.
-        decisions: decisions trained for, kept with the results.
-        after_episode: called at the end of every episode.
+    """Evaluate each trial of episodes that have several, as those of a `SequenceEnv`; arguments as for `evaluate`.
 
     Returns:
         For each trial its evaluation over all episodes.

@@ -70,14 +70,7 @@ def gather_material(agent: Any, env: Any, data: Any, recipe: str, settings: Any)
 
 
 class OfflineRun(Run):
-    """A run whose unit is some updates from a data set.
-
-    Args:
-        agent: a new agent.
-        arguments: arguments of the run; see `train`.
-        material: what it learns from.
-        callbacks: told of the run, in this order.
-    """
+    """A run whose unit is some updates from a data set."""
 
     agent: OfflineAgent
 

@@ -26,14 +26,7 @@ class Reporter(Protocol):
 
 @contextmanager
 def show_progress(name: str, total: int, done: int, show: bool | None) -> Iterator[Reporter]:
-    """Show a line on standard error while training.
-
-    Args:
-        name: name of the run.
-        total: budget in primitives.
-        done: primitives already done, in a run that resumes.
-        show: None shows it on a terminal only.
-    """
+    """Show a line on standard error while training up to `total` primitives; with `show=None` on a terminal only."""
     console = Console(stderr=True)
     if not (console.is_terminal if show is None else show):
         yield lambda primitives, words: None

@@ -109,16 +109,7 @@ class Probe(Protocol):
 
 
 class Run(Stateful):
-    """State of a run between episodes: the agent, totals, and measurements so far.
-
-    Args:
-        agent: a new agent.
-        env: training environment.
-        eval_env: evaluation environment.
-        arguments: arguments of the run; see `train`.
-        probe: measurements of the agent on the way.
-        callbacks: told of the run, in this order.
-    """
+    """State of a run between episodes: the agent, totals, and measurements so far."""
 
     STATE = ("agent", "primitives", "decisions", "planner_calls", "seconds", "planner_seconds", "probe")
     """State beyond the log."""

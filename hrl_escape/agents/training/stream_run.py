@@ -206,12 +206,7 @@ class VectorStreams:
 
 
 def make_streams(env: VectorEnv | Streams, gamma: float) -> Streams:
-    """The streams of a vector environment: its own, or one decision of each a step.
-
-    Args:
-        env: the environment, or streams, which stay as they are.
-        gamma: the agent's discount per primitive.
-    """
+    """The streams of a vector environment: its own, or one decision of each a step; streams stay as they are."""
     if not isinstance(env, VectorEnv):
         return env
     inner: Any = env.unwrapped
@@ -225,15 +220,7 @@ _KEPT = 1 << 30  # bytes
 
 
 class StreamRun(Run):
-    """A run whose unit is a segment: a fixed number of steps of all streams.
-
-    Args:
-        agent: a new agent.
-        env: vector environment or streams to train in.
-        eval_env: ordinary environment of the same spaces, to evaluate in.
-        arguments: arguments of the run; see `train`.
-        callbacks: told of the run, in this order.
-    """
+    """A run whose unit is a segment: a fixed number of steps of all streams."""
 
     agent: StreamAgent
 

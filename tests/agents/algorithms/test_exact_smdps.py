@@ -23,7 +23,7 @@ from hrl_escape.agents.algorithms.intra_option_q import IntraOptionQ
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.algorithms.r_max import RMax
 from hrl_escape.agents.algorithms.skills.eigenoptions import Eigenoptions
-from hrl_escape.agents.hierarchy.goals import GoalSet
+from hrl_escape.agents.hierarchy.goal_space import GoalSet
 from hrl_escape.agents.hierarchy.machine import choose, do, machine
 from hrl_escape.agents.hierarchy.runner import StackAgent
 from hrl_escape.agents.hierarchy.task import Seen

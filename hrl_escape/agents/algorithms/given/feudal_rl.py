@@ -38,10 +38,8 @@ class FeudalTask(BaseTask):
     to be searched. The root has no order and is paid by the environment.
 
     Args:
-        tree: the division.
         level: of the cells that it sees and gives orders about; below the tree's depth it sees the observation and
             chooses primitives.
-        primitives: of the environment.
         penalty: what leaving the cell other than ordered costs.
         patience: primitives after which an order to the last level is given up, and twice as many a level higher; 0
             never gives up.

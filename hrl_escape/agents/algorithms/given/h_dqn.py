@@ -17,7 +17,13 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
-from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_legal
+from hrl_escape.agents.components.exploration import (
+    EpsilonSettings,
+    choose_best,
+    compute_epsilon,
+    make_rng,
+    sample_legal,
+)
 from hrl_escape.agents.components.networks import (
     Learner,
     NetworkSettings,
@@ -30,8 +36,7 @@ from hrl_escape.agents.components.networks import (
 from hrl_escape.agents.components.replay import Experience, ReplayBuffer
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
-from hrl_escape.agents.hierarchy.goal_space import make_goals
-from hrl_escape.agents.hierarchy.goals import GoalSet, Worker, make_goal_hierarchy
+from hrl_escape.agents.hierarchy.goal_space import GoalSet, Worker, make_goal_hierarchy, make_goals
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
 from hrl_escape.agents.state import Stateful
@@ -40,15 +45,8 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class HDqnSettings(StackSettings, NetworkSettings):
-    """Settings of `h-dqn`."""
-
-    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon of the manager at the beginning."""
-    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon of the manager from `epsilon_steps` on."""
-    epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Primitives over which the manager's epsilon falls linearly."""
+class HDqnSettings(StackSettings, EpsilonSettings, NetworkSettings):
+    """Settings of `h-dqn`; epsilon is the manager's."""
 
     initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
     """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`

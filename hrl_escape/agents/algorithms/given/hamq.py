@@ -11,7 +11,7 @@ import ast
 import functools
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -39,21 +39,19 @@ from hrl_escape.agents.hierarchy.machine import (
 )
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
+from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.errors import StepContractError
-from hrl_escape.settings import Range
 
 MOST_INTERNAL = 10_000
 """Bound on choices without a primitive between them; more is a program that never acts."""
 
 
 @dataclass(frozen=True)
-class HamqSettings(TabularSettings):
+class HamqSettings(DiscountSettings, TabularSettings):
     """Rates, exploration and discount of `hamq`, and whether choices without a primitive between share a value."""
 
-    gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
     internal: bool = False
     """Remember which choice point follows a choice that no primitive comes after, and use its value in place of an own
     one (HAMQ-INT)."""

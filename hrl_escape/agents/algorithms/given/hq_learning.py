@@ -24,13 +24,14 @@ from hrl_escape.agents.components.tables import (
     ValueTable,
     make_discretiser,
 )
+from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class HqLearningSettings(ResolutionSettings):
+class HqLearningSettings(DiscountSettings, ResolutionSettings):
     """Settings of `hq-learning`; defaults are those of the paper's key-and-door maze."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 0.6
@@ -41,8 +42,6 @@ class HqLearningSettings(ResolutionSettings):
     """Primitives over which epsilon falls linearly."""
     agents: Annotated[int, Range(1)] = 3
     """Reactive agents in the sequence."""
-    gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.05
     """Step size of values of primitives."""
     subgoal_learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
@@ -87,9 +86,6 @@ class HqLearning(RowStreamAgent):
     Where i + 1 is the last agent, H_i = R_i + gamma^n_i R_{i+1}; where i never handed over, H_i = R_i. A trial that
     the time limit cut bootstraps Q, not HQ: not to have handed over in time counts as failure, as in the paper.
     Subgoals are chosen among the observations met so far.
-
-    Args:
-        observation_space: what agents react to.
     """
 
     Settings: ClassVar[type] = HqLearningSettings

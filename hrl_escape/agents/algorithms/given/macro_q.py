@@ -27,8 +27,6 @@ class Macro(BaseTask):
     """One macro-action.
 
     Args:
-        name: unique among the macros.
-        primitives: of the environment.
         policy: moment -> primitive.
         until: moment reached -> whether the macro is over there; asked after each of its primitives, not before the
             first, so that every macro lasts at least one.

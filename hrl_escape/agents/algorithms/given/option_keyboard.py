@@ -35,13 +35,7 @@ class OptionKeyboardSettings(StackSettings, TabularSettings):
 
 
 class SuccessorTable(Stateful):
-    """psi_i(s, a), the discounted chance that each event is the first to happen, under the skill of event i.
-
-    Args:
-        events: how many there are.
-        actions: number of primitives.
-        settings: `TabularSettings`, of whose rates `learning_rate` counts.
-    """
+    """psi_i(s, a), the discounted chance that each event is the first to happen, under the skill of event i."""
 
     STATE = (Columns({"values": "_values"}),)
 

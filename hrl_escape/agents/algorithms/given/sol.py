@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -21,13 +21,17 @@ from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.networks import (
     Learner,
-    NetworkSettings,
     ObservationEncoder,
     make_forward,
     make_generator,
     make_network,
 )
-from hrl_escape.agents.components.policy_gradient import compute_entropy, compute_log_policy, take_column
+from hrl_escape.agents.components.policy_gradient import (
+    PolicySettings,
+    compute_entropy,
+    compute_log_policy,
+    take_column,
+)
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
@@ -37,27 +41,17 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class SolSettings(StackSettings, NetworkSettings):
+class SolSettings(StackSettings, PolicySettings):
     """Settings of `sol`."""
 
     longest: Annotated[int, Range(1)] = 32
     """Most primitives of an option; the controller chooses among the powers of 2 up to it."""
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
-    """Initial weights; `orthogonal` goes with tanh units."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     rollout: Annotated[int, Range(2)] = 128
     """Choices of the controller and of options, together, collected before each round of updates."""
     epochs: Annotated[int, Range(1)] = 2
     """Updates from a rollout; from the second on V-trace weighs choices by how likely they have become."""
     ratio_clip: Annotated[float, Range(0, open_low=True)] = 1.0
     """Bound on these weights, rho and c of V-trace."""
-    entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the entropy of policies in the loss."""
-    value_weight: Annotated[float, Range(0)] = 0.5
-    """Weight of half the squared value error in the loss."""
 
 
 class Choices(NamedTuple):

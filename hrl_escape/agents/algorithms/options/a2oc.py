@@ -17,28 +17,21 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.components.exploration import compute_epsilon_greedy
-from hrl_escape.agents.components.networks import NetworkSettings
 from hrl_escape.agents.components.options.networks import OptionChoices, OptionHeads
 from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
-from hrl_escape.agents.components.policy_gradient import Rollout, compute_entropy, take_column
+from hrl_escape.agents.components.policy_gradient import PolicySettings, Rollout, compute_entropy, take_column
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class A2OCSettings(NetworkSettings, LearningSettings):
+class A2OCSettings(PolicySettings, LearningSettings):
     """Options, their terminations and the actor-critic update of `a2oc`."""
 
     options: Annotated[int, Range(1)] = 4
     """Options that are learned."""
     initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
     """Probability of ending an option before anything is learned."""
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
-    """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     rollout: Annotated[int, Range(2)] = 20
     """Decisions collected before each update."""
     stream_rollout: Annotated[int, Range(1)] = 20
@@ -54,10 +47,6 @@ class A2OCSettings(NetworkSettings, LearningSettings):
     termination_margin: Annotated[float, Range(0)] = 0.0
     """Margin by which an option must be worse than the mean before it is ended more often, in scaled return; no value
     pays it."""
-    entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the entropy of the options' policies in the loss."""
-    value_weight: Annotated[float, Range(0)] = 0.5
-    """Weight of half the squared value error in the loss."""
 
 
 class GreedyHeads(OptionHeads):

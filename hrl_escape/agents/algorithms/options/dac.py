@@ -34,8 +34,6 @@ class DACSettings(ClippedSettings, LearningSettings):
     """Options that are learned."""
     initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
     """Probability of ending an option before anything is learned."""
-    entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policies' entropy in the loss."""
     option_entropy_weight: Annotated[float, Range(0)] = 0.01
     """Weight of the entropy of the choice of options in the loss."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0

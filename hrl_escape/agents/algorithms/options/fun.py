@@ -23,13 +23,13 @@ from hrl_escape.agents.components.exploration import choose_best, compute_softma
 from hrl_escape.agents.components.networks import (
     Learner,
     Network,
-    NetworkSettings,
     ObservationEncoder,
     initialise_layer,
     make_generator,
     make_network,
 )
 from hrl_escape.agents.components.policy_gradient import (
+    PolicySettings,
     Rollout,
     compute_advantages,
     compute_entropy,
@@ -44,7 +44,7 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class FunSettings(NetworkSettings, LearningSettings):
+class FunSettings(PolicySettings, LearningSettings):
     """Settings of `fun`."""
 
     horizon: Annotated[int, Range(1)] = 10
@@ -57,22 +57,12 @@ class FunSettings(NetworkSettings, LearningSettings):
     """alpha, weight of the pay for following directions beside the environment's scaled reward."""
     random_directions: Annotated[float, Range(0, 1)] = 0.05
     """Share of directions that are drawn at random."""
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
-    """Initial weights; `orthogonal` goes with tanh units."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     rollout: Annotated[int, Range(2)] = 40
     """Decisions collected before each update."""
     gae_lambda: Annotated[float, Range(0, 1)] = 1.0
     """Lambda of generalised advantage estimation, of both levels."""
     lambda_per: Literal["decision", "primitive"] = "decision"
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
-    entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the entropy of the worker's policy in the loss."""
-    value_weight: Annotated[float, Range(0)] = 0.5
-    """Weight of half the squared value errors in the loss."""
 
 
 class FunLayers(nn.Module):

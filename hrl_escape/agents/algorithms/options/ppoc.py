@@ -36,8 +36,6 @@ class PPOCSettings(ClippedSettings, LearningSettings):
     """Options that are learned."""
     initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
     """Probability of ending an option before anything is learned."""
-    entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policies' entropy in the loss."""
     least_samples: Annotated[int, Range(2)] = 160
     """Decisions of an option that are collected, over several rollouts if need be, before it is updated."""
     termination_rate: Annotated[float, Range(0)] = 2e-4

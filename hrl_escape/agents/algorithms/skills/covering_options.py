@@ -29,11 +29,7 @@ class CoveringOptionsSettings(GraphDiscoverySettings):
 
 
 class CoveringDiscovery(GraphDiscovery):
-    """Finds edges in the graph of all states that are connected.
-
-    Args:
-        settings: of `covering-options`.
-    """
+    """Finds edges in the graph of all states that are connected."""
 
     def __init__(self, settings: CoveringOptionsSettings) -> None:
         super().__init__(settings, 2 * settings.edges)

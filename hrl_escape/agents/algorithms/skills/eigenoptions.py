@@ -36,11 +36,7 @@ class EigenoptionsSettings(GraphDiscoverySettings):
 
 
 class EigenoptionDiscovery(GraphDiscovery):
-    """Finds the slow directions of all states that are connected.
-
-    Args:
-        settings: of `eigenoptions`.
-    """
+    """Finds the slow directions of all states that are connected."""
 
     def __init__(self, settings: EigenoptionsSettings) -> None:
         super().__init__(settings, 2 * settings.directions)

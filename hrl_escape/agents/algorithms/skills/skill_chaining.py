@@ -47,9 +47,6 @@ class SkillChainingSettings(DiscoverySettings):
 class SkillChain(Discovery):
     """A chain of options, made from its end.
 
-    Args:
-        settings: of `skill-chaining`.
-
     Attributes:
         targets: state by number -> the level whose target it belongs to; level 0 is the end of the task.
     """

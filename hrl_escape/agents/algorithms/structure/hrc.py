@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_index, sample_legal
 from hrl_escape.agents.factored.observation import FactorReader
-from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from hrl_escape.settings import Range
@@ -54,11 +54,9 @@ TASK_END = -1
 
 
 @dataclass(frozen=True)
-class HrcSettings(AgentSettings):
+class HrcSettings(DiscountSettings):
     """Tries of an action, most bits that it needs, and the choice of interventions in `hrc`."""
 
-    gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
     tries: Annotated[int, Range(1)] = 1
     """Tries of an action after each intervention; more where actions may fail."""
     max_parents: Annotated[int, Range(0, 8)] = 2

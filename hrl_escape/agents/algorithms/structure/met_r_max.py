@@ -33,10 +33,6 @@ class Meteorologists(StructureLearner):
     `least_share` of the samples: an action that fails half of the time still does it.
 
     Args:
-        sizes: (factors,), values of each factor.
-        actions: how many.
-        max_parents: largest set of parents.
-        all_on: see `StructureLearner`.
         visits: samples of a context before its forecasts count.
         delta: error probability of one comparison.
         least_share: see above.

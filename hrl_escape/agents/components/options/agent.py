@@ -22,15 +22,7 @@ SHORTEST, LOWEST_ENTROPY = 1.1, 0.05
 
 
 class OptionAgent(Agent):
-    """Base of agents with a fixed number of options, each with a policy and a termination in every state.
-
-    Args:
-        options: how many.
-        name: of the algorithm, for messages.
-
-    Attributes:
-        log: durations and entropy of options.
-    """
+    """Base of agents with a fixed number of options, each with a policy and a termination in every state."""
 
     def __init__(self, options: int, name: str) -> None:
         self.log = OptionLog(options, name)
@@ -71,12 +63,7 @@ class OptionAgent(Agent):
 
 
 class OptionLog(Stateful):
-    """The latest runs of options.
-
-    Args:
-        options: how many there are.
-        name: of the agent, for the warning.
-    """
+    """The latest runs of options."""
 
     STATE = (Kept("_runs", pack=lambda runs: np.array(runs, np.int64).reshape(-1, 2),
                   unpack=lambda saved: deque((int(option), int(decisions)) for option, decisions in saved)),

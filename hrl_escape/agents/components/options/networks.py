@@ -78,13 +78,7 @@ def mix_values(choice: Tensor, values: Tensor, former: Tensor) -> Tensor:
 
 
 class OpenOptions(Stateful):
-    """The option that each stream runs, how it came to run, and for how many decisions it has run.
-
-    Args:
-        count: number of streams.
-        device: device of all tensors.
-        rng: seeds the generator of the draws.
-    """
+    """The option that each stream runs, how it came to run, and for how many decisions it has run."""
 
     STATE = ("_option", "_former", "_is_chosen", "_log_probability", "_decisions", "_generator")
 
@@ -156,10 +150,6 @@ class OptionHeads(Stateful):
     """Networks of a fixed number of options over encoded observations, and their optimiser.
 
     Args:
-        name: of the algorithm, for messages.
-        encoder: of the observations.
-        actions: number of actions.
-        seed: fixes the weights.
         settings: of the agent: those of networks, `options`, and `initial_termination` where options end.
         trained: names of the networks that are learned with `learning_rate`; empty for all.
 
@@ -167,7 +157,6 @@ class OptionHeads(Stateful):
         networks: by name. `policy`: logits of every option's policy, (options x actions). `critic`: Q(s, o) in scaled
             return, (options,). `ending`: terminations before the logistic function and the shift of
             `initial_termination`, (options,). `chooser`: logits of the policy over options, (options,).
-        learner: their optimiser.
     """
 
     STATE = ("learner",)
@@ -263,14 +252,7 @@ class OptionHeads(Stateful):
         return torch.where(goes_on, take_column(values, choices.option[after]), mean), mean
 
     def compute_advantages(self, rollout: Rollout, choices: OptionChoices, values: Tensor, cost: float) -> Tensor:
-        """Advantages of actions within options, (n,), where ending an option has a cost upon arrival.
-
-        Args:
-            rollout: n decisions.
-            choices: of options.
-            values: Q(s, o) of the options that ran, (n,).
-            cost: in scaled return.
-        """
+        """Advantages of actions within options, (n,); ending an option costs `cost`, in scaled return, upon arrival."""
         next_values, _ = self.compute_next_values(rollout, choices)
         betas = take_column(self.compute_betas(rollout.next_observation), choices.option)
         after, goes_on = find_next(rollout)

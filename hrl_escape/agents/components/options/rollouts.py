@@ -34,8 +34,8 @@ from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions
 
 
-class RolloutOptionAgent(OptionAgent):
-    """Base of agents that learn options over networks from rollouts of one environment.
+class StreamOptionAgent(OptionAgent, StreamAgent):
+    """Base of agents that learn options over networks from rollouts, with `stream_rollout` among the settings.
 
     Attributes:
         heads: the networks, and all that they say.
@@ -48,7 +48,9 @@ class RolloutOptionAgent(OptionAgent):
     settings: Any
     is_markov: bool = False
     STATE = (Kept("_kept_rollout", "rollout", unpack=dict), Kept("_kept_choices", "choices", unpack=dict), "log",
-             "_running", "_action_rng", "_option_rng", "_batch_rng", Kept("heads.learner", "learner"))
+             "_running", "_action_rng", "_option_rng", "_batch_rng", Kept("heads.learner", "learner"),
+             Kept("_stream_rng", is_left_out=True), Kept("_stream_option_rng", is_left_out=True),
+             Kept("_kept_streams", "streams", unpack=dict, is_left_out=True))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: Any = None) -> None:
@@ -59,13 +61,17 @@ class RolloutOptionAgent(OptionAgent):
         self.heads = self.Heads(self.name, self._encoder, self._actions, seed, settings, self.trained)
         self._action_rng, self._option_rng = make_rng(seed, "actions"), make_rng(seed, "options")
         self._batch_rng = make_rng(seed, "batches")
+        self._stream_rng, self._stream_option_rng = make_rng(seed, "streams"), make_rng(seed, "streams' options")
         self._former, self._is_chosen = NONE, True
+        self._open: tuple[OpenChoices, OpenOptions] | None = None  # None while one environment is played
         self._forget()
 
     def _forget(self) -> None:
         """Begin an empty rollout."""
         self._rows: list[tuple] = []
         self._choices: list[tuple[int, int, bool]] = []
+        self._chunks: list[tuple[Rollout, OptionChoices]] = []  # of streams
+        self._collected = 0
 
     def compute_policies(self, observation: Any, action_mask: NDArray[np.bool_]) -> NDArray[np.float64]:
         """pi_o(a | s) over legal actions, float64 (options, actions)."""
@@ -114,7 +120,10 @@ class RolloutOptionAgent(OptionAgent):
     # --- learning -----------------------------------------------------------------------
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Keep the decision; update when the rollout is full; then the option may end."""
+        """Keep the decision; update when the rollout is full. Streams are over with it, and what they collected."""
+        if self._open is not None:
+            self._open = None
+            self._forget()
         reward, bootstrap = compute_backup(transition, self.settings)
         over = transition.terminated or transition.truncated
         self._rows.append((self._encoder.encode(transition.observation), transition.action_mask, transition.action,
@@ -163,69 +172,11 @@ class RolloutOptionAgent(OptionAgent):
         The networks are still those that chose.
         """
 
-    # --- state ----------------------------------------------------------------------------
-
-    @property
-    def _kept_rollout(self) -> dict[str, Tensor] | None:
-        return stack_decisions(self._rows, 0)._asdict() if self._rows else None
-
-    @_kept_rollout.setter
-    def _kept_rollout(self, saved: Mapping[str, Any]) -> None:
-        self._rows = unstack_decisions(saved)
-
-    @property
-    def _kept_choices(self) -> dict[str, Tensor] | None:
-        return self._gather()[1]._asdict() if self._choices else None
-
-    @_kept_choices.setter
-    def _kept_choices(self, saved: Mapping[str, Any]) -> None:
-        columns = (np.asarray(saved[name]).tolist() for name in ("option", "former", "is_chosen"))
-        self._choices = list(zip(*columns, strict=True))
-
-    @property
-    def _running(self) -> list[int]:
-        """Option that runs, that before it, whether it was chosen, and the decisions it has made."""
-        return [self._option, self._former, int(self._is_chosen), self._decisions]
-
-    @_running.setter
-    def _running(self, saved: list[int]) -> None:
-        self._option, self._former, is_chosen, self._decisions = map(int, saved)
-        self._is_chosen = bool(is_chosen)
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._forget()
-        super().load_state_dict(state)
-        self._evaluation = None
-
-
-class StreamOptionAgent(RolloutOptionAgent, StreamAgent):
-    """The same from many streams, too, with `stream_rollout` among the settings."""
-
-    STATE = (Kept("_stream_rng", is_left_out=True), Kept("_stream_option_rng", is_left_out=True),
-             Kept("_kept_streams", "streams", unpack=dict, is_left_out=True))
-
-    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: Any = None) -> None:
-        super().__init__(observation_space, action_space, seed, settings)
-        self._stream_rng, self._stream_option_rng = make_rng(seed, "streams"), make_rng(seed, "streams' options")
-        self._open: tuple[OpenChoices, OpenOptions] | None = None  # None while one environment is played
-
-    def _forget(self) -> None:
-        super()._forget()
-        self._chunks: list[tuple[Rollout, OptionChoices]] = []  # of streams
-        self._collected = 0
+    # --- streams ------------------------------------------------------------------------
 
     def move(self, device: torch.device) -> None:
         """Move networks, optimisers and what waits for updates to a device."""
         self.heads.move(device)
-
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Keep the decision; update when the rollout is full. Streams are over with it, and what they collected."""
-        if self._open is not None:
-            self._open = None
-            self._forget()
-        return super().observe(transition)
 
     def begin_streams(self, count: int, device: torch.device) -> None:
         """Move to a device; every stream begins an episode, and what was collected ends there.
@@ -277,6 +228,41 @@ class StreamOptionAgent(RolloutOptionAgent, StreamAgent):
         rollouts, choices = zip(*self._chunks, strict=True)
         return (Rollout(*map(torch.cat, zip(*rollouts, strict=True))),
                 OptionChoices(*map(torch.cat, zip(*choices, strict=True))))
+
+    # --- state ----------------------------------------------------------------------------
+
+    @property
+    def _kept_rollout(self) -> dict[str, Tensor] | None:
+        return stack_decisions(self._rows, 0)._asdict() if self._rows else None
+
+    @_kept_rollout.setter
+    def _kept_rollout(self, saved: Mapping[str, Any]) -> None:
+        self._rows = unstack_decisions(saved)
+
+    @property
+    def _kept_choices(self) -> dict[str, Tensor] | None:
+        return self._gather()[1]._asdict() if self._choices else None
+
+    @_kept_choices.setter
+    def _kept_choices(self, saved: Mapping[str, Any]) -> None:
+        columns = (np.asarray(saved[name]).tolist() for name in ("option", "former", "is_chosen"))
+        self._choices = list(zip(*columns, strict=True))
+
+    @property
+    def _running(self) -> list[int]:
+        """Option that runs, that before it, whether it was chosen, and the decisions it has made."""
+        return [self._option, self._former, int(self._is_chosen), self._decisions]
+
+    @_running.setter
+    def _running(self, saved: list[int]) -> None:
+        self._option, self._former, is_chosen, self._decisions = map(int, saved)
+        self._is_chosen = bool(is_chosen)
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        self._forget()
+        super().load_state_dict(state)
+        self._evaluation = None
 
     def state_dict(self) -> StateTree:
         """Everything that `STATE` names, once the log knows of the runs of options that are over."""

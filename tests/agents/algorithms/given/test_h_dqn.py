@@ -8,7 +8,7 @@ import pytest
 from hrl_escape.agents.agent import make_transition
 from hrl_escape.agents.algorithms.given.h_dqn import HDqn
 from hrl_escape.agents.algorithms.q_learning import QLearning
-from hrl_escape.agents.hierarchy.goals import GoalSet
+from hrl_escape.agents.hierarchy.goal_space import GoalSet
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.checks import check_agent
 from tests.agents.running import interact, learn

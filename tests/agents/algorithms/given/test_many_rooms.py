@@ -15,7 +15,7 @@ from hrl_escape.agents.algorithms.given.hq_learning import HqLearning
 from hrl_escape.agents.algorithms.given.maxq_q import MaxqQ
 from hrl_escape.agents.algorithms.intra_option_q import IntraOptionQ
 from hrl_escape.agents.algorithms.sarsa import Sarsa
-from hrl_escape.agents.hierarchy.goals import GoalSet
+from hrl_escape.agents.hierarchy.goal_space import GoalSet
 from hrl_escape.agents.hierarchy.runner import StackAgent
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Hierarchy
 from hrl_escape.agents.hierarchy.task_graph import maxq

@@ -1,11 +1,12 @@
-"""The early end flag of keras-rl 0.4.2, decision by decision."""
+"""The early end flag of keras-rl 0.4.2, decision by decision, and its linear relaxation."""
 
 import numpy as np
 import pytest
+import torch
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
 from hrl_escape.agents.components.replay import Experience
-from hrl_escape.agents.larg2019.late_terminal import LateTerminal
+from hrl_escape.agents.larg2019.keras_rl import LateTerminal, LinearRelaxation
 from hrl_escape.agents.settings import LearningSettings
 
 MASK = np.ones(3, np.bool_)
@@ -35,3 +36,17 @@ def test_the_decision_that_waits_survives_a_checkpoint():
     push(late, 1, 0)
     again.load_state_dict(late.state_dict())
     assert push(again, 2, 1) == push(late, 2, 1) == [(1.0, 0.9, 1)]
+
+
+def test_replay_and_critic_see_the_outputs_themselves_legal_or_not():
+    relaxation = LinearRelaxation()
+    outputs, mask = torch.tensor([[3.0, 1.0, -0.5]]), torch.tensor([[False, True, True]])
+    assert relaxation.relax(outputs, mask) is outputs
+    assert relaxation.encode(outputs.numpy()[0], 1).tolist() == [3.0, 1.0, -0.5]
+
+
+def test_the_actor_loss_is_minus_the_mean_value_of_its_outputs():
+    observation, outputs = torch.from_numpy(np.random.default_rng(0).standard_normal((2, 8, 3)).astype(np.float32))
+    loss = LinearRelaxation().compute_actor_loss(lambda pairs: pairs.sum(dim=1, keepdim=True), observation, outputs,
+                                                 torch.ones((8, 3), dtype=torch.bool))
+    assert torch.isclose(loss, -(observation.sum(dim=1) + outputs.sum(dim=1)).mean())

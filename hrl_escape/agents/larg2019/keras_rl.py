@@ -1,12 +1,12 @@
-"""The early end flag of keras-rl 0.4.2's SARSAAgent, a mistake that the published results contain.
-
-The flag that the episode ended reaches the learner one decision early: the last decision but one is valued as if
-nothing followed, and the last bootstraps even from a terminal state.
-"""
+"""What keras-rl 0.4.2 did otherwise than the papers of its algorithms, as the published results contain it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+import torch
+from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
 from hrl_escape.agents.components.replay import Experience
@@ -19,7 +19,10 @@ def _pack(experience: Experience) -> StateTree:
 
 
 class LateTerminal(Stateful):
-    """Delays each experience by one decision and moves the end of the episode to the one before."""
+    """The early end flag of its SARSAAgent: delays each experience, and moves the episode's end one decision forward.
+
+    The last decision but one is valued as if nothing followed, and the last bootstraps even from a terminal state.
+    """
 
     STATE = (Kept("_waiting", pack=_pack, unpack=lambda saved: Experience(**saved)),)
 
@@ -28,12 +31,7 @@ class LateTerminal(Stateful):
 
     def push(self, experience: Experience, transition: SMDPTransition, settings: LearningSettings
              ) -> list[tuple[Experience, int | None]]:
-        """Take in one decision; returns what is to be learned now.
-
-        Args:
-            experience: its backup.
-            transition: the same decision.
-            settings: discounting and treatment of truncation.
+        """Take in a decision and its backup; returns what is to be learned now.
 
         Returns:
             Pairs of an experience and the action to bootstrap from; None where no action was taken there.
@@ -49,3 +47,26 @@ class LateTerminal(Stateful):
             due.append((without_end, None))
         self._waiting = None if is_over else without_end
         return due
+
+
+class LinearRelaxation:
+    """The linear relaxation of discrete actions by its DDPGAgent: the vector of an action is the actor's output.
+
+    So the critic sees unbounded outputs, noise included, in place of the action that ran.
+    """
+
+    def encode(self, outputs: NDArray[np.float32], action: int) -> NDArray[np.float32]:
+        """The vector that replay keeps: the outputs (actions,) that led to `action`."""
+        del action
+        return outputs
+
+    def relax(self, outputs: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+        """The vectors that the critic sees for an actor's outputs (batch, actions): the outputs, legal or not."""
+        del mask
+        return outputs
+
+    def compute_actor_loss(self, critic: Callable[[torch.Tensor], torch.Tensor], observation: torch.Tensor,
+                           outputs: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+        """Minus the mean of Q(s, mu(s))."""
+        del mask
+        return -critic(torch.cat((observation, outputs), dim=1)).mean()
