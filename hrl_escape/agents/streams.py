@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import gymnasium
 import numpy as np
@@ -42,7 +42,12 @@ class EndedDecisions(NamedTuple):
 
 
 class Streams(Protocol):
-    """Many copies of an environment; `observation_space` and `action_space` are those of one."""
+    """Many copies of an environment; `observation_space` and `action_space` are those of one.
+
+    A vector environment may have streams behind its steps in common, which its method `get_streams` gives. One that
+    can make an ordinary environment of the same task, spaces and action numbers has the method `make_single_env`, and
+    one whose running episodes can be written down has `state_dict` and `load_state_dict`.
+    """
 
     @property
     def count(self) -> int:
@@ -102,38 +107,6 @@ class Streams(Protocol):
 
     def load_state_dict(self, state: StateTree) -> None:
         """Go on where `state_dict` was taken."""
-        ...
-
-
-@runtime_checkable
-class SavedEpisodes(Protocol):
-    """Environment whose running episodes can be written to a checkpoint and go on from it to the same bits."""
-
-    def state_dict(self) -> StateTree:
-        """Everything that the coming steps depend on."""
-        ...
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken."""
-        ...
-
-
-@runtime_checkable
-class SingleEnvSource(Protocol):
-    """Many environments at once that can make one of themselves, for evaluation and display."""
-
-    def make_single_env(self) -> gymnasium.Env:
-        """Make an ordinary environment of the same task, spaces and action numbers."""
-        ...
-
-
-@runtime_checkable
-class StreamSource(Protocol):
-    """Vector environment that has streams of its own pace behind its steps in common."""
-
-    def get_streams(self) -> Streams:
-        """Give the streams; stepping both is not meant."""
-        ...
 
 
 class StreamTransitions(NamedTuple):

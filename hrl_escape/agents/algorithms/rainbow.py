@@ -25,8 +25,8 @@ from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.networks import (
     NoisyLinear,
     ObservationEncoder,
-    initialise_layer,
     make_generator,
+    make_linear,
     make_network,
 )
 from hrl_escape.agents.components.replay import Experience, Priorities
@@ -119,8 +119,7 @@ class ReturnLayers(nn.Module):
         gain = nn.init.calculate_gain("tanh" if is_tanh else "relu")
 
         def make(inputs: int, outputs: int, factor: float) -> nn.Module:
-            linear = initialise_layer(nn.utils.skip_init(nn.Linear, inputs, outputs), settings.initialisation, factor,
-                                      generator)
+            linear = make_linear(inputs, outputs, settings.initialisation, generator, factor)
             return NoisyLinear(linear, settings.noise) if settings.noise else linear
 
         def make_stream(outputs: int) -> nn.Module:

@@ -20,7 +20,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeGuard
+from typing import Annotated, Any, Literal, TypeGuard
 
 import gymnasium
 import numpy as np
@@ -50,10 +50,17 @@ WILD_GROWTH, GROWTH_EVERY = 100.0, 50
 
 @dataclass(frozen=True)
 class NetworkSettings(AgentSettings):
-    """Settings that deep agents have in common; initial weights, step size and clipping are each algorithm's own."""
+    """Settings that deep agents have in common."""
 
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
+    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
+    with zero bias, usual for PPO."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 10.0
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
     """Term in Adam's denominator; Keras has 1e-7."""
     scale_observations: bool = True
@@ -316,13 +323,19 @@ def make_network(encoder: ObservationEncoder, outputs: int, settings: Any, gener
     if encoder.is_image:
         layers, width = _make_convolutions(encoder.shape, settings.initialisation, generator, extra_inputs)
     for units in settings.hidden:
-        linear = nn.utils.skip_init(nn.Linear, width, units)  # the constructor would draw from global state
-        layers += [initialise_layer(linear, settings.initialisation, gain, generator), activation()]
+        layers += [make_linear(width, units, settings.initialisation, generator, gain), activation()]
         width = units
-    last = initialise_layer(nn.utils.skip_init(nn.Linear, width, outputs), settings.initialisation, 1.0, generator)
+    return Network(*layers, make_linear(width, outputs, settings.initialisation, generator, 1.0, output_gain))
+
+
+def make_linear(inputs: int, outputs: int, initialisation: str, generator: torch.Generator, gain: float = 1.0,
+                scale: float = 1.0) -> Any:
+    """A linear layer with initial weights as `initialise_layer` draws them, times a scale."""
+    linear: Any = nn.utils.skip_init(nn.Linear, inputs, outputs)  # the constructor would draw from global state
+    initialise_layer(linear, initialisation, gain, generator)
     with torch.no_grad():
-        last.weight.mul_(output_gain)
-    return Network(*layers, last)
+        linear.weight.mul_(scale)
+    return linear
 
 
 class _Unit(nn.Module):
@@ -388,11 +401,7 @@ class ObjectLayers(nn.Module):
         gain = nn.init.calculate_gain("tanh" if is_tanh else "relu")
 
         def make(inputs: int, outputs: int, factor: float, scale: float = 1.0) -> Any:
-            linear: Any = nn.utils.skip_init(nn.Linear, inputs, outputs)  # the constructor would draw from global state
-            initialise_layer(linear, settings.initialisation, factor, generator)
-            with torch.no_grad():
-                linear.weight.mul_(scale)
-            return linear
+            return make_linear(inputs, outputs, settings.initialisation, generator, factor, scale)
 
         widths = settings.hidden
         self.enter = make(len(space.words) + space.context + self._memory, widths[0], gain)

@@ -286,9 +286,9 @@ class OfflineAgent(Agent):
         logged = {"loss": value, "gradient_norm": self._learner.gradient_norm, **metrics}
         return logged, len(rows), int(self._durations[rows].sum())
 
-    @abstractmethod
     def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Make the next Q and the scores of the policy from the present Q, each (states, actions)."""
+        """Make the next Q and the scores of the policy from the present Q, each (states, actions), for tables."""
+        raise NotImplementedError
 
     @abstractmethod
     def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,

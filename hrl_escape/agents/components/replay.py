@@ -38,13 +38,8 @@ from hrl_escape.settings import Range
 class ReplaySettings(EpsilonSettings, NetworkSettings, LearningSettings):
     """Settings that `dqn`, `sarsa` and `ddpg` have in common: epsilon, optimiser, and updates from replay."""
 
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
     """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     loss: Literal["huber", "squared"] = "huber"
     """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
     batch_size: Annotated[int, Range(1)] = 64

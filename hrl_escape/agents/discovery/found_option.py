@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,6 +12,8 @@ from scipy import sparse
 
 NOTHING = -1
 """In place of a primitive: the option ends, or cannot be."""
+SWEEPS = 10_000
+"""Bound on sweeps of value iteration."""
 _TIE = 1e-9
 
 
@@ -31,8 +34,19 @@ class TableSkill:
     starts: NDArray[np.bool_]  # bool (states,), where it may begin
 
 
-def make_eigenoption(name: str, model: StateModel, purpose: NDArray[np.float64], gamma: float, sweeps: int = 10_000
-                     ) -> TableSkill:
+def _iterate(model: StateModel, values: NDArray[np.float64], gamma: float, gain: NDArray[np.float64] | float,
+             settle: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Gain + gamma P V, (states, actions), at the fixed point of V = settle(its maximum over actions)."""
+    for _ in range(SWEEPS):
+        choices = gain + gamma * (model.follow @ values).reshape(model.known.shape)
+        swept = settle(choices.max(axis=1))
+        change, values = np.abs(swept - values).max(initial=0.0), swept
+        if change < 1e-12:
+            break
+    return gain + gamma * (model.follow @ values).reshape(model.known.shape)
+
+
+def make_eigenoption(name: str, model: StateModel, purpose: NDArray[np.float64], gamma: float) -> TableSkill:
     """Option that climbs a function of the state: paid e(s') - e(s), over where no more can be earned.
 
     Machado et al. (2017): the policy is optimal with one further action, to end, that earns nothing.
@@ -42,18 +56,9 @@ def make_eigenoption(name: str, model: StateModel, purpose: NDArray[np.float64],
         model: of the primitives.
         purpose: e, (states,); its negative is another option.
         gamma: discount of the option's own reward, below 1.
-        sweeps: bound on those of value iteration.
     """
-    states, actions = model.known.shape
-    gain = np.where(model.known, (model.follow @ purpose).reshape(states, actions) - purpose[:, None], -np.inf)
-    values = np.zeros(states)
-    for _ in range(sweeps):
-        choices = gain + gamma * (model.follow @ values).reshape(states, actions)
-        swept = np.maximum(choices.max(axis=1), 0.0)
-        change, values = np.abs(swept - values).max(initial=0.0), swept
-        if change < 1e-12:
-            break
-    choices = gain + gamma * (model.follow @ values).reshape(states, actions)
+    gain = np.where(model.known, (model.follow @ purpose).reshape(model.known.shape) - purpose[:, None], -np.inf)
+    choices = _iterate(model, np.zeros(len(gain)), gamma, gain, lambda best: np.maximum(best, 0.0))
     best = choices.max(axis=1, keepdims=True)
     chosen = np.where(best[:, 0] > _TIE, (choices >= best - _TIE).argmax(axis=1), NOTHING)
     return TableSkill(name, chosen, chosen != NOTHING)
@@ -70,7 +75,7 @@ def make_point_option(name: str, model: StateModel, start: int, goal: int, gamma
 
 
 def make_subgoal_option(name: str, model: StateModel, inside: NDArray[np.bool_], targets: NDArray[np.bool_],
-                        gamma: float = 0.99, sweeps: int = 10_000) -> TableSkill:
+                        gamma: float = 0.99) -> TableSkill:
     """Option that stays inside some states until it is in one of its targets, to be there soon.
 
     It maximises the expected gamma^k of arriving. It may begin wherever a way to a target is known that stays inside,
@@ -82,17 +87,9 @@ def make_subgoal_option(name: str, model: StateModel, inside: NDArray[np.bool_],
         inside: bool (states,).
         targets: bool (states,).
         gamma: discount, below 1.
-        sweeps: bound on those of value iteration.
     """
-    states, actions = model.known.shape
-    values = targets.astype(np.float64)
-    for _ in range(sweeps):
-        choices = gamma * (model.follow @ values).reshape(states, actions)
-        swept = np.where(targets, 1.0, np.where(inside, choices.max(axis=1), 0.0))
-        change, values = np.abs(swept - values).max(initial=0.0), swept
-        if change < 1e-12:
-            break
-    choices = gamma * (model.follow @ values).reshape(states, actions)
+    choices = _iterate(model, targets.astype(np.float64), gamma, 0.0,
+                       lambda best: np.where(targets, 1.0, np.where(inside, best, 0.0)))
     best = choices.max(axis=1, keepdims=True)
     on_the_way = (best[:, 0] > 0) & inside & ~targets
     chosen = np.where(on_the_way, (choices >= best * (1 - _TIE)).argmax(axis=1), NOTHING)

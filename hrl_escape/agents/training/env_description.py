@@ -96,15 +96,6 @@ class DescribedEnv(Protocol):
         ...
 
 
-@runtime_checkable
-class TrainedPart(Protocol):
-    """Object that is known by what it learned, such as an agent or a network."""
-
-    def state_dict(self) -> Mapping[str, Any]:
-        """Everything it learned, as a tree of numbers and arrays."""
-        ...
-
-
 def describe_env(env: gymnasium.Env) -> dict[str, Any]:
     """Description of an environment, a JSON value."""
     wrappers = []
@@ -256,7 +247,7 @@ def _make_plain(value: Any) -> Any:
         return {"function": name} if "<" not in name else _describe_object(value, _list_code(value))
     if isinstance(value, functools.partial):
         return _describe_object(value, {"call": _make_plain([value.func, value.args, value.keywords])})
-    if isinstance(value, TrainedPart):
+    if hasattr(value, "state_dict"):
         return _describe_object(value, {"learned": compute_state_digest(dict(value.state_dict()))})
     if isinstance(value, DescribedEnv):
         content = _make_plain(value.describe())

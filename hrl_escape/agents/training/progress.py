@@ -6,9 +6,8 @@ It is shown on terminals only.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -16,12 +15,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 REFRESH_SECONDS = 0.2
 
 
-class Reporter(Protocol):
-    """Function that takes the progress of a run: primitives so far, and the latest returns in words."""
-
-    def __call__(self, primitives: int, words: str) -> None:
-        """Refresh the line, at most every `REFRESH_SECONDS`."""
-        ...
+Reporter = Callable[[int, str], None]
+"""Takes the progress of a run: primitives so far, and the latest returns in words."""
 
 
 @contextmanager

@@ -93,11 +93,9 @@ class Probe(Protocol):
 
     def after_decision(self, agent: Agent, primitives: int) -> None:
         """Measure after a decision, with this many primitives trained for."""
-        ...
 
     def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
         """Measure between training episodes; the evaluation environment may be used."""
-        ...
 
     def state_dict(self) -> StateTree:
         """Everything that the coming measurements depend on, and the past ones."""
@@ -105,7 +103,6 @@ class Probe(Protocol):
 
     def load_state_dict(self, state: StateTree) -> None:
         """Go on where `state_dict` was taken."""
-        ...
 
 
 class Run(Stateful):
@@ -188,7 +185,7 @@ class Run(Stateful):
             else:
                 with _deferring_interrupts() as is_interrupted:
                     self._train(folder, checkpoint_seconds, report, is_interrupted)
-            made = self.make_result(self._list_settings())
+            made = self.make_result()
             if folder is not None and not self._is_stopped:
                 folder.finish(made.to_json())
             result = dataclasses.replace(made, resumed_at=resumed_at)
@@ -339,13 +336,13 @@ class Run(Stateful):
         stops = [callback.on_evaluation(self.agent, evaluation) for callback in self.callbacks]
         self._is_stopped = any(stops) and not self.is_over
 
-    def make_result(self, settings: Mapping[str, Any]) -> TrainResult:
+    def make_result(self) -> TrainResult:
         """Build the result; the agent is told where it comes from."""
         self._sign()
         return TrainResult(
             agent_name=self.arguments.name,
             seed=self.arguments.seed,
-            settings=settings,
+            settings=self._list_settings(),
             primitives=self.primitives,
             decisions=self.decisions,
             planner_calls=self.planner_calls,

@@ -30,10 +30,8 @@ from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.streams import (
     EndedDecisions,
-    SavedEpisodes,
     StreamAgent,
     Streams,
-    StreamSource,
     StreamTransitions,
     gather_decisions,
 )
@@ -69,7 +67,7 @@ class VectorStreams:
         self._mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self.observation = self.action_mask = torch.empty(0)
         self._was_over = torch.zeros(self.count, dtype=torch.bool)
-        self._gives_episodes = isinstance(env.unwrapped, SavedEpisodes)
+        self._gives_episodes = hasattr(env.unwrapped, "state_dict")
         self._made: list[NDArray[np.integer]] = []  # otherwise, actions of every step since `reset`, (streams,) each
 
     @property
@@ -210,7 +208,7 @@ def make_streams(env: VectorEnv | Streams, gamma: float) -> Streams:
     if not isinstance(env, VectorEnv):
         return env
     inner: Any = env.unwrapped
-    return inner.get_streams() if isinstance(inner, StreamSource) else VectorStreams(env, gamma)
+    return inner.get_streams() if hasattr(inner, "get_streams") else VectorStreams(env, gamma)
 
 
 SEGMENT_PRIMITIVES, SEGMENT_STEPS = 16_384, 16

@@ -21,7 +21,7 @@ from gymnasium.vector import VectorEnv
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.registry import get_agent_class, list_stream_agents, make_agent, read_structure
-from hrl_escape.agents.streams import SingleEnvSource, StreamAgent, Streams
+from hrl_escape.agents.streams import StreamAgent, Streams
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
@@ -205,10 +205,11 @@ def make_single_env(env: VectorEnv | Streams) -> gymnasium.Env:
     Raises:
         AgentSettingsError: it cannot be made; give one.
     """
+    source: Any = env
     inner: Any = env.unwrapped if isinstance(env, VectorEnv) else env
-    for source in (env, inner):
-        if isinstance(source, SingleEnvSource):
-            return source.make_single_env()
+    for each in (source, inner):
+        if hasattr(each, "make_single_env"):
+            return each.make_single_env()
     spec = getattr(inner, "spec", None)
     if spec is None:
         raise AgentSettingsError("eval_env", None, "an ordinary environment of the same task: this vector environment "

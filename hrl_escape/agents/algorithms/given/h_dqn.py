@@ -48,13 +48,6 @@ from hrl_escape.settings import Range
 class HDqnSettings(StackSettings, EpsilonSettings, NetworkSettings):
     """Settings of `h-dqn`; epsilon is the manager's."""
 
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     values: Literal["network", "table"] = "network"
     """Networks over the observation and a one-hot goal, or tables over rounded observations."""
     patience: Annotated[int, Range(0)] = 100

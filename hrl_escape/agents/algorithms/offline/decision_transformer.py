@@ -18,11 +18,10 @@ from torch.nn import functional
 
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best
-from hrl_escape.agents.components.networks import Network, ObservationEncoder, initialise_layer
+from hrl_escape.agents.components.networks import Network, ObservationEncoder, make_linear
 from hrl_escape.agents.components.offline import (
     Batch,
     Decisions,
-    DecisionTable,
     OfflineAgent,
     OfflineSettings,
     Primitives,
@@ -57,7 +56,7 @@ class _Layer(nn.Module):
         super().__init__()
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(2))
         sizes = ((width, 3 * width), (width, width), (width, 4 * width), (4 * width, width))
-        self.parts = nn.ModuleList(_make_linear(*size, generator) for size in sizes)
+        self.parts = nn.ModuleList(make_linear(*size, "torch", generator) for size in sizes)
 
     def forward(self, tokens: Tensor, may_see: Tensor) -> Tensor:
         batch, length, width = tokens.shape
@@ -77,7 +76,8 @@ class _Transformer(nn.Module):
                  ) -> None:
         super().__init__()
         width = HEADS * settings.width
-        self.enter, self.leave = _make_linear(numbers, width, generator), _make_linear(width, actions, generator)
+        self.enter = make_linear(numbers, width, "torch", generator)
+        self.leave = make_linear(width, actions, "torch", generator)
         self.layers = nn.ModuleList(_Layer(width, generator) for _ in range(settings.layers))
         wave = torch.arange(settings.context)[:, None] / 100 ** (torch.arange(width)[None] / width)
         self.register_buffer("places", wave.sin(), persistent=False)
@@ -90,11 +90,6 @@ class _Transformer(nn.Module):
         for layer in self.layers:
             hidden = layer(hidden, may_see[:, None])
         return self.leave(hidden)
-
-
-def _make_linear(inputs: int, outputs: int, generator: torch.Generator) -> Any:
-    linear = nn.utils.skip_init(nn.Linear, inputs, outputs)  # the constructor would draw from global state
-    return initialise_layer(linear, "torch", 1.0, generator)
 
 
 class DecisionTransformer(OfflineAgent):
@@ -185,7 +180,3 @@ class DecisionTransformer(OfflineAgent):
         if rng is self._episode:
             self._left -= transition.summed_reward
             self._before = (transition.action, transition.duration)
-
-    def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """There is no table."""
-        raise NotImplementedError

@@ -26,7 +26,6 @@ from hrl_escape.agents.components.networks import (
 from hrl_escape.agents.components.offline import (
     Batch,
     Decisions,
-    DecisionTable,
     OfflineAgent,
     Primitives,
     encode_all,
@@ -90,7 +89,3 @@ class HIQL(OfflineAgent):
         """Logits of the primitives towards the predicted subgoal, (actions,)."""
         encoded = self._encoder.encode(observation)
         return self._forward(np.concatenate([encoded, make_forward(self.networks["high"])(encoded.copy())]))
-
-    def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """There is no table."""
-        raise NotImplementedError

@@ -24,8 +24,8 @@ from hrl_escape.agents.components.networks import (
     Learner,
     Network,
     ObservationEncoder,
-    initialise_layer,
     make_generator,
+    make_linear,
     make_network,
 )
 from hrl_escape.agents.components.policy_gradient import (
@@ -76,8 +76,7 @@ class FunLayers(nn.Module):
         self.percept = nn.Sequential(*make_network(encoder, width, settings, generator), nn.Tanh())
 
         def make(inputs: int, outputs: int, gain: float = 1.0) -> Any:
-            return initialise_layer(nn.utils.skip_init(nn.Linear, inputs, outputs), settings.initialisation, gain,
-                                    generator)
+            return make_linear(inputs, outputs, settings.initialisation, generator, gain)
 
         self.state, self.direct = make(width, units), make(units, units)
         self.embed: Any = nn.utils.skip_init(nn.Linear, units, settings.embedding_units, bias=False)

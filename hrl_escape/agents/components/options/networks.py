@@ -211,15 +211,6 @@ class OptionHeads(Stateful):
         """Q(s, .) of options, in units of return, float64 (options,)."""
         return self.compute("critic", observation) / self.settings.reward_scale
 
-    def compute_preferences(self, observation: Any) -> NDArray:
-        """Logits of the policy of the likeliest option at an observation, before any mask, (actions,)."""
-        option = int(self.compute_option_policy(observation).argmax())
-        return self.compute("policy", observation).reshape(self.options, -1)[option]
-
-    def compute_state_value(self, observation: Any) -> float:
-        """Mean of Q(s, o) over the policy over options, in units of return."""
-        return float(self.compute_option_policy(observation) @ self.compute_option_values(observation))
-
     # --- of many, on their device ---------------------------------------------------------
 
     def compute_log_policies(self, observation: Tensor, option: Tensor, mask: Tensor) -> Tensor:

@@ -83,11 +83,12 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
 
     def compute_preferences(self, observation: Any) -> NDArray:
         """Logits of the policy of the likeliest option at an observation, before any mask, (actions,)."""
-        return self.heads.compute_preferences(observation)
+        option = int(self.heads.compute_option_policy(observation).argmax())
+        return self.heads.compute("policy", observation).reshape(self.options, -1)[option]
 
     def compute_state_value(self, observation: Any) -> float:
         """Mean of Q(s, o) over the policy over options, in units of return."""
-        return self.heads.compute_state_value(observation)
+        return float(self.heads.compute_option_policy(observation) @ self.heads.compute_option_values(observation))
 
     # --- acting -------------------------------------------------------------------------
 
