@@ -198,10 +198,10 @@ MUTATIONS = [
                "        vectors = vectors / np.sqrt(adjacency.sum(axis=1))[:, None]\n", "        pass\n",
                "discovery/test_spectral.py"),
     _discovery("an eigenoption never ends", "found_option",
-               "swept = np.maximum(choices.max(axis=1), 0.0)", "swept = choices.max(axis=1)",
+               "lambda best: np.maximum(best, 0.0)", "lambda best: best",
                "discovery/test_spectral.py"),
     _discovery("an eigenoption is paid for where it is", "found_option",
-               ".reshape(states, actions) - purpose[:, None], -np.inf)", ".reshape(states, actions), -np.inf)",
+               ".reshape(model.known.shape) - purpose[:, None], -np.inf)", ".reshape(model.known.shape), -np.inf)",
                "discovery/test_spectral.py"),
     _discovery("a covering option may begin anywhere", "found_option",
                "option.starts & (states == start)", "option.starts",
@@ -309,7 +309,7 @@ MUTATIONS = [
                "algorithms/skills/test_skill_chaining.py"
                "::test_states_without_a_known_way_inside_the_set_are_left_out"),
     _discovery("the way to a target may leave the set", "found_option",
-               "np.where(inside, choices.max(axis=1), 0.0))", "choices.max(axis=1))",
+               "np.where(inside, best, 0.0))", "best)",
                "algorithms/skills/test_skill_chaining.py"
                "::test_states_without_a_known_way_inside_the_set_are_left_out"),
     _trap("the next target is the first one again", "skills/skill_chaining",
