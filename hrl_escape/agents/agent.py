@@ -371,7 +371,10 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
         raise StepContractError(f"the observation after action {action} has shape {np.shape(next_observation)}; "
                                 f"the one before it has {observation.shape}")
     try:
-        duration, discounted, summed = _read_rewards(reward, info, gamma)
+        duration, summed = int(info.get("duration", 1)), float(reward)
+        discounted = summed
+        if duration > 1:
+            discounted, summed = _compute_rewards(summed, duration, info, gamma)
     except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, StepContractError | DiscountMismatchError):
             raise
@@ -392,12 +395,6 @@ def _is_cut(info: Mapping[str, Any], duration: int, terminated: bool, truncated:
     option = info.get("option")
     ended = option.get("ended") if isinstance(option, Mapping) else None
     return truncated and not terminated and (duration > 1 if ended is None else ended == "episode-over")
-
-
-def _read_rewards(reward: Any, info: Mapping[str, Any], gamma: float) -> tuple[int, float, float]:
-    """Duration k, R = sum gamma^i r_i and sum r_i of a step."""
-    duration, total = int(info.get("duration", 1)), float(reward)
-    return duration, *((total, total) if duration <= 1 else _compute_rewards(total, duration, info, gamma))
 
 
 def _compute_rewards(reward: float, duration: int, info: Mapping[str, Any], gamma: float) -> tuple[float, float]:

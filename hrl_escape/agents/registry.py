@@ -53,11 +53,6 @@ def list_stream_agents() -> list[str]:
             if issubclass(get_agent_class(name), StreamAgent)]
 
 
-def list_all_agents() -> list[str]:
-    """Names of all agents, those that act by a hierarchy that they are given included."""
-    return [*list_agents(), *list_given_agents()]
-
-
 def get_agent_class(name: str) -> type[Agent]:
     """The class behind a name, with or without the prefix `smdp-`.
 
@@ -76,7 +71,7 @@ def get_agent_class(name: str) -> type[Agent]:
     if base not in others:
         prefix = name[: len(name) - len(base)]
         note = "" if prefix else f"; each also with {SMDP_PREFIX} in front"
-        known = (*list_all_agents(), *list_offline_agents())
+        known = (*list_agents(), *list_given_agents(), *list_offline_agents())
         raise UnknownNameError("agent", name, [prefix + other for other in known], note)
     loaded: list[Any] = []
     load_entry_point(others[base], "agent", "an Agent", loaded.append)

@@ -23,7 +23,7 @@ from rich.table import Table
 from hrl_escape.agents.registry import (
     SMDP_PREFIX,
     find_agent_module,
-    list_all_agents,
+    list_agents,
     list_given_agents,
     list_offline_agents,
 )
@@ -68,7 +68,7 @@ def run(args: ListArgs) -> None:
         "observations": lambda: {observation.name: observation.doc for observation in list_observations()},
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
-        "agents": lambda: {name: _summarise(_parse_agent(name)) for name in list_all_agents()},
+        "agents": lambda: {name: _summarise(_parse_agent(name)) for name in (*list_agents(), *list_given_agents())},
         "hierarchical": lambda: {name: _describe_hierarchical(name) for name in list_given_agents()},
         "offline": lambda: {name: _summarise(_parse_agent(name)) for name in list_offline_agents()},
         "references": lambda: {name: describe_rule(name) for name in REFERENCES},

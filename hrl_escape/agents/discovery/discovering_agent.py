@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -76,6 +76,8 @@ class DiscoveringAgent(TabularAgent):
         skills: by slot, None where nothing was found yet.
     """
 
+    Discovery: ClassVar[type[Any]]
+    """The algorithm's kind of `Discovery`, made of its settings."""
     STATE = ("graph", Kept("skills", pack=save_skills, unpack=load_skills), "discovery", "_running", "_lasted")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
@@ -83,7 +85,7 @@ class DiscoveringAgent(TabularAgent):
         super().__init__(observation_space, action_space, seed, settings)
         self.actions = count_actions(action_space, self.name)
         self.graph = StateGraph(self.actions)
-        self.discovery = self.make_discovery()
+        self.discovery = self.Discovery(self.settings)
         self.skills: list[TableSkill | None] = [None] * self.discovery.slots
         self._chooses = self.settings.use == "choose"
         self.table = QTable(self.actions + self.discovery.slots * self._chooses, self.settings)
@@ -92,10 +94,6 @@ class DiscoveringAgent(TabularAgent):
         self._lasted = 0
         self._evaluation: tuple[np.random.Generator, int] | None = None
         self._shown: RunningCall | None = None
-
-    @abstractmethod
-    def make_discovery(self) -> Discovery:
-        """The discovery of the algorithm."""
 
     # --- options at a state -----------------------------------------------------------
 

@@ -192,10 +192,6 @@ class Hierarchy:
         names = [task.name for task in (self.root, *self.below)]
         if len(set(names)) < len(names):
             raise AgentSettingsError("Hierarchy.below", names, "tasks of different names")
-        for where, mentioned in (("learners", self.learners), ("share", {**self.share, **_swap(self.share)})):
+        for where, mentioned in (("learners", self.learners), ("share", [*self.share, *self.share.values()])):
             if unknown := set(mentioned) - set(names):
                 raise UnknownNameError(f"task in Hierarchy.{where}", min(unknown), names)
-
-
-def _swap(mapping: Mapping[str, str]) -> dict[str, str]:
-    return {value: key for key, value in mapping.items()}

@@ -52,7 +52,8 @@ def load_checkpoint(path: str | os.PathLike[str]) -> StateTree:
         FileReadError: there is no such file, or it may not be read.
         CheckpointError: the file is truncated, damaged or something else.
     """
-    with open_plain(path, "checkpoint", largest=_count_memory()) as file:
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")  # bytes of this machine
+    with open_plain(path, "checkpoint", largest=memory) as file:
         try:
             with zipfile.ZipFile(file) as archive:
                 members = {member.filename: member for member in archive.infolist()}
@@ -80,11 +81,6 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray
             raise ValueError(f"{member.filename} has {member.file_size - file.tell():,} bytes and claims {claimed:,}")
     with archive.open(member) as file:  # opened again, since seeking would turn its checksum off
         return npy.read_array(file, allow_pickle=False)
-
-
-def _count_memory() -> int:
-    """Bytes of memory that this machine has."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def compute_state_digest(state: StateTree) -> str:

@@ -127,18 +127,14 @@ class HDqn(CallRunner):
         """Running success rate of each goal."""
         self._steps = 0
 
-    def compute_worker_epsilon(self, goal: int) -> float:
-        """The share of random primitives on the way to a goal."""
-        end = self.settings.worker_epsilon_end
-        return end + (1 - end) * (1 - float(self.successes[goal]))
-
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
         """Epsilon-greedy: the worker by the goal's success rate, the manager by the schedule."""
         goal = stack[-1].context
         if goal is not None and self._is_planned:
             return int(legal.argmax())
         if goal is not None:
-            epsilon = self.compute_worker_epsilon(goal)
+            end = self.settings.worker_epsilon_end
+            epsilon = end + (1 - end) * (1 - float(self.successes[goal]))
         else:
             learning = self._steps - (0 if self._is_planned else self.settings.worker_warmup)
             epsilon = 1.0 if learning < 0 else compute_epsilon(self.settings, learning)

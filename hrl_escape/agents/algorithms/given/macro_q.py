@@ -72,11 +72,6 @@ class MacroChooser(BaseTask):
         return Call(choice if choice < self._primitives else self.macros[choice - self._primitives])
 
 
-def make_macro_hierarchy(primitives: int, macros: Sequence[Macro]) -> Hierarchy:
-    """A chooser over primitives and macros."""
-    return Hierarchy(MacroChooser(primitives, macros), tuple(macros), privileges=("macro-actions",) if macros else ())
-
-
 @dataclass(frozen=True)
 class MacroQSettings(StackSettings, TabularSettings):
     """Rates, exploration and discount of `macro-q`; macros are given, not set."""
@@ -103,7 +98,9 @@ class MacroQ(TabularRunner):
                  settings: MacroQSettings | None = None, macros: Sequence[Macro] = ()) -> None:
         settings = settings or MacroQSettings()
         actions = count_actions(action_space, "macro-q")
-        super().__init__(make_macro_hierarchy(actions, macros), seed, settings)
+        hierarchy = Hierarchy(MacroChooser(actions, macros), tuple(macros),
+                              privileges=("macro-actions",) if macros else ())
+        super().__init__(hierarchy, seed, settings)
         self.table = QTable(actions + len(macros), settings)
         self._discretise = make_discretiser(observation_space, settings, "macro-q")
 

@@ -37,11 +37,6 @@ class BehaviourCloningSettings(OfflineSettings):
     """Share of the trajectories, the best by plain return, that is cloned."""
 
 
-def clone_loss(logits: Tensor, batch: Batch) -> Tensor:
-    """Mean of -log pi(o | s) over legal actions."""
-    return cross_entropy(logits.masked_fill(~batch.mask, -1e9), batch.action)
-
-
 class BehaviourCloning(OfflineAgent):
     """pi(o | s) = share of o among the data's choices at s; the greedy policy takes the most frequent."""
 
@@ -66,5 +61,6 @@ class BehaviourCloning(OfflineAgent):
         return {"policy": make_action_network(encoder, action_space, settings, generator)}
 
     def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
-        """Cross entropy with the data's choices."""
-        return clone_loss(self.networks["policy"](batch.observation), batch), {}
+        """Mean of -log pi(o | s) over legal actions, for the data's choices."""
+        logits = self.networks["policy"](batch.observation).masked_fill(~batch.mask, -1e9)
+        return cross_entropy(logits, batch.action), {}

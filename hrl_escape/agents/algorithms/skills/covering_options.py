@@ -59,7 +59,4 @@ class CoveringOptions(DiscoveringAgent):
     name: ClassVar[str] = "covering-options"
     Settings: ClassVar[type] = CoveringOptionsSettings
     settings: CoveringOptionsSettings
-
-    def make_discovery(self) -> CoveringDiscovery:
-        """Edges of the graph of states."""
-        return CoveringDiscovery(self.settings)
+    Discovery = CoveringDiscovery

@@ -84,7 +84,4 @@ class Eigenoptions(DiscoveringAgent):
     name: ClassVar[str] = "eigenoptions"
     Settings: ClassVar[type] = EigenoptionsSettings
     settings: EigenoptionsSettings
-
-    def make_discovery(self) -> EigenoptionDiscovery:
-        """Directions of the graph of states."""
-        return EigenoptionDiscovery(self.settings)
+    Discovery = EigenoptionDiscovery

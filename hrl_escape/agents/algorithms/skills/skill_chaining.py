@@ -174,7 +174,4 @@ class SkillChaining(DiscoveringAgent):
     name: ClassVar[str] = "skill-chaining"
     Settings: ClassVar[type] = SkillChainingSettings
     settings: SkillChainingSettings
-
-    def make_discovery(self) -> SkillChain:
-        """A chain without an option yet, whose first target is the end of the task."""
-        return SkillChain(self.settings)
+    Discovery = SkillChain
