@@ -281,14 +281,7 @@ def read_goal_rule(env: gymnasium.Env) -> GoalRule | None:
 
 
 def read_action_mask(info: Mapping[str, Any], actions: int) -> NDArray[np.bool_]:
-    """Read `info["action_mask"]`; without one, all actions are legal.
-
-    Args:
-        info: from `reset` or `step`; the mask is 0 or 1 per action, int8 as Gymnasium has it.
-        actions: number of actions.
-
-    Returns:
-        A bool array (actions,) of its own memory, at least one entry true.
+    """Read `info["action_mask"]` as bool (actions,) of its own memory; without one, all actions are legal.
 
     Raises:
         StepContractError: the mask has another length, or no action is legal.
@@ -310,11 +303,7 @@ def read_success(info: Mapping[str, Any], terminated: bool) -> bool:
 
 
 def check_observation(observation: Any, when: str) -> None:
-    """Refuse an observation with a number that is not finite.
-
-    Args:
-        observation: from the environment; arrays of floats are checked, inside tables and tuples too.
-        when: the moment it was given, in words, for the message.
+    """Refuse an observation, given at the moment `when`, with a number that is not finite, in tables and tuples too.
 
     Raises:
         StepContractError: it has NaN or an infinity; the message names the first.

@@ -143,9 +143,6 @@ def verify_games(path: str | Path) -> tuple[Game, ...]:
 class RecordedModel:
     """Makes the calls of recorded games; it knows a game by all that was said so far, so every answer is verified.
 
-    Args:
-        path: a file of games, see `save_games`.
-
     Attributes:
         name: the file's, and a hash of its content.
 

@@ -153,14 +153,10 @@ class RMax(RowStreamAgent):
         return np.where(is_known, self._compute_row(number, values), unknown)
 
     def _solve(self, values: NDArray[np.float64], unknown: float | None) -> NDArray[np.float64]:
-        """Value iteration over the states met, from earlier values on.
+        """Value iteration over the states met, (states,), from earlier values, of fewer states maybe, on.
 
-        Args:
-            values: (states,) or fewer.
-            unknown: what pairs that are not known are worth; None leaves them out.
-
-        Returns:
-            (states,). A state whose pairs are all left out is worth what never ending there costs.
+        `unknown` is what pairs that are not known are worth; None leaves them out. A state whose pairs are all left out
+        is worth what never ending there costs.
         """
         states = len(self._legal)
         counts, legal = np.array(self._counts), np.array(self._legal)

@@ -82,14 +82,9 @@ class RainbowSettings(DQNSettings):
 def project(reward: Tensor, bootstrap: Tensor, shares: Tensor, support: Tensor) -> Tensor:
     """Probabilities of R + b Z on the atoms of Z, each moved atom shared by its two neighbours (C51, algorithm 1).
 
-    Args:
-        reward: R, (batch,).
-        bootstrap: b, (batch,), the product of gamma^k of the decisions joined, 0 where nothing follows.
-        shares: probabilities of Z, (batch, atoms).
-        support: atoms, evenly spaced, (atoms,).
-
-    Returns:
-        (batch, atoms); rows sum to 1. What lies beyond the support counts as its end.
+    R and b, the product of gamma^k of the decisions joined, are (batch,), the probabilities `shares` of Z (batch,
+    atoms), as the result, whose rows sum to 1; `support` are the atoms, evenly spaced. What lies beyond them counts as
+    their end.
     """
     moved = (reward[:, None] + bootstrap[:, None] * support).clamp(support[0], support[-1])
     place = (moved - support[0]) / (support[1] - support[0])

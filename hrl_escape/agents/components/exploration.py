@@ -79,16 +79,9 @@ def compute_epsilon(settings: Any, steps: int) -> float:
 
 
 def compute_policy(values: NDArray, mask: NDArray[np.bool_], settings: Any, steps: int) -> NDArray[np.float64]:
-    """Probabilities of the exploring policy.
+    """Probabilities of the exploring policy, float64 (..., actions): rows sum to 1, illegal actions have exactly 0.
 
-    Args:
-        values: (..., actions), in units of return.
-        mask: bool (..., actions), at least one true in each row.
-        settings: kind of exploration.
-        steps: how far the clock is.
-
-    Returns:
-        float64 (..., actions); rows sum to 1, illegal actions have exactly 0.
+    Values are (..., actions), in units of return; the mask has at least one true in each row; `steps` are on the clock.
     """
     legal_values = mask_values(np.asarray(values, dtype=np.float64), mask)
     if settings.exploration == "boltzmann":

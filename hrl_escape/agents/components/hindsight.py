@@ -76,12 +76,7 @@ class HindsightReplay(Stateful):
         self._episode: list[_Decision] = []
 
     def push(self, transition: SMDPTransition, experience: Experience, bonus: float) -> list[Experience]:
-        """Take in one decision; returns the backups under new goals, once the episode is over.
-
-        Args:
-            transition: of one primitive.
-            experience: its backup under the goal that was asked for.
-            bonus: in its reward, in units of return.
+        """Take in one decision, its backup and the bonus in it; returns backups under new goals at the episode's end.
 
         Raises:
             StepContractError: the decision ran several primitives, so that nobody knows what was achieved inside.

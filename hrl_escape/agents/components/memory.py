@@ -42,12 +42,7 @@ class GatedCell(nn.Module):
 
 
 class Memory:
-    """A recurrent memory of encoded observations.
-
-    Attributes:
-        network: its weights.
-        size: numbers in a state.
-    """
+    """A recurrent memory of encoded observations: a `network` of one `GatedCell`, with `size` numbers in a state."""
 
     def __init__(self, network: Network, size: int) -> None:
         self.network, self.size = network, size
@@ -61,16 +56,10 @@ class Memory:
         return read[:, -self.size :]
 
     def read_stretches(self, observation: Tensor, state: Tensor, over: Tensor, stretches: Stretches) -> Tensor:
-        """Live through stretches of decisions again.
+        """Live through k decisions in stretches again; returns `read` of them, in the order of `stretches.rows`.
 
-        Args:
-            observation: (n, numbers), of all decisions.
-            state: (n, size), before each of them, when they were lived; the first of a stretch is taken.
-            over: bool (n,), the episode ended with the decision.
-            stretches: k decisions in all.
-
-        Returns:
-            `read` of the k decisions, in the order of `stretches.rows`.
+        Observations (n, numbers), the states (n, size) before them, when they were lived, of which the first of a
+        stretch is taken, and `over`, bool (n,), where an episode ended, are those of all decisions.
         """
         places, _ = stretches.grid.shape
         now = state[stretches.grid[0]]
@@ -103,13 +92,7 @@ class Stretches:
 
 
 def cut_stretches(stream: Tensor, place: Tensor, span: int) -> Stretches:
-    """Cut the decisions of every stream into stretches.
-
-    Args:
-        stream: int64 (n,).
-        place: int64 (n,), of each decision in its stream, without gaps.
-        span: most decisions in a stretch.
-    """
+    """Cut decisions of streams, int64 (n,), at places without gaps, int64 (n,), into stretches of at most `span`."""
     pieces = int(place.max()) // span + 1
     key = stream * pieces + place // span
     names, column = torch.unique(key, return_inverse=True)

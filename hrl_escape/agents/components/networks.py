@@ -305,13 +305,8 @@ def make_network(encoder: ObservationEncoder, outputs: int, settings: Any, gener
                  extra_inputs: int = 0, output_gain: float = 1.0) -> Network:
     """A perceptron (convolutions first for images) from encoded observations to `outputs` numbers.
 
-    Args:
-        encoder: says the input's shape.
-        outputs: units of the linear last layer.
-        settings: `hidden` layers and `initialisation`.
-        generator: draws the weights.
-        extra_inputs: further inputs after a vector observation, such as a relaxed action.
-        output_gain: factor on the last layer's initial weights.
+    `extra_inputs` come after a vector observation, such as a relaxed action; `output_gain` is a factor on the last
+    layer's initial weights.
 
     Raises:
         UnsupportedSpaceError: images smaller than 36 x 36, or images with extra inputs.

@@ -119,20 +119,11 @@ def draw_minibatches(rng: np.random.Generator, units: int, size: int, epochs: in
 
 
 def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, settings: Any) -> Tensor:
-    """Generalised advantages of decisions of different duration, stream by stream.
+    """Generalised advantages of decisions of different duration, stream by stream, float32 (n,).
 
     delta_t = R_t + b_t V(s_{t+1}) - V(s_t), and A_t = delta_t + b_t L_t A_{t+1} unless the episode ended at t,
     with b_t = gamma^k_t (1 - terminated) and L_t = lambda, or lambda^k_t with `lambda_per="primitive"`; t + 1 is the
     same stream's next decision.
-
-    Args:
-        rollout: n decisions.
-        values: V(s_t), (n,).
-        next_values: V of the states reached, (n,).
-        settings: `gae_lambda` and `lambda_per`.
-
-    Returns:
-        float32 (n,).
     """
     delta = rollout.reward + rollout.bootstrap * next_values - values
     powers = rollout.duration if settings.lambda_per == "primitive" else torch.ones_like(rollout.duration)
@@ -163,10 +154,8 @@ def find_next(rollout: Rollout) -> tuple[Tensor, Tensor]:
 def compute_next_values(rollout: Rollout, values: Tensor, critic: Callable[[Tensor], Tensor]) -> Tensor:
     """V of the states reached, float32 (n,): that of the stream's next decision, where it is part of the rollout.
 
-    Args:
-        rollout: n decisions, whose streams do not begin anew without saying that an episode is over.
-        values: V(s_t), (n,).
-        critic: V of encoded observations, (k,) from (k, ...), asked where no decision follows.
+    Streams do not begin anew without saying that an episode is over. The critic, V of encoded observations, (k,) from
+    (k, ...), is asked where no decision follows.
     """
     after, goes_on = find_next(rollout)
     last = (~goes_on).nonzero().squeeze(1)
@@ -203,18 +192,7 @@ def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, a
 
 def compute_clipped_parts(log_policy: Tensor, mask: Tensor, action: Tensor, values: Tensor, old_log_probability: Tensor,
                           advantage: Tensor, target: Tensor, settings: Any) -> dict[str, Tensor]:
-    """PPO's loss over a minibatch, and after it its parts.
-
-    Args:
-        log_policy: log probabilities of the actions, (n, actions).
-        mask: bool (n, actions).
-        action: int64 (n,).
-        values: of the critic, (n,).
-        old_log_probability: of the action, under the policy that chose it, (n,).
-        advantage: (n,).
-        target: of the value, (n,).
-        settings: `ClippedSettings`.
-    """
+    """PPO's loss over a minibatch, and after it its parts; log_policy and mask are (n, actions), all others (n,)."""
     policy_loss = compute_clipped_loss(take_column(log_policy, action), old_log_probability, advantage, settings.clip,
                                        settings.normalise_advantages)
     value_loss = 0.5 * functional.mse_loss(values, target)

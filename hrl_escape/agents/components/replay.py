@@ -172,9 +172,6 @@ class Priorities(Stateful):
 
     New rows have the largest priority so far. The sums are taken anew for every draw: of 50,000 rows that takes 0.1 ms,
     less than a tree of sums in Python.
-
-    Args:
-        exponent: omega, the power; 0 draws uniformly.
     """
 
     STATE = ("_powers", "_largest", "_seen")
@@ -212,9 +209,6 @@ class NStep(Stateful):
 
     Thus each decision contributes its own gamma^k (Sutton, Precup and Singh 1999), and a decision after which nothing
     follows, b = 0, ends the return. An episode's end flushes the shorter tails.
-
-    Args:
-        n: decisions to join.
     """
 
     STATE = (Kept("_pending", pack=lambda pending: [each._asdict() for each in pending],
@@ -246,8 +240,7 @@ def _make_fields(shape: tuple[int, ...], observation: Tensor, actions: int) -> E
 class StreamReplay(_Ring):
     """The last `capacity` backups of all streams, sampled uniformly with replacement.
 
-    Args:
-        observation: a batch of encoded observations, for shape, dtype and device.
+    Encoded observations are like a batch that is given, in shape, dtype and device.
     """
 
     def __init__(self, capacity: int, observation: Tensor, actions: int) -> None:
@@ -283,13 +276,7 @@ class StreamNStep(Stateful):
         self._is_there = torch.zeros((n - 1, streams), dtype=torch.bool, device=observation.device)
 
     def push(self, stream: Tensor, experience: Experience, over: Tensor) -> Experience:
-        """Take in a decision of some streams, int64 (k,); returns the joined backups that are complete.
-
-        Args:
-            stream: streams, each once.
-            experience: their backups, (k, ...).
-            over: bool (k,), the episode ended.
-        """
+        """Take in decisions of some streams, each once, (k, ...); returns the joined backups that are complete."""
         complete: list[tuple[Experience, Tensor]] = []
         joined, is_there = experience, torch.ones_like(over)
         for place in range(self.n):  # the newest first; each takes the place of the next older

@@ -120,12 +120,9 @@ class QTable(Stateful):
 class ValueTable(Stateful):
     """Values and update counts by key, for agents whose states differ in form from task to task.
 
-    Keys are literals: numbers, text, bytes, None and tuples of these.
+    The n-th update of a key has alpha / n^power.
 
-    Args:
-        learning_rate: alpha at a key's first update.
-        power: the n-th update has alpha / n^power.
-        initial: value of a key never updated.
+    Keys are literals: numbers, text, bytes, None and tuples of these.
     """
 
     STATE = (Columns({"values": "_values", "counts": "_counts"}, are_literal=True),)

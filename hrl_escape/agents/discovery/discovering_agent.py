@@ -271,10 +271,4 @@ class GraphDiscovery(Discovery):
     @abstractmethod
     def find(self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
              ) -> Mapping[int, TableSkill]:
-        """Find options by slot.
-
-        Args:
-            model: of all states.
-            adjacency: of the largest connected part, (states, states).
-            states: numbers of its states.
-        """
+        """Find options by slot in the largest connected part: its adjacency, and the numbers of its states."""

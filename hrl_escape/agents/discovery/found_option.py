@@ -49,13 +49,9 @@ def _iterate(model: StateModel, values: NDArray[np.float64], gamma: float, gain:
 def make_eigenoption(name: str, model: StateModel, purpose: NDArray[np.float64], gamma: float) -> TableSkill:
     """Option that climbs a function of the state: paid e(s') - e(s), over where no more can be earned.
 
-    Machado et al. (2017): the policy is optimal with one further action, to end, that earns nothing.
+    The purpose e is (states,); its negative is another option. Gamma, below 1, discounts the option's own reward.
 
-    Args:
-        name: of the option.
-        model: of the primitives.
-        purpose: e, (states,); its negative is another option.
-        gamma: discount of the option's own reward, below 1.
+    Machado et al. (2017): the policy is optimal with one further action, to end, that earns nothing.
     """
     gain = np.where(model.known, (model.follow @ purpose).reshape(model.known.shape) - purpose[:, None], -np.inf)
     choices = _iterate(model, np.zeros(len(gain)), gamma, gain, lambda best: np.maximum(best, 0.0))
@@ -76,17 +72,10 @@ def make_point_option(name: str, model: StateModel, start: int, goal: int, gamma
 
 def make_subgoal_option(name: str, model: StateModel, inside: NDArray[np.bool_], targets: NDArray[np.bool_],
                         gamma: float = 0.99) -> TableSkill:
-    """Option that stays inside some states until it is in one of its targets, to be there soon.
+    """Option that stays `inside`, bool (states,), until it is in one of its targets, bool (states,), to be there soon.
 
     It maximises the expected gamma^k of arriving. It may begin wherever a way to a target is known that stays inside,
     so that it is never begun where it cannot arrive; it ends in targets, and everywhere else.
-
-    Args:
-        name: of the option.
-        model: of the primitives.
-        inside: bool (states,).
-        targets: bool (states,).
-        gamma: discount, below 1.
     """
     choices = _iterate(model, targets.astype(np.float64), gamma, 0.0,
                        lambda best: np.where(targets, 1.0, np.where(inside, best, 0.0)))

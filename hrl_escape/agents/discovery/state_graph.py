@@ -90,12 +90,7 @@ class Directions(NamedTuple):
 
 
 def compute_laplacian(adjacency: NDArray[np.float64], kind: LaplacianKind) -> NDArray[np.float64]:
-    """Laplacian of an undirected graph, (states, states).
-
-    Args:
-        adjacency: symmetric, (states, states); no state without an edge.
-        kind: see `LaplacianKind`.
-    """
+    """Laplacian of an undirected graph of which no state is without an edge, (states, states)."""
     degrees = adjacency.sum(axis=1)
     laplacian = np.diag(degrees) - adjacency
     if kind == "combinatorial":
@@ -104,13 +99,7 @@ def compute_laplacian(adjacency: NDArray[np.float64], kind: LaplacianKind) -> ND
 
 
 def find_slow_directions(adjacency: NDArray[np.float64], count: int, kind: LaplacianKind) -> Directions:
-    """Right eigenvectors of the Laplacian of a connected graph.
-
-    Args:
-        adjacency: symmetric, (states, states).
-        count: how many.
-        kind: see `LaplacianKind`.
-    """
+    """Right eigenvectors of the Laplacian of a connected graph, given by its adjacency, (states, states)."""
     symmetric = compute_laplacian(adjacency, "normalised" if kind == "random-walk" else kind)
     values, vectors = np.linalg.eigh(symmetric)
     if kind == "random-walk":
@@ -119,12 +108,7 @@ def find_slow_directions(adjacency: NDArray[np.float64], count: int, kind: Lapla
 
 
 def compute_successor_representation(transition: NDArray[np.float64], gamma: float) -> NDArray[np.float64]:
-    """Discounted visits of each state after each state, (I - gamma P)^-1 (Dayan 1993).
-
-    Args:
-        transition: P of a policy, (states, states).
-        gamma: discount, below 1.
-    """
+    """Discounted visits of each state after each state, (I - gamma P)^-1 (Dayan 1993), P (states, states)."""
     return np.asarray(np.linalg.inv(np.eye(len(transition)) - gamma * transition), np.float64)
 
 

@@ -160,13 +160,8 @@ def _add_rules(found: dict[tuple[int, int], list], learner: StructureLearner, pa
 def find_relevant(models: Sequence[ActionModel], wide: int, with_gaps: bool) -> NDArray[np.bool_]:
     """Actions that can bear on ending the task or earning a bonus, bool (actions,): a backward closure.
 
-    Args:
-        models: of all actions.
-        wide: see `Packing`.
-        with_gaps: what has to be arranged to fill a relevant action's gaps is relevant too.
-
-    Returns:
-        All true as long as no rule ends the task or earns anything.
+    With gaps, what has to be arranged to fill a relevant action's gaps is relevant too. All are, as long as no rule
+    ends the task or earns anything.
     """
     relevant = np.zeros(len(models), dtype=np.bool_)
     rules = [(action, rule) for action, model in enumerate(models) for rule in model.rules]

@@ -69,15 +69,7 @@ class StructureLearner:
         self._active = np.zeros((actions, factors + 2), dtype=np.bool_)
 
     def add(self, before: NDArray[np.int64], action: int, after: NDArray[np.int64], over: bool, bonus: int) -> None:
-        """Take in one transition.
-
-        Args:
-            before: (factors,).
-            action: taken there.
-            after: (factors,).
-            over: the task ended.
-            bonus: level of reward, below `LEVELS`.
-        """
+        """Take in one transition between factors, (factors,); `bonus` is a level of reward, below `LEVELS`."""
         if action not in self._counts:
             self._counts[action] = np.zeros(self._shape, dtype=np.int32)
         counts = self._counts[action]

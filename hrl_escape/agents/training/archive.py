@@ -307,10 +307,6 @@ def pack_run(folder: str | os.PathLike[str], path: str | os.PathLike[str], names
 def unpack_run(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> RunSummary:
     """Make a run's folder from its archive: whole, or not at all.
 
-    Args:
-        path: the archive.
-        folder: the folder to make; nothing may be there.
-
     Raises:
         FileReadError: there is no archive, or it may not be read.
         CheckpointError: it is damaged or no archive of a run; nothing was written.

@@ -81,13 +81,10 @@ def compute_episode_seed(seed: int, purpose: str, episode: int) -> int:
 
 def play_episode(agent: Agent, env: gymnasium.Env, seed: int, max_primitives: int = LONGEST_EPISODE
                  ) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
-    """Play one greedy episode, yielding each transition with its `info`.
+    """Play one greedy episode from `reset(seed=seed)`, yielding each transition with its `info`.
 
-    Args:
-        agent: acts with frozen weights.
-        env: reset with `seed` first.
-        seed: fixes the episode, and the draws of a policy that is random by nature.
-        max_primitives: the episode stops here at the latest.
+    The seed also fixes the draws of a policy that is random by nature. The episode stops at `max_primitives` at the
+    latest.
     """
     actions = check_actions(agent, env.action_space)
     rng = np.random.default_rng(seed)

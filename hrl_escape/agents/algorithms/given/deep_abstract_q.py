@@ -148,12 +148,7 @@ class DeepAbstractQ(CallRunner):
         return super().act(observation, action_mask)
 
     def compute_step_values(self, state: int, unknown: float) -> NDArray[np.float64]:
-        """Q(u, .) of the steps from an abstract state, (states + 1,); the last is that without a target.
-
-        Args:
-            state: u.
-            unknown: what a step that is not known is worth.
-        """
+        """Q(u, .) of the steps from an abstract state, the last without a target, (states + 1,); else `unknown`."""
         legal = np.column_stack([self.is_next, np.ones(len(self.is_next), np.bool_)])
         known, q = self._counts >= self.settings.visits, np.zeros(self._counts.shape)
         values = np.full(len(legal), min(unknown, self.settings.optimistic_value))

@@ -159,13 +159,7 @@ class MaxqQ(TabularRunner):
         return self.finish_step(step, error)
 
     def complete(self, returned: Return, task: GraphTask, way: list[tuple[Seen, int]]) -> float:
-        """Learn D and C of one choice from every moment on the child's way; returns the largest error of D.
-
-        Args:
-            returned: the decision.
-            task: whose it was.
-            way: (moment, primitives from it to the end).
-        """
+        """Learn D and C of a choice from moments and primitives to its end; returns the largest error of D."""
         own_after = after = 0.0
         if returned.ended:
             own_after = task.final(returned.frame, returned.seen) if self.settings.pseudo_rewards else 0.0

@@ -72,17 +72,13 @@ def compute_vtrace(choices: Choices, values: Tensor, next_values: Tensor, ratio:
                    ) -> tuple[Tensor, Tensor]:
     """Targets of values and advantages, chained from each choice to the next one of the same policy in its episode.
 
+    Values and `next_values`, V of the states reached, are those of the same policies, (n,); `ratio` is pi now / pi when
+    the choice was made, (n,), and `clip` bounds rho and c.
+
         v_t = V_t + rho_t (r_t + b_t V' - V_t) + b_t c_t (v' - V'),    A_t = rho_t (r_t + b_t v' - V_t)
 
     V' and v' are those of that next choice, whatever ran between; without one, both are V of the state reached, for
     the same policy.
-
-    Args:
-        choices: n.
-        values: V(s, policy), (n,).
-        next_values: V of the states reached, for the same policies, (n,).
-        ratio: pi now / pi when the choice was made, (n,).
-        clip: bound on rho and c.
     """
     weight, targets, advantages = ratio.clamp(max=clip), values.clone(), torch.zeros_like(values)
     following: dict[int, tuple[Tensor, Tensor]] = {}

@@ -97,13 +97,7 @@ class FunLayers(nn.Module):
 
 
 def sum_directions(directions: Tensor, is_fresh: Tensor, horizon: int) -> Tensor:
-    """Sum of the directions of a decision and of the `horizon` before it in its episode, (n, units).
-
-    Args:
-        directions: g_t, (n, units).
-        is_fresh: bool (n,), the decision begins an episode.
-        horizon: c.
-    """
+    """Sum of the directions (n, units) of a decision and of the `horizon` before it in its episode, (n, units)."""
     episode, total = is_fresh.cumsum(0), directions.clone()
     for lag in range(1, min(horizon, len(directions) - 1) + 1):
         same = (episode[lag:] == episode[:-lag])[:, None]
@@ -114,12 +108,8 @@ def sum_directions(directions: Tensor, is_fresh: Tensor, horizon: int) -> Tensor
 def pay_for_following(states: Tensor, reached: Tensor, directions: Tensor, is_fresh: Tensor, horizon: int) -> Tensor:
     """R^I = 1/c sum over i = 1..c of cos(s_(t+1) - s_(t+1-i), g_(t+1-i)), within the episode, (n,).
 
-    Args:
-        states: s_t, (n, units).
-        reached: s_(t+1), also where an episode ended.
-        directions: g_t, (n, units).
-        is_fresh: bool (n,), the decision begins an episode.
-        horizon: c.
+    States s_t and `reached` s_(t+1), also where an episode ended, and directions g_t are (n, units); `is_fresh`, bool
+    (n,), says that a decision begins an episode.
     """
     episode, pay = is_fresh.cumsum(0), torch.zeros(len(states))
     for lag in range(min(horizon, len(states))):

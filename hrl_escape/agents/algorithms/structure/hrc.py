@@ -33,14 +33,7 @@ n / (n + 1), else another one; `ancestors`: an ancestor, as long as there is one
 
 def compute_intervention_probabilities(candidates: Sequence[int], ancestors: Collection[int], made: int,
                                        rule: InterventionRule) -> list[float]:
-    """Probability of each candidate to be the next.
-
-    Args:
-        candidates: subgoals that can be reached and were not intervened on, at least one.
-        ancestors: subgoals taken for ancestors of the goal.
-        made: interventions so far.
-        rule: see `InterventionRule`.
-    """
+    """Probability of each candidate, one at least, to be the next, after `made` interventions."""
     wanted = [candidate in ancestors for candidate in candidates]
     count, others = sum(wanted), len(candidates) - sum(wanted)
     if rule == "uniform" or not count or not others:

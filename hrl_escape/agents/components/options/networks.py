@@ -53,26 +53,14 @@ class OptionChoices(NamedTuple):
 
 
 def mix_with_former(beta: Tensor, choice: Tensor, former: Tensor) -> Tensor:
-    """pi(o | s, the option before), (n, options); with one option it is 1 to the bit.
-
-    Args:
-        beta: terminations of all options, (n, options).
-        choice: pi_Omega, (n, options).
-        former: int64 (n,).
-    """
+    """pi(o | s, the option before), from beta and pi_Omega, all (n, options); with one option it is 1 to the bit."""
     kept = torch.nn.functional.one_hot(former.clamp(min=0), choice.shape[1]).to(choice.dtype)
     ends = beta.gather(1, former.clamp(min=0)[:, None]).masked_fill((former == NONE)[:, None], 1.0)
     return torch.where(ends == 1.0, choice, kept + ends * (choice - kept))
 
 
 def mix_values(choice: Tensor, values: Tensor, former: Tensor) -> Tensor:
-    """Sum over options of choice x value, (n,); exact where one option has all of the choice.
-
-    Args:
-        choice: (n, options).
-        values: Q(s, o), (n, options).
-        former: int64 (n,).
-    """
+    """Sum over options of choice x Q(s, o), (n,) from (n, options); exact where one option has all of the choice."""
     base = take_column(values, former.clamp(min=0))
     return base + (choice * (values - base[:, None])).sum(dim=1)
 
@@ -91,15 +79,10 @@ class OpenOptions(Stateful):
         self._over: list[Tensor] = []  # runs that are over: option and decisions, (2, n) each
 
     def draw(self, stream: Tensor, betas: Tensor, choice: Tensor) -> Tensor:
-        """Draw whether the options of some streams end, and the next ones; of a new episode, the first.
+        """Draw whether the options of streams end, and the next ones; of a new episode, the first. Returns int64 (n,).
 
-        Args:
-            stream: int64 (n,), each once.
-            betas: terminations of all options where the streams are, (n, options).
-            choice: policy over options there, (n, options).
-
-        Returns:
-            The options that run now, int64 (n,).
+        `betas` are the terminations of all options where the streams are, `choice` the policy over options there, (n,
+        options).
         """
         former = self._option[stream]
         draws = torch.rand(len(stream), generator=self._generator, device=stream.device)
@@ -253,13 +236,10 @@ class OptionHeads(Stateful):
     def compute_termination_loss(self, reached: Tensor, goes_on: Tensor, option: Tensor, margin: float) -> Tensor:
         """Mean of beta_o(s') (Q(s', o) - V(s') + margin) over decisions, 0 where the task ended, ().
 
-        V(s') is the mean of Q(s', .) over the policy over options, and only beta has a gradient.
+        `reached` are the states s', encoded, (n, ...), at which the task goes on or not, bool (n,); the margin is in
+        scaled return.
 
-        Args:
-            reached: the states s', encoded, (n, ...).
-            goes_on: bool (n,), the task did not end there.
-            option: int64 (n,), o, that ran.
-            margin: in scaled return.
+        V(s') is the mean of Q(s', .) over the policy over options, and only beta has a gradient.
         """
         with torch.no_grad():
             values = self.critic(reached)
@@ -277,14 +257,8 @@ class OptionHeads(Stateful):
                             old_log_probability: Tensor, advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
         """PPO's loss of actions within options over a minibatch, and its parts.
 
-        Args:
-            observation: encoded, (n, ...).
-            mask: bool (n, actions).
-            option: int64 (n,), that ran.
-            action: int64 (n,).
-            old_log_probability: of the action, under the policy that chose it, (n,).
-            advantage: (n,).
-            target: of Q(s, o), (n,).
+        Observations are encoded, (n, ...), the mask is bool (n, actions), all others are (n,); the target is that of
+        Q(s, o).
         """
         log_policy = self.compute_log_policies(observation, option, mask)
         values = take_column(self.critic(observation), option)

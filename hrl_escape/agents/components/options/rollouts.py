@@ -35,11 +35,7 @@ from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransition
 
 
 class StreamOptionAgent(OptionAgent, StreamAgent):
-    """Base of agents that learn options over networks from rollouts, with `stream_rollout` among the settings.
-
-    Attributes:
-        heads: the networks, and all that they say.
-    """
+    """Base of agents that learn options over networks from rollouts, with `stream_rollout` among the settings."""
 
     name: ClassVar[str]
     Heads: ClassVar[type[OptionHeads]] = OptionHeads
@@ -155,12 +151,7 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         return stack_decisions(self._rows, 0), OptionChoices(*map(torch.tensor, zip(*self._choices, strict=True)))
 
     def _draw_batches(self, units: int, collected: int) -> Iterator[Tensor]:
-        """Rows of the minibatches of all epochs; one row is left out, since one advantage cannot be normalised.
-
-        Args:
-            units: rows.
-            collected: decisions of the rollout, which is cut into as many minibatches as one of `rollout` decisions.
-        """
+        """Minibatches of rows, as many as of `rollout` decisions; none of one row, which has no deviation."""
         size = self.settings.batch_size
         size = max(size, collected * size // self.settings.rollout)
         batches = draw_minibatches(self._batch_rng, units, size, self.settings.epochs)
