@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
+from hrl_escape.agents.agent import SMDPTransition, count_actions
 from hrl_escape.agents.components.bonuses import NoveltySettings
 from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
@@ -38,6 +38,7 @@ from hrl_escape.agents.components.policy_gradient import (
     compute_log_policy,
     compute_next_values,
     draw_minibatches,
+    keep_decision,
     sample_policy,
     stack_decisions,
     take_column,
@@ -158,13 +159,9 @@ class PPO(StreamAgent):
         if self._open is not None:
             self._open = None
             self._forget()
-        reward, bootstrap = compute_backup(transition, self.settings)
-        reward += self._bonus.visit(transition.next_observation)
-        over = transition.terminated or transition.truncated
-        self._rows.append((self._encoder.encode(transition.observation), transition.action_mask, transition.action,
-                           reward * self.settings.reward_scale, bootstrap, transition.duration, over,
-                           self._encoder.encode(transition.next_observation), self._before))
-        if over:
+        bonus = self._bonus.visit(transition.next_observation)
+        self._rows.append(keep_decision(transition, self._encoder, self.settings, self._before, bonus))
+        if transition.terminated or transition.truncated:
             self._recollection = np.zeros_like(self._before)
         self._collected += 1
         return self._learn() if self._collected >= self.settings.rollout else {}

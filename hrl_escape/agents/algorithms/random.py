@@ -5,19 +5,19 @@ Over options it measures how much the options' planners already know (Sutton, Pr
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
+from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.agents.settings import DiscountSettings
 
 
-class RandomAgent(Agent):
+class RandomAgent(FixedPolicy):
     """pi(a | s) = 1 / (number of legal actions at s)."""
 
     Settings: ClassVar[type] = DiscountSettings
@@ -37,7 +37,3 @@ class RandomAgent(Agent):
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """A legal action, uniformly: this policy is what is evaluated."""
         return sample_legal(action_mask, rng)
-
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Learn nothing and log nothing."""
-        return {}

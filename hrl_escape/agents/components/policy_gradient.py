@@ -12,9 +12,11 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from hrl_escape.agents.agent import SMDPTransition, compute_backup
 from hrl_escape.agents.components.networks import BLOCK_ROWS, NetworkSettings, ObservationEncoder
 from hrl_escape.agents.streams import OpenChoices, StreamTransitions, compute_backups
 from hrl_escape.settings import Range
@@ -90,11 +92,23 @@ def collect_decisions(choices: OpenChoices, decisions: StreamTransitions, encode
                    encoder.encode_many(decisions.next_observation), memory, decisions.stream, place)
 
 
+def keep_decision(transition: SMDPTransition, encoder: ObservationEncoder, settings: Any, memory: NDArray[np.float32],
+                  bonus: float = 0.0) -> tuple:
+    """A decision of one environment as `stack_decisions` takes it, with what was remembered before it.
+
+    Rewards are scaled; the bonus is in units of return.
+    """
+    reward, bootstrap = compute_backup(transition, settings)
+    return (encoder.encode(transition.observation), transition.action_mask, transition.action,
+            (reward + bonus) * settings.reward_scale, bootstrap, transition.duration,
+            transition.terminated or transition.truncated, encoder.encode(transition.next_observation), memory)
+
+
 def stack_decisions(rows: Sequence[tuple], first: int) -> Rollout:
     """Decisions of one environment as a rollout.
 
     Args:
-        rows: of each decision in order, the fields of a rollout from observation to memory, without log probability.
+        rows: decisions in order, from `keep_decision`.
         first: place of the first.
     """
     dtypes = (None, np.bool_, np.int64, np.float32, np.float32, np.int64, np.bool_, None, np.float32)

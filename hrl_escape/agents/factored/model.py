@@ -201,8 +201,6 @@ class FactoredModel:
         compile: makes the model of an action, with the arguments of `compile_action`.
 
     Attributes:
-        learner: outcomes by parents.
-        rate: usual reward of a primitive.
         repeatable: bool (actions,), actions that were seen to be legal right after themselves.
     """
 

@@ -56,11 +56,7 @@ class FactorReader:
         return np.asarray(observation, dtype=np.float64).ravel()
 
     def notice(self, flat: NDArray[np.float64]) -> bool:
-        """Drop factors that have shown another value than 0 and 1; returns True if the factors changed.
-
-        Args:
-            flat: (components,) or (observations, components).
-        """
+        """Drop factors that have shown another value than 0 and 1; returns True if the factors changed."""
         if not self._is_open:
             return False
         rows = np.atleast_2d(flat)

@@ -42,14 +42,10 @@ def compute_information(counts: NDArray[np.int64], values: NDArray[np.int64]) ->
 def find_split(on: NDArray[np.bool_], results: NDArray[np.int64], samples: int, evidence: float) -> int | None:
     """The bit by which the samples of a leaf are told apart best, if that is worth a split.
 
+    The bits before, `on`, are (n, factors), the results (n,), below `LEVELS`; `samples` are those of the whole tree.
+
     A split raises the log likelihood of the results by their number times their mutual information with the bit, and
     the criterion by that less parameters / 2 x log(samples). The rise must be larger than `evidence`.
-
-    Args:
-        on: the bits before, (n, factors).
-        results: (n,), below `LEVELS`.
-        samples: of the whole tree.
-        evidence: nats.
     """
     found = (results[:, None] == np.arange(LEVELS)).astype(np.float64)
     total = found.sum(axis=0)
@@ -86,12 +82,7 @@ class Leaves:
     `TreeLearner.compute_gains`."""
 
     def add(self, literals: NDArray[np.bool_], results: NDArray[np.int64]) -> None:
-        """Count samples.
-
-        Args:
-            literals: (n, literals).
-            results: (n, outcomes + 1), last those of the shared leaf.
-        """
+        """Count samples, literals (n, literals) and results (n, outcomes + 1), last those of the shared leaf."""
         falls, found = find_falls(literals, self.paths), results[:, self.outcomes]
         for value in np.unique(found).tolist():
             hit = (falls & (found == value)).T
@@ -178,14 +169,11 @@ class TreeLearner(StructureLearner):
         leaves.gains[rows[:, None], columns] = information
 
     def compute_gains(self, states: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Information, nats, expected of each action in each state, (states, actions).
+        """Information, nats, expected of each action, (states, actions), in states given by their factors that are on.
 
         Summed over outcomes. Any factor could be the next split of the leaf that the state falls into, and the sample
         would tell something of the distribution among the leaf's samples that agree with the state in that factor. The
         factor counts of which it tells most: as a rule the one whose value has been rarest in the leaf.
-
-        Args:
-            states: factors that are on, (states, factors).
         """
         paths = np.concatenate([leaves.paths for leaves in self._leaves])
         gains = np.concatenate([leaves.gains for leaves in self._leaves])
@@ -208,13 +196,7 @@ class TreeLearner(StructureLearner):
         return rows[leaves.paths[rows, leaves.outcomes[rows]] != leaves.totals[rows].argmax(axis=1)]
 
     def find_parents(self, action: int, outcome: int, own: int | None = None) -> frozenset[int]:
-        """Factors that the tree of an action and outcome splits by, beside the outcome's own value.
-
-        Args:
-            action: which.
-            outcome: that it was seen to change.
-            own: only where the bit is off (0) or on (1); None for both.
-        """
+        """Factors that an outcome's tree splits by beside its own value, where its bit is off (0), on (1) or either."""
         leaves = self._leaves[action]
         rows = leaves.outcomes == outcome
         if own is not None:

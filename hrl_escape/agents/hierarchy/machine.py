@@ -101,14 +101,10 @@ class MachineRun:
     was then.
 
     Args:
-        root: the machine, already told its arguments.
-        inputs: what it was told so far.
         callers: machine state of those that called it; by default it is the root of a program, which may not return.
 
     Attributes:
-        inputs: all it was told.
         request: what it waits for; None before the first moment, and where the machine has returned.
-        seen: the present moment.
     """
 
     def __init__(self, root: Callable[[], Program], inputs: Sequence[Input] = (),

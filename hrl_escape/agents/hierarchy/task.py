@@ -96,11 +96,7 @@ class BaseTask:
 
     Args:
         name: unique in its hierarchy.
-        choices: how many it has.
         view_space: of its views; None is the environment's observation space.
-
-    Attributes:
-        space: of its choices.
     """
 
     def __init__(self, name: str, choices: int, view_space: gymnasium.Space | None = None) -> None:
@@ -163,7 +159,6 @@ class Hierarchy:
         below: all other tasks.
         learners: task name -> how its learner is made; a task without one decides for itself.
         share: task name -> name of the task whose learner it shares.
-        source: where the structure comes from.
         privileges: what it reads that is not in the observation, such as `task graph` or `state`; printed in tables.
         read: makes `Seen.state` of an observation.
     """

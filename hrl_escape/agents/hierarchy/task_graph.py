@@ -31,10 +31,8 @@ class GraphTask(BaseTask):
 
     Attributes:
         children: tasks and primitives, numbered as choices are.
-        until: ends the task.
         views: what matters to it: under None, for the task; under a choice, for that choice's completion.
         primitive_views: what matters to the value of a primitive, for all tasks.
-        pseudo: pseudo-reward at its end.
         policy: makes its choice for it; None leaves the choice to learning.
     """
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, compute_backup, count_actions
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.networks import (
     Learner,
@@ -34,6 +34,7 @@ from hrl_escape.agents.components.policy_gradient import (
     compute_advantages,
     compute_entropy,
     compute_log_policy,
+    keep_decision,
     stack_decisions,
     take_column,
     unstack_decisions,
@@ -192,12 +193,9 @@ class Fun(Agent):
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Keep the decision; update when the rollout is full."""
-        reward, bootstrap = compute_backup(transition, self.settings)
         over = transition.terminated or transition.truncated
         memory = np.append(self._asked[-1], float(not self._followed)).astype(np.float32)
-        self._rows.append((self._encoder.encode(transition.observation), transition.action_mask, transition.action,
-                           reward * self.settings.reward_scale, bootstrap, transition.duration, over,
-                           self._encoder.encode(transition.next_observation), memory))
+        self._rows.append(keep_decision(transition, self._encoder, self.settings, memory))
         self._followed, self._new = [] if over else self._asked, self._new + 1
         if self._new < self.settings.rollout:
             return {}

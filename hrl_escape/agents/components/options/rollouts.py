@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
+from hrl_escape.agents.agent import SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_index
 from hrl_escape.agents.components.networks import ObservationEncoder
 from hrl_escape.agents.components.options.agent import OptionAgent
@@ -25,6 +25,7 @@ from hrl_escape.agents.components.policy_gradient import (
     Rollout,
     collect_decisions,
     draw_minibatches,
+    keep_decision,
     sample_policy,
     stack_decisions,
     take_column,
@@ -121,11 +122,7 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         if self._open is not None:
             self._open = None
             self._forget()
-        reward, bootstrap = compute_backup(transition, self.settings)
-        over = transition.terminated or transition.truncated
-        self._rows.append((self._encoder.encode(transition.observation), transition.action_mask, transition.action,
-                           reward * self.settings.reward_scale, bootstrap, transition.duration, over,
-                           self._encoder.encode(transition.next_observation), np.zeros(0, np.float32)))
+        self._rows.append(keep_decision(transition, self._encoder, self.settings, np.zeros(0, np.float32)))
         self._choices.append((self._option, self._former, self._is_chosen))
         self._decisions += 1
         metrics: dict[str, float] = {}
@@ -133,7 +130,7 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
             rollout, choices = self._gather()
             self._forget()
             metrics = dict(self._learn(rollout, choices)) | self.log.measure()
-        self._go_on(transition.next_observation, over)
+        self._go_on(transition.next_observation, transition.terminated or transition.truncated)
         return metrics
 
     def _go_on(self, observation: Any, over: bool) -> None:
