@@ -63,7 +63,7 @@ def run(args: McpArgs) -> None:
     from hrl_escape.options.options_env import OptionsEnv
     from hrl_escape.text.mcp_server import make_server, serve  # needs the extra
     from hrl_escape.text.recordings import record_game, save_games
-    from hrl_escape.text.session import RoomSession
+    from hrl_escape.text.told_env import RoomSession
 
     env = OptionsEnv(EscapeRoomEnv(instance=args.make_instance()), include_primitives=not args.options_only)
     session = RoomSession(env, args.told)

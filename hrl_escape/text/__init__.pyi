@@ -9,9 +9,8 @@ from .recordings import (
     save_games,
     verify_games,
 )
-from .session import RoomSession, ToolResult
 from .settings import TOLD_LEVELS
-from .told_env import Score, ToldEnv, ToolCall, Turn
+from .told_env import RoomSession, Score, ToldEnv, ToolCall, ToolResult, Turn
 
 __all__ = [
     "Game",

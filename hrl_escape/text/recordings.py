@@ -18,9 +18,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import EscapeError, FileReadError, UnsupportedError, VerificationError
 from hrl_escape.files import parse_json, read_text, write_text
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.text.session import RoomSession
 from hrl_escape.text.settings import Level
-from hrl_escape.text.told_env import Score, ToldEnv, ToolCall, Turn
+from hrl_escape.text.told_env import RoomSession, Score, ToldEnv, ToolCall, Turn
 
 _SCHEMA = 1
 
