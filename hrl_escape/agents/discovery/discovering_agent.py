@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import MarkovRun, OptionPolicy, RunningCall, SMDPTransition, compute_backup, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, sample_legal
 from hrl_escape.agents.components.tables import QTable, TabularAgent, TabularAgentSettings
-from hrl_escape.agents.discovery.found_option import NOTHING, StateModel, TableSkill
-from hrl_escape.agents.discovery.state_graph import StateGraph
+from hrl_escape.agents.discovery.state_graph import NOTHING, StateGraph, StateModel, TableSkill
 from hrl_escape.agents.state import Kept, Stateful, StateTree
 from hrl_escape.settings import Range
 

@@ -254,14 +254,8 @@ class TrainResult:
 
     def to_json(self) -> dict[str, Any]:
         """JSON value without agent, folder, and what the folder held before."""
-        left_out = ("agent", "folder", "resumed_at")
-        value = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in left_out}
-        return value | {
-            "settings": dict(self.settings),
-            "evaluations": [dataclasses.asdict(evaluation) for evaluation in self.evaluations],
-            "episodes": [dataclasses.asdict(record) for record in self.episodes],
-            "segments": [dataclasses.asdict(record) for record in self.segments],
-        }
+        value = dataclasses.asdict(dataclasses.replace(self, agent=None))
+        return {name: each for name, each in value.items() if name not in ("agent", "folder", "resumed_at")}
 
 
 def load_result(folder: str | os.PathLike[str]) -> TrainResult:

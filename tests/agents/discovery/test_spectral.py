@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from hrl_escape.agents.discovery.found_option import NOTHING, StateModel, make_eigenoption, make_point_option
 from hrl_escape.agents.discovery.state_graph import (
+    NOTHING,
+    StateModel,
     compute_laplacian,
     compute_successor_representation,
     find_covering_edge,
     find_slow_directions,
     find_slow_directions_of_successors,
+    make_eigenoption,
+    make_point_option,
 )
 from tests.classic.diffusion import compute_diffusion_time, make_next_states, sample_cover_time
 from tests.classic.four_rooms import GRID, FourRooms

@@ -2,8 +2,7 @@
 
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.algorithms.skills.eigenoptions import Eigenoptions
-from hrl_escape.agents.discovery.found_option import NOTHING
-from hrl_escape.agents.discovery.state_graph import StateGraph
+from hrl_escape.agents.discovery.state_graph import NOTHING, StateGraph
 from tests.agents.algorithms.skills.test_discovery import ALL, make, show_everything
 
 

@@ -34,7 +34,7 @@ from hrl_escape.agents.components.networks import (
     make_network,
 )
 from hrl_escape.agents.components.replay import Experience, ReplayBuffer
-from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
+from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.goal_space import GoalSet, Worker, make_goal_hierarchy, make_goals
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
@@ -45,7 +45,7 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class HDqnSettings(StackSettings, EpsilonSettings, NetworkSettings):
+class HDqnSettings(StackSettings, EpsilonSettings, ResolutionSettings, NetworkSettings):
     """Settings of `h-dqn`; epsilon is the manager's."""
 
     values: Literal["network", "table"] = "network"
@@ -70,10 +70,6 @@ class HDqnSettings(StackSettings, EpsilonSettings, NetworkSettings):
     """With tables, alpha at a state and action's first update."""
     table_learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
     """With tables, the n-th update uses alpha / n^power."""
-    bins: Annotated[int, Range(2)] = 11
-    """With tables, points that a component with bounds is rounded to."""
-    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """With tables, what a component without bounds is rounded to multiples of."""
 
 
 class _Backup(NamedTuple):

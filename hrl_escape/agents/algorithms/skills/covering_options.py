@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent, GraphDiscovery, GraphDiscoverySettings
-from hrl_escape.agents.discovery.found_option import StateModel, TableSkill, make_point_option
-from hrl_escape.agents.discovery.state_graph import find_covering_edge
+from hrl_escape.agents.discovery.state_graph import StateModel, TableSkill, find_covering_edge, make_point_option
 from hrl_escape.settings import Range
 
 

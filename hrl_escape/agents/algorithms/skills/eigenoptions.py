@@ -13,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent, GraphDiscovery, GraphDiscoverySettings
-from hrl_escape.agents.discovery.found_option import NOTHING, StateModel, TableSkill, make_eigenoption
 from hrl_escape.agents.discovery.state_graph import (
+    NOTHING,
+    StateModel,
+    TableSkill,
     compute_successor_representation,
     find_slow_directions,
     find_slow_directions_of_successors,
+    make_eigenoption,
 )
 from hrl_escape.settings import Range
 

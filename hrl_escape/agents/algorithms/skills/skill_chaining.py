@@ -21,8 +21,7 @@ from hrl_escape.agents.discovery.discovering_agent import (
     load_skills,
     save_skills,
 )
-from hrl_escape.agents.discovery.found_option import NOTHING, TableSkill, make_subgoal_option
-from hrl_escape.agents.discovery.state_graph import StateGraph
+from hrl_escape.agents.discovery.state_graph import NOTHING, StateGraph, TableSkill, make_subgoal_option
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
