@@ -310,7 +310,7 @@ MUTATIONS = [
     ),
     Mutation(
         "pay forgets the length of the last option",
-        "agents/hierarchy/call_stack.py",
+        "agents/hierarchy/task.py",
         "step._replace(arrival=gamma ** (step.duration - 1))",
         "step",
         "agents/algorithms/test_exact_smdps.py::test_ways_to_goals_are_worth_the_discount_of_their_last_primitive",
@@ -345,7 +345,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a call that is stuck is not over",
-        "agents/hierarchy/call_stack.py",
+        "agents/hierarchy/task.py",
         "and not self.frame.task.legal(self.seen, self.frame.context).any()",
         "and False",
         "agents/algorithms/test_exact_smdps.py::test_tasks_are_worth_what_they_earn_also_where_they_get_stuck",

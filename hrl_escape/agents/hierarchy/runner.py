@@ -22,8 +22,19 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, OptionPolicy, RunningCall, SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_action
-from hrl_escape.agents.hierarchy.call_stack import Return, arrive, descend, load_stack, save_stack
-from hrl_escape.agents.hierarchy.task import BaseTask, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import (
+    BaseTask,
+    Frame,
+    Hierarchy,
+    Return,
+    Seen,
+    Stack,
+    Step,
+    arrive,
+    descend,
+    load_stack,
+    save_stack,
+)
 from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import RowStreamAgent, StreamAgent, StreamTransitions

@@ -19,9 +19,8 @@ from hrl_escape.agents.algorithms.dqn import DQN
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import ResolutionSettings, make_cell_finder
-from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings, make_task_transition
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.settings import Range
 

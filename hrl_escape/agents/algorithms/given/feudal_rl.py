@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
-from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
 from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Return, Seen, Stack, Step, allow_only
 from hrl_escape.settings import Range
 
 SEARCH = len(DIRECTIONS)

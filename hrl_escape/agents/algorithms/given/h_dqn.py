@@ -35,10 +35,9 @@ from hrl_escape.agents.components.networks import (
 )
 from hrl_escape.agents.components.replay import Experience, ReplayBuffer
 from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_discretiser
-from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.goal_space import GoalSet, Worker, make_goal_hierarchy, make_goals
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
-from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import Return, Seen, Stack, Step
 from hrl_escape.agents.state import Stateful
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.settings import Range

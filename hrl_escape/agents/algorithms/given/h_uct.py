@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
-from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
-from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, freeze, get_graph, get_task
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.algorithms.given.hiro import Hiro, HiroSettings
-from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.goal_space import GoalPoint, GoalSpace
-from hrl_escape.agents.hierarchy.task import Seen
+from hrl_escape.agents.hierarchy.task import Return, Seen
 from hrl_escape.agents.state import Kept
 
 CountSteps = Callable[[GoalPoint, GoalPoint], NDArray[np.float64]]

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_cell_finder
-from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
 from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
-from hrl_escape.agents.hierarchy.task import Call, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import Call, Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.state import Columns, Stateful
 from hrl_escape.settings import Range
 

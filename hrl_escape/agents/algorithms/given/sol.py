@@ -32,10 +32,9 @@ from hrl_escape.agents.components.policy_gradient import (
     compute_log_policy,
     take_column,
 )
-from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
