@@ -16,7 +16,7 @@ import inspect
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
-from pkgutil import iter_modules
+from pkgutil import walk_packages
 from typing import Any
 
 import gymnasium
@@ -42,14 +42,14 @@ _APART = ("given", "offline")
 
 def list_agents() -> list[str]:
     """Names of all agents made from spaces and settings, shipped ones first; each also exists with `smdp-`."""
-    return [*_find_made(), *sorted(_find_others())]
+    return [*_list_made(), *sorted(_find_others())]
 
 
 def list_stream_agents() -> list[str]:
     """Names of the shipped agents that learn from many environments at once, in alphabetical order."""
     from hrl_escape.agents.streams import StreamAgent
 
-    return [name for name in sorted([*_find_made(), *list_given_agents()])
+    return [name for name in sorted([*_list_made(), *list_given_agents()])
             if issubclass(get_agent_class(name), StreamAgent)]
 
 
@@ -62,7 +62,7 @@ def get_agent_class(name: str) -> type[Agent]:
         PluginError: a third party's class cannot be loaded.
     """
     base = name.removeprefix(SMDP_PREFIX)
-    shipped = _find_every()
+    shipped = _find_shipped()
     if base in shipped:
         defined = vars(importlib.import_module(shipped[base])).values()
         (found,) = (thing for thing in defined if _is_agent(thing) and thing.__module__ == shipped[base])
@@ -85,29 +85,21 @@ def _is_agent(thing: Any) -> bool:
 
 
 @cache
-def _find_shipped(package: str) -> dict[str, str]:
-    """Name -> module of the algorithms in a package of the catalogue, by name; imports none of them."""
-    found = iter_modules(importlib.import_module(package).__path__)
-    return {module.name.replace("_", "-"): f"{package}.{module.name}" for module in found if not module.ispkg}
+def _find_shipped() -> dict[str, str]:
+    """Name -> module of every shipped algorithm: those of no family, then family by family; imports none of them."""
+    found = walk_packages(importlib.import_module(_CATALOGUE).__path__, f"{_CATALOGUE}.")
+    modules = sorted((module.name for module in found if not module.ispkg), key=lambda name: name.count("."))
+    return {module.rpartition(".")[2].replace("_", "-"): module for module in modules}
 
 
-@cache
-def _find_made() -> dict[str, str]:
-    """The same for every algorithm that spaces and settings make: those of no family, then family by family."""
-    found = iter_modules(importlib.import_module(_CATALOGUE).__path__)
-    families = [f"{_CATALOGUE}.{module.name}" for module in found if module.ispkg and module.name not in _APART]
-    return {name: path for package in (_CATALOGUE, *families) for name, path in _find_shipped(package).items()}
-
-
-def _find_every() -> dict[str, str]:
-    """The same for every shipped algorithm."""
-    return _find_made() | {name: path for family in _APART for name, path in
-                           _find_shipped(f"{_CATALOGUE}.{family}").items()}
+def _list_made() -> list[str]:
+    """Names of the algorithms that spaces and settings make."""
+    return [name for name, module in _find_shipped().items() if module.split(".")[-2] not in _APART]
 
 
 def find_agent_module(name: str) -> str | None:
     """Module of a shipped agent, without importing it; None for an agent of a third party."""
-    return _find_every().get(name.removeprefix(SMDP_PREFIX))
+    return _find_shipped().get(name.removeprefix(SMDP_PREFIX))
 
 
 def list_recipes(name: str) -> dict[str, Any]:
@@ -122,7 +114,7 @@ def list_recipes(name: str) -> dict[str, Any]:
     agent_class, base = get_agent_class(name), name.removeprefix(SMDP_PREFIX)
     settings = agent_class.Settings()
     recipes = {"corrected": settings, **agent_class.recipes}
-    if base in _find_made() and base in PAPER:
+    if base in _find_shipped() and base in PAPER:
         recipes["paper"] = replace_settings(settings, PAPER.get(name, PAPER[base]))
     over_options = {recipe.removeprefix(SMDP_PREFIX): recipes.pop(recipe) for recipe in list(recipes)
                     if recipe.startswith(SMDP_PREFIX)}
@@ -175,12 +167,12 @@ def make_agent(name: str, observation_space: gymnasium.Space, action_space: gymn
 
 def list_given_agents() -> list[str]:
     """Names of the shipped agents that act by a hierarchy that they are given."""
-    return list(_find_shipped(f"{_CATALOGUE}.given"))
+    return [name for name, module in _find_shipped().items() if module.startswith(f"{_CATALOGUE}.given.")]
 
 
 def list_offline_agents() -> list[str]:
     """Names of the shipped agents that learn from a data set."""
-    return list(_find_shipped(f"{_CATALOGUE}.offline"))
+    return [name for name, module in _find_shipped().items() if module.startswith(f"{_CATALOGUE}.offline.")]
 
 
 def find_given_part(name: str) -> str | None:
@@ -204,5 +196,5 @@ def read_structure(env: gymnasium.Env) -> Mapping[str, Any]:
 
 
 def _find_others() -> dict[str, Any]:
-    shipped = _find_made()
+    shipped = _list_made()
     return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in shipped}

@@ -180,11 +180,7 @@ class DDPG(ReplayStreamAgent):
         return self.make_due_updates(transition) | self._conduct
 
     def begin_streams(self, count: int, device: torch.device) -> None:
-        """Move networks and replay to a device; every stream begins an episode, and what replay holds stays.
-
-        Raises:
-            AgentSettingsError: noise with memory, or the paper's relaxation, in many environments.
-        """
+        """Begin episodes in all streams; raises `AgentSettingsError` with noise of memory or the paper's relaxation."""
         for name, allowed in (("exploration", "epsilon-greedy"), ("relaxation", "one-hot")):
             if (value := getattr(self.settings, name)) != allowed:
                 raise AgentSettingsError(name, value, f"{allowed!r} in many environments at once")

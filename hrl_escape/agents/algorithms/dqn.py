@@ -248,11 +248,7 @@ class DQN(ReplayStreamAgent):
     # --- streams -------------------------------------------------------------------------
 
     def begin_streams(self, count: int, device: torch.device) -> None:
-        """Move networks and replay to a device; every stream begins an episode, and what replay holds stays.
-
-        Raises:
-            AgentSettingsError: `hindsight_goals` in many environments.
-        """
+        """Begin episodes in all streams; raises `AgentSettingsError` with `hindsight_goals`."""
         if self._hindsight is not None:
             raise AgentSettingsError("hindsight_goals", self.settings.hindsight_goals, "0 in many environments at once")
         super().begin_streams(count, device)

@@ -110,11 +110,7 @@ class Sarsa(ReplayStreamAgent):
         return self._explore(experience.next_observation, experience.next_mask)
 
     def begin_streams(self, count: int, device: torch.device) -> None:
-        """Move networks and replay to a device; every stream begins an episode, and what replay holds stays.
-
-        Raises:
-            AgentSettingsError: no replay in many environments.
-        """
+        """Begin episodes in all streams; raises `AgentSettingsError` without replay."""
         if not self.settings.replay_capacity:
             raise AgentSettingsError("replay_capacity", 0, "at least 1 in many environments at once")
         super().begin_streams(count, device)
