@@ -228,11 +228,7 @@ class OfflineAgent(Agent):
     # --- learning ------------------------------------------------------------------------
 
     def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:
-        """Take the data, and for agents that learn from both the primitives inside its decisions.
-
-        Raises:
-            AgentSettingsError: it holds nothing.
-        """
+        """Take the data, and for agents of both the primitives in it; `AgentSettingsError` where it holds nothing."""
         del primitives
         if not len(data.action):
             raise AgentSettingsError("data", "no decision", "a data set with at least one")
@@ -264,11 +260,7 @@ class OfflineAgent(Agent):
         self._durations = data.duration
 
     def update(self) -> tuple[dict[str, float], int, int]:
-        """One sweep over the table, or one step on a minibatch.
-
-        Returns:
-            Numbers to log, and the decisions and the primitives learned from.
-        """
+        """One sweep or one minibatch; returns numbers to log, and the decisions and primitives learned from."""
         if self.is_table:
             before = self.q
             self.q, self.scores = self.improve(self._data, before)
@@ -333,11 +325,7 @@ class OfflineAgent(Agent):
         return choose_best(self.compute_preferences(observation), action_mask, rng if self.is_table else None)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Refuse: such an agent learns from a data set.
-
-        Raises:
-            UnsupportedError: always.
-        """
+        """Refuse with `UnsupportedError`: such an agent learns from a data set."""
         raise UnsupportedError(f"{self.name} learns from a data set, not from an environment: train(agent="
                                f"'{self.name}', data='lattice-play-v1')")
 

@@ -116,11 +116,7 @@ class _Ring:
                                         for name, field in self._fields._asdict().items()}
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`.
-
-        Raises:
-            CheckpointError: it comes from a buffer of another capacity or of other spaces.
-        """
+        """Restore the result of `state_dict`; `CheckpointError` if it has another capacity or other spaces."""
         self.added = int(state["added"])
         for name, field in self._fields._asdict().items():
             stored, own = state[name], read_value(field[: len(self)], name)

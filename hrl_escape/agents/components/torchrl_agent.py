@@ -146,11 +146,7 @@ class TorchRLAgent(Agent):
                             "steps_to_next_obs": torch.tensor([transition.duration])})
 
     def _descend(self, batch: TensorDictBase) -> dict[str, float]:
-        """One step of Adam down the sum of the losses of a batch; returns numbers to log.
-
-        Raises:
-            DivergenceError: the loss or its gradient is not finite.
-        """
+        """One step of Adam down the sum of the losses of a batch; `DivergenceError` where it is not finite."""
         parts = self._loss(batch)
         loss = sum(value for key, value in parts.items() if key.startswith("loss"))
         assert isinstance(loss, Tensor)

@@ -228,11 +228,7 @@ def make_goal_space(space: gymnasium.Space, agent: str) -> GoalSpace:
 
 
 def make_goals(space: gymnasium.Space, agent: str) -> GoalSet:
-    """The same goals, for agents that know them by number alone.
-
-    Raises:
-        UnsupportedSpaceError: as `make_goal_space`.
-    """
+    """The same goals, for agents that know them by number alone."""
     made = make_goal_space(space, agent)
     goals, is_free = made.goals, np.isnan(made.goals)
     return GoalSet(len(goals), lambda observation, goal: bool(

@@ -174,11 +174,7 @@ class CallRunner(RowStreamAgent):
         return OptionPolicy(name, self, lambda: _CallRun(self, task, context), can_start)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Pay the running calls, end those that are over, and learn.
-
-        Raises:
-            StepContractError: the primitive is not the one that was chosen.
-        """
+        """Pay the running calls, end those that are over, and learn; refuse a primitive that they did not choose."""
         if self._chosen is None or self._chosen[2] != transition.action:
             raise StepContractError(
                 f"action {transition.action} was not chosen by the calls that run; a hierarchical agent learns from "
@@ -328,11 +324,7 @@ class StackAgent(CallRunner):
         return self.gamma if learner is None else learner.gamma
 
     def begin_streams(self, count: int, device: torch.device) -> None:
-        """Every learner has as many streams for each of its tasks.
-
-        Raises:
-            AgentSettingsError: a task's learner cannot learn from many environments at once.
-        """
+        """Every learner has as many streams for each of its tasks; `AgentSettingsError` for one that can have none."""
         super().begin_streams(count, device)
         for name, learner in self._owned.items():
             if not isinstance(learner, StreamAgent):
@@ -376,11 +368,7 @@ class StackAgent(CallRunner):
         return task.decide(seen, context, rng) if learner is None else learner.act_greedy(view, legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Hand every returned decision to its task's learner.
-
-        Raises:
-            DiscountMismatchError: a primitive lasted several steps, summed at a discount that is not the learner's.
-        """
+        """Hand every returned decision to its task's learner, unless it was summed at another discount."""
         metrics: dict[str, float] = {}
         for returned in returns:
             task = returned.frame.task

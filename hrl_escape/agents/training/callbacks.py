@@ -59,11 +59,7 @@ def list_numbers(row: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _load(package: str, extra: str, purpose: str) -> Any:
-    """Import a package of an extra.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """Import a package of an extra; `MissingExtraError` where it is not installed."""
     try:
         return importlib.import_module(package)
     except ImportError as error:

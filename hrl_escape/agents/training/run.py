@@ -376,13 +376,10 @@ class Run(Stateful):
 
 @contextmanager
 def _deferring_interrupts() -> Iterator[Callable[[], bool]]:
-    """Note a first Ctrl-C instead of raising `KeyboardInterrupt`; a second one raises it.
+    """Note a first Ctrl-C instead of raising `KeyboardInterrupt`; a second one raises it. Yields whether one came.
 
     A terminal is told. Where Python's own handler is not in place, as in threads and in workers that ignore the
     signal, nothing changes.
-
-    Yields:
-        Function that tells whether Ctrl-C has been pressed.
     """
     pressed = threading.Event()
 

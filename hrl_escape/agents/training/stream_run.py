@@ -185,11 +185,7 @@ class VectorStreams:
         return {"made": np.array(self._made).reshape(-1, self.count), "observation": self.observation}
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken; after a `reset` with the same seeds.
-
-        Raises:
-            CheckpointError: the same actions came to something else.
-        """
+        """Go on where `state_dict` was taken, after a `reset` with the same seeds, or raise `CheckpointError`."""
         env: Any = self._env.unwrapped
         if self._gives_episodes:
             env.load_state_dict(state["env"])

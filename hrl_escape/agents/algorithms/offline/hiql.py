@@ -48,11 +48,7 @@ class HIQL(OfflineAgent):
     settings: IQLSettings
 
     def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:
-        """Take decisions and the primitives inside them.
-
-        Raises:
-            AgentSettingsError: there are no primitives.
-        """
+        """Take decisions and the primitives inside them; `AgentSettingsError` without primitives."""
         if primitives is None:
             raise AgentSettingsError("data", "decisions alone", "a data set with the primitives inside its decisions")
         super().begin(data)
