@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, Literal
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,14 +43,13 @@ class GraphTask(BaseTask):
         primitive_views: Mapping[int, View],
         pseudo: Pseudo | None,
         choices: int,
-        space: gymnasium.Space | None,
-        policy: Policy | None = None,
+        policy: Policy | None,
+        place: tuple[float, float] | None,
     ) -> None:
-        super().__init__(name, choices, space)
-        self.policy = policy
+        super().__init__(name, choices)
+        self.policy, self.place = policy, place
         self.until, self.views, self.primitive_views, self.pseudo = until, views, primitive_views, pseudo
         self.children: tuple[GraphTask | int, ...] = ()
-        self.place: tuple[float, float] | None = None
 
     def view(self, seen: Seen, stack: Stack) -> Any:
         """The moment as `see` shows it, the observation by default."""
@@ -99,7 +97,6 @@ def maxq(
     *,
     policies: Mapping[str, Policy] | None = None,
     places: Mapping[str, tuple[float, float]] | None = None,
-    spaces: Mapping[str, gymnasium.Space] | None = None,
     learners: Mapping[str, LearnerSpec] | None = None,
     read: Callable[[Any], Any] | None = None,
     source: Literal["given", "synthesised"] = "given",
@@ -115,7 +112,6 @@ def maxq(
         pseudo: task -> pseudo-reward of the state it ended in.
         policies: task -> its policy, where that is known and nothing is to be learned.
         places: task -> x and y of its goal on the floor, m, for drawings.
-        spaces: task -> space of its views, for `StackAgent`.
         learners: task -> its learner, for `StackAgent`.
         read: makes `Seen.state` of an observation.
         source: where the graph comes from.
@@ -125,11 +121,11 @@ def maxq(
         UnknownNameError: a child or a key names no task.
         AgentSettingsError: a task below the root has no `until`, or tasks call each other in a circle.
     """
-    see, pseudo, spaces, policies, places = see or {}, pseudo or {}, spaces or {}, policies or {}, places or {}
+    see, pseudo, policies, places = see or {}, pseudo or {}, policies or {}, places or {}
     names = list(graph)
-    for where, mentioned in (("until", until), ("pseudo", pseudo), ("spaces", spaces),
-                             ("policies", policies), ("places", places),
-                             ("see", [_get_name(key) for key in see if not isinstance(key, int)])):  # fmt: skip
+    seeing = [key if isinstance(key, str) else key[0] for key in see if not isinstance(key, int)]
+    for where, mentioned in (("until", until), ("pseudo", pseudo), ("policies", policies), ("places", places),
+                             ("see", seeing)):
         for name in mentioned:
             if name not in graph:
                 raise UnknownNameError(f"task in {where}", name, names)
@@ -141,8 +137,7 @@ def maxq(
         views: dict[int | None, View] = {None: see[name]} if name in see else {}
         views |= {index: see[name, child] for index, child in enumerate(children) if (name, child) in see}
         tasks[name] = GraphTask(name, until.get(name, _never), views, primitive_views, pseudo.get(name), len(children),
-                                spaces.get(name), policies.get(name))
-        tasks[name].place = places.get(name)
+                                policies.get(name), places.get(name))
     for name, children in graph.items():
         for child in children:
             if isinstance(child, str) and child not in tasks:
@@ -154,10 +149,9 @@ def maxq(
     return Hierarchy(root, tuple(below), learners or {}, source=source, privileges=told, read=read)
 
 
-def flat(primitives: int, learner: LearnerSpec | None = None) -> Hierarchy:
+def flat(primitives: int) -> Hierarchy:
     """One task that calls every primitive: a flat agent as a hierarchy."""
-    given = maxq({"root": range(primitives)}, {}, learners={} if learner is None else {"root": learner})
-    return Hierarchy(given.root, learners=given.learners)
+    return Hierarchy(maxq({"root": range(primitives)}, {}).root)
 
 
 def get_graph(hierarchy: Hierarchy, agent: str) -> GraphTask:
@@ -191,10 +185,6 @@ def freeze(view: Any) -> Hashable:
     if isinstance(view, dict):
         return tuple((key, freeze(view[key])) for key in sorted(view))
     return view
-
-
-def _get_name(key: str | tuple[str, str | int]) -> str:
-    return key if isinstance(key, str) else key[0]
 
 
 def _never(seen: Seen) -> bool:
