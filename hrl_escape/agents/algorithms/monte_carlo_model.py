@@ -74,7 +74,7 @@ class MonteCarloModel(PlanningAgent):
 
     def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
         """The way to what the drawn models leave open, else to the end of the task by them; drawn anew if neither."""
-        plan = ModelPlan((), (), -np.inf, True)
+        plan = ModelPlan((), (), -np.inf)
         for attempt in range(1 + self.settings.redraws):
             if attempt:
                 self._redraws += 1

@@ -39,7 +39,6 @@ class ModelPlan(NamedTuple):
     actions: tuple[int, ...]  # in order; empty if nothing was found
     states: tuple[int, ...]  # the packed state in which each action is to be taken
     value: float  # discounted return expected; -inf if nothing was found
-    is_complete: bool  # the search ended by itself, not by its limit
 
 
 def make_tables(models: Sequence[ActionModel]) -> SearchTables:
@@ -85,11 +84,10 @@ def find_plan(
         seek_gaps: seek the soonest action with an open outcome, not the best known end.
         most_nodes: bound on expanded states.
     """
-    found, actions, states, value, complete = _search(*tables, np.uint64(state), legal, repeatable, relevant, durations,
-                                                      places, -1.0 if seek_gaps else rate, gamma,
-                                                      0.0 if seek_gaps else bonus, seek_gaps, most_nodes)
-    return ModelPlan(tuple(actions.tolist()), tuple(states.tolist()), float(value) if found else -np.inf,
-                     bool(complete))
+    found, actions, states, value = _search(*tables, np.uint64(state), legal, repeatable, relevant, durations, places,
+                                            -1.0 if seek_gaps else rate, gamma, 0.0 if seek_gaps else bonus, seek_gaps,
+                                            most_nodes)
+    return ModelPlan(tuple(actions.tolist()), tuple(states.tolist()), float(value) if found else -np.inf)
 
 
 @kernel
@@ -127,7 +125,6 @@ def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, re
     state_of[0], place_of[0], gain_of[0], discount_of[0], parent_of[0], action_of[0] = root, actions, 0.0, 1.0, -1, -1
     nodes, expanded, goal = 1, 0, -1
     heap = [(-bonus, 0)]
-    complete = True
     while len(heap) > 0:
         _, node = heapq.heappop(heap)
         state, place, gain, discount = state_of[node], place_of[node], gain_of[node], discount_of[node]
@@ -140,7 +137,6 @@ def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, re
         if keys[slot] == key and low <= lows[slot] + 1e-9:
             continue
         if expanded >= most_nodes:
-            complete = False
             break
         expanded += keys[slot] != key
         keys[slot], lows[slot] = key, low
@@ -190,7 +186,7 @@ def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, re
         length -= 1
         plan[length], states[length] = action_of[node], state_of[parent_of[node]]
         node = parent_of[node]
-    return goal >= 0, plan, states, gain_of[goal] if goal >= 0 else 0.0, complete
+    return goal >= 0, plan, states, gain_of[goal] if goal >= 0 else 0.0
 
 
 @kernel

@@ -91,7 +91,6 @@ class Worker(ViewTask):
     def __init__(self, goals: GoalSet, primitives: int, patience: int = 0) -> None:
         super().__init__("worker", primitives, goals.worker_view)
         self._goals, self._patience = goals, patience
-        self.is_planned = goals.policy is not None
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """The legal primitives; of a policy that is given, its one."""

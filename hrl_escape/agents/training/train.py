@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from pkgutil import resolve_name
@@ -253,13 +253,11 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
     return agent
 
 
-def load_env(folder: str | os.PathLike[str], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env, *,
-             trust: bool = False) -> gymnasium.Env:
+def load_env(folder: str | os.PathLike[str], *, trust: bool = False) -> gymnasium.Env:
     """Make the environment of a run again: room, observation, options and wrappers.
 
     Args:
         folder: folder of the run.
-        wrap: applied to the innermost environment, below the run's wrappers.
         trust: import whatever code the folder names; give it only to folders of your own.
 
     Raises:
@@ -267,4 +265,4 @@ def load_env(folder: str | os.PathLike[str], wrap: Callable[[gymnasium.Env], gym
         TrustError: it names code from elsewhere; the message names it.
         CheckpointError: it is damaged, or the environment has arguments that no file keeps.
     """
-    return make_described_env(read_run(folder).get("environment", {}), wrap, trust=trust)
+    return make_described_env(read_run(folder).get("environment", {}), trust=trust)

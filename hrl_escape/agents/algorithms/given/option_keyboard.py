@@ -120,19 +120,17 @@ class OptionKeyboard(TabularRunner):
 
     Args:
         goal_space: its goals are the events, each when it comes to be reached; by default those of `make_goal_space`.
-        chords: weights of events, (chords, events); by default `make_chords`.
     """
 
     Settings = OptionKeyboardSettings
     STATE = ("skills", "table")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: OptionKeyboardSettings | None = None, goal_space: GoalSpace | None = None,
-                 chords: NDArray[np.float64] | None = None) -> None:
+                 settings: OptionKeyboardSettings | None = None, goal_space: GoalSpace | None = None) -> None:
         settings = settings or OptionKeyboardSettings()
         actions = count_actions(action_space, "option-keyboard")
         self.space = space = goal_space or make_goal_space(observation_space, "option-keyboard")
-        self.chords = make_chords(len(space.goals)) if chords is None else np.asarray(chords, np.float64)
+        self.chords = make_chords(len(space.goals))
         self._chord = _Chord(space, len(self.chords), actions, settings.patience)
         super().__init__(Hierarchy(_Player(space, len(self.chords), self._chord), (self._chord,), source="learned",
                                    privileges=space.privileges), seed, settings)

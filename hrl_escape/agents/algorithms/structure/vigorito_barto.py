@@ -194,7 +194,7 @@ class VigoritoBarto(FactoredRMax):
         assert isinstance(learner, TreeLearner)
         skills, (durations, places) = self.find_skills(), self.model.estimate_durations(observation)
         start = _Way(self.model.pack(observation), (), (), 0.0, -1)
-        best, plan, ways, seen = 0.0, ModelPlan((), (), -np.inf, True), [start], {start.state}
+        best, plan, ways, seen = 0.0, ModelPlan((), (), -np.inf), [start], {start.state}
         while ways:
             states = np.array([way.state for way in ways])[:, None] >> shifts & 1
             gains = learner.compute_gains(states.astype(np.bool_))
@@ -204,11 +204,11 @@ class VigoritoBarto(FactoredRMax):
             if gains[row, action] <= best:
                 break
             best, way = float(gains[row, action]), ways[row]
-            plan = ModelPlan((*way.actions, action), (*way.states, way.state), best, True)
+            plan = ModelPlan((*way.actions, action), (*way.states, way.state), best)
             ends = [self._follow(bit, way, action_mask, durations, places) for bit in skills]
             ways = list({end.state: end for end in ends if end is not None and end.state not in seen}.values())
             seen.update(way.state for way in ways)
-        return plan if best >= self.settings.least_gain else ModelPlan((), (), -np.inf, True)
+        return plan if best >= self.settings.least_gain else ModelPlan((), (), -np.inf)
 
     def _follow(self, bit: int, way: _Way, action_mask: NDArray[np.bool_], durations: NDArray[np.float64],
                 places: NDArray[np.int64]) -> _Way | None:
