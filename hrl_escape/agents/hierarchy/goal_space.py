@@ -36,7 +36,7 @@ class ViewTask(BaseTask):
         self._view = view
 
     def view(self, seen: Seen, stack: Stack) -> Any:
-        """That part."""
+        """The part of the observation that the view shows."""
         return seen.observation if self._view is None else self._view.see(seen.observation)
 
 

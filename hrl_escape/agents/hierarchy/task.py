@@ -160,6 +160,7 @@ class Hierarchy:
         below: all other tasks.
         learners: task name -> how its learner is made; a task without one decides for itself.
         share: task name -> name of the task whose learner it shares.
+        source: where the structure comes from.
         privileges: what it reads that is not in the observation, such as `task graph` or `state`; printed in tables.
         read: makes `Seen.state` of an observation.
     """
