@@ -1,4 +1,4 @@
-"""What keras-rl 0.4.2 did otherwise than the papers of its algorithms, as the published results contain it."""
+"""Behaviour of keras-rl 0.4.2 that the papers of its algorithms do not have, as the published results contain it."""
 
 from __future__ import annotations
 
