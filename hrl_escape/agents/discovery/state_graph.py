@@ -20,8 +20,7 @@ from hrl_escape.agents.state import Kept, Stateful, pack_keys, unpack_keys
 
 NOTHING = -1
 """In place of a primitive: the option ends, or cannot be."""
-SWEEPS = 10_000
-"""Bound on sweeps of value iteration."""
+_SWEEPS = 10_000  # of value iteration, at most
 _TIE = 1e-9
 
 
@@ -167,7 +166,7 @@ class TableSkill:
 def _iterate(model: StateModel, values: NDArray[np.float64], gamma: float, gain: NDArray[np.float64] | float,
              settle: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
     """Gain + gamma P V, (states, actions), at the fixed point of V = settle(its maximum over actions)."""
-    for _ in range(SWEEPS):
+    for _ in range(_SWEEPS):
         choices = gain + gamma * (model.follow @ values).reshape(model.known.shape)
         swept = settle(choices.max(axis=1))
         change, values = np.abs(swept - values).max(initial=0.0), swept
