@@ -6,11 +6,7 @@ from hrl_escape.errors import ContractError
 
 
 class Claims:
-    """Claims about one named implementation.
-
-    Attributes:
-        name: the implementation as error messages name it, such as `puzzle 'buttons'`.
-    """
+    """Claims about one implementation, as error messages name it, such as `puzzle 'buttons'`."""
 
     def __init__(self, name: str) -> None:
         self.name = name

@@ -32,13 +32,7 @@ _FORM = re.compile(rf"(?P<rung>.+)-(?P<kind>{'|'.join(TAPE_KINDS)})(?:-(?P<size>
 
 @dataclasses.dataclass(frozen=True)
 class DataSpec:
-    """Data set of the catalogue.
-
-    Attributes:
-        rung: of `ladder-1`.
-        kind: of `TAPE_KINDS`.
-        size: of `TAPE_SIZES`.
-    """
+    """Data set of the catalogue: a rung of `ladder-1`, one of `TAPE_KINDS`, and one of `TAPE_SIZES`."""
 
     rung: str
     kind: str

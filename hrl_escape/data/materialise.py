@@ -50,15 +50,9 @@ class DataSet:
     Args:
         tape: the tape.
         observation: by name, as of `EscapeRoomEnv`.
-        level: what `read` and `blocks` give by default.
+        level: what `read` and `blocks` give by default, `decisions` or `primitives`.
         gamma: discount per primitive, likewise.
         rooms: set of the rung that `make_env` tests in.
-
-    Attributes:
-        tape: the tape.
-        observation: name of the observation.
-        level: `decisions` or `primitives`.
-        gamma: discount per primitive.
     """
 
     def __init__(self, tape: Tape, observation: str = "objects", level: DataLevel = "decisions", gamma: float = 0.99,

@@ -55,11 +55,7 @@ ActionRule: TypeAlias = Callable[[Any, NDArray[np.bool_], np.random.Generator, b
 
 
 class ActionLog(gymnasium.Wrapper):
-    """Keeps the primitives that pass through it, below an `OptionsEnv`.
-
-    Attributes:
-        actions: primitives since the list was emptied.
-    """
+    """Keeps the primitives (`actions`, since the list was emptied) that pass through it, below an `OptionsEnv`."""
 
     def __init__(self, env: gymnasium.Env) -> None:
         super().__init__(env)

@@ -54,12 +54,6 @@ class Rules(RobotPoses):
     Args:
         instance: the room.
         is_still: no randomness, as planners assume: no noise, no slip, and a puzzle's most likely outcomes.
-
-    Attributes:
-        instance: the room.
-        robot: its robot.
-        actions: the robot's action table.
-        inner_doors: its inner doors; None if there are none.
     """
 
     def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:

@@ -118,11 +118,7 @@ class RoomSolids(NamedTuple):
 
 
 def stack_shapes(rows: Sequence[Sequence[Footprint]], least: int = 1) -> NDArray[np.float64]:
-    """Stack the footprints of several instances, filled up to the same number (at least `least`) with far ones.
-
-    Returns:
-        Shape (7, shapes, instances), float64; the fields of `Shapes`.
-    """
+    """Stack the `Shapes` of several instances, filled up to the same number with far ones: (7, shapes, instances)."""
     most = max(least, 1, *(len(row) for row in rows))
     table = np.zeros((7, most, len(rows)))
     table[0], table[2] = _NEVER, 1.0

@@ -39,7 +39,6 @@ class Rung:
         layouts: version by which rooms look alike, see `Manifest`.
 
     Attributes:
-        name: of the rung.
         isolates: ability that it asks for beyond the rung before.
         config: schematic of its rooms.
     """

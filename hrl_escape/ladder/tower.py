@@ -25,13 +25,7 @@ _REPEATED = re.compile(r"(.+) x (\d+)")
 class Tower:
     """Sets of rooms, a floor each, from the bottom to the top; every room has the horizon of the tower.
 
-    Args:
-        floors: two sets or more.
-        paired: rooms of one number belong together, and an episode is in these; sets have equally many.
-
-    Attributes:
-        floors: the same sets, with the tower's horizon.
-        name: that of the lowest floor, and how many there are above.
+    Where they are paired, rooms of one number belong together, an episode is in these, and sets have equally many.
     """
 
     def __init__(self, floors: Sequence[InstanceSet], paired: bool = False) -> None:

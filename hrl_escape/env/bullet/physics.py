@@ -65,14 +65,7 @@ class PhysicsState(NamedTuple):
 
 
 class PhysicsDynamics:
-    """Moves one room by rigid-body dynamics.
-
-    Args:
-        rules: of the room.
-
-    Attributes:
-        client: pybullet's number of the physics client.
-        scene: PyBullet body and joint ids of its world.
+    """Moves one room by rigid-body dynamics, in a world of its own: pybullet's `client`, and the ids of its `scene`.
 
     Raises:
         UnsupportedError: too many rooms in this process have a client.

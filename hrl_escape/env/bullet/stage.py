@@ -63,15 +63,9 @@ class _Lamp:
 
 
 class Stage:
-    """A copy of one room for cameras, or for Bullet's window.
-
-    Args:
-        instance: the room.
-        rules: its rules.
-        window: show it in Bullet's window.
+    """A copy of one room for cameras, or for Bullet's window; `client` is pybullet's number of it.
 
     Attributes:
-        client: pybullet's number of the physics client.
         standing: everything that can be cut open for a better view.
 
     Raises:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import palette
@@ -168,7 +169,8 @@ def make_shadow(outline: Sequence[Point], height: float, z: float, floor: Rectan
     With `floor`, only the part on that rectangle, which may be empty (no triangles).
     """
     reach = min(height, _LONGEST_SHADOW / math.hypot(*SHADOW))
-    shape = _compute_hull([*outline, *((x + SHADOW[0] * reach, y + SHADOW[1] * reach) for x, y in outline)])
+    points = [*outline, *((x + SHADOW[0] * reach, y + SHADOW[1] * reach) for x, y in outline)]
+    shape = [points[number] for number in ConvexHull(points).vertices]  # counter-clockwise
     if floor is not None:
         for axis, sign, limit in ((0, 1, floor.x_min), (0, -1, floor.x_max), (1, 1, floor.y_min), (1, -1, floor.y_max)):
             shape = _clip(shape, axis, sign, limit)
@@ -186,25 +188,6 @@ def _clip(shape: Sequence[Point], axis: int, sign: int, limit: float) -> list[Po
         if now >= 0.0:
             kept.append(point)
     return kept
-
-
-def _compute_hull(points: Sequence[Point]) -> list[Point]:
-    """Convex hull, counter-clockwise (Andrew's monotone chain, 1979)."""
-
-    def climb(ordered: Sequence[Point]) -> list[Point]:
-        chain: list[Point] = []
-        for point in ordered:
-            while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0.0:
-                chain.pop()
-            chain.append(point)
-        return chain[:-1]
-
-    ordered = sorted(points)
-    return climb(ordered) + climb(ordered[::-1])
-
-
-def _turn(a: Point, b: Point, c: Point) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _make_tiles(areas: Sequence[Rectangle], side: float, odd: bool) -> Mesh:

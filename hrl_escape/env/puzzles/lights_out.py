@@ -180,8 +180,7 @@ def list_flips(count: int, columns: int) -> tuple[int, ...]:
 def _eliminate(count: int, columns: int) -> tuple[tuple[tuple[int, int, int], ...], tuple[int, ...]]:
     """Gauss-Jordan elimination of the presses' flips.
 
-    Returns:
-        Rows (pivot bit, flips, presses that make them), and the presses that together flip nothing (a basis).
+    Returns rows (pivot bit, flips, presses that make them), and a basis of the presses that together flip nothing.
     """
     rows: list[tuple[int, int, int]] = []
     quiet = []

@@ -18,11 +18,7 @@ HEADINGS = ">^<v"
 class GridMap:
     """A map and its derived cells, numbered row by row.
 
-    Args:
-        rows: its rows.
-
     Attributes:
-        rows: its rows.
         doors: cells of the doors.
         things: cells in which things lie at first: keys, then balls.
 

@@ -37,11 +37,7 @@ class Shove(NamedTuple):
 class BoxMap:
     """Cells of a level and their neighbours, without its boxes.
 
-    Args:
-        rows: rows of a level.
-
     Attributes:
-        rows: the rows.
         columns: cells in a row.
         floor: cells that are no walls.
         boxes: cells of the boxes at first.
