@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.components.offline import Decisions, Primitives
 from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.tape import ENDS, Tape, load_tape
-from hrl_escape.env.engine import make_engine, make_renderer
+from hrl_escape.env.engine import make_renderer
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import draw_episode
@@ -230,22 +230,12 @@ class _Player:
 
     def __init__(self, index: int, room: RoomInstance, observation: str, is_vector: bool) -> None:
         self.index, self._room, self.rules = index, room, Kinematics(room)
-        self._engine = None if is_vector else make_engine(room)  # pictures are taken in it
-        renderer = None if self._engine is None else make_renderer(self._engine)
-        self._observe = make_observer(observation, self.rules, renderer).observe
-        if is_vector:
-            self.observe = self._observe
+        self.observe = make_observer(observation, self.rules, None if is_vector else make_renderer(room)).observe
 
     def begin(self, seed: int) -> RoomState:
         """First state of the episode of a seed."""
         number, key = draw_episode(seed, 0, len(self._room.starts))
         return self.rules.make_state(self._room.starts[number], key)
-
-    def observe(self, state: RoomState) -> NDArray[Any]:
-        """Observation of a state."""
-        if self._engine is not None:
-            self._engine.set_state(state)
-        return self._observe(state)
 
 
 def load_data(name: str | PathLike[str] | Tape, observation: str = "objects", level: DataLevel = "decisions",

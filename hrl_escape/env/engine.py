@@ -73,13 +73,14 @@ class Engine(Protocol):
 
 
 class Renderer(Protocol):
-    """Renderer of one engine's room."""
+    """Renderer of one room."""
 
-    def render(self, camera: str, width: int, height: int, *,
+    def render(self, state: RoomState, camera: str, width: int, height: int, *,
                trail: Sequence[tuple[float, float]] = ()) -> NDArray[np.uint8]:
-        """Take a picture of the engine's state.
+        """Take a picture of the room in a state.
 
         Args:
+            state: as the room's engine gives it.
             camera: a name in `CAMERAS`.
             width: pixels, from 8 to 2048.
             height: pixels, from 8 to 2048.
@@ -91,7 +92,6 @@ class Renderer(Protocol):
         Raises:
             UnknownNameError: no camera of that name.
             ConfigError: an impossible size.
-            ClosedError: the room was closed.
         """
         ...
 
@@ -100,7 +100,7 @@ class EngineEntry(NamedTuple):
     """Import paths `module:name` of an engine."""
 
     engine: str  # called with the instance, and `window=True` to open a window
-    renderer: str  # called with the engine
+    renderer: str  # called with the instance
 
 
 ENGINES: dict[str, EngineEntry] = {
@@ -123,9 +123,9 @@ def make_engine(instance: RoomInstance, engine: str = "bullet", *, window: bool 
     return resolve_name(_find(engine).engine)(instance, window=window)
 
 
-def make_renderer(room: Engine, engine: str = "bullet") -> Renderer:
-    """Make the renderer of a room that `make_engine` made under the same name; it costs nothing until it renders."""
-    return resolve_name(_find(engine).renderer)(room)
+def make_renderer(instance: RoomInstance, engine: str = "bullet") -> Renderer:
+    """Make an engine's renderer of a room; it costs nothing until it renders."""
+    return resolve_name(_find(engine).renderer)(instance)
 
 
 def _find(engine: str) -> EngineEntry:
@@ -162,12 +162,7 @@ def film(instance: RoomInstance, states: Iterable[RoomState], camera: str = "cha
     Yields:
         Frames (height, width, 3), uint8.
     """
-    room = make_engine(instance)
-    renderer, points = make_renderer(room), []
-    try:
-        for state in states:
-            room.set_state(state)
-            points.append((state.x, state.y))
-            yield renderer.render(camera, width, height, trail=points if trail else ())
-    finally:
-        room.close()
+    renderer, points = make_renderer(instance), []
+    for state in states:
+        points.append((state.x, state.y))
+        yield renderer.render(state, camera, width, height, trail=points if trail else ())

@@ -154,7 +154,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             self.room.close()
         self.instance = instance
         self.room = make_engine(instance, self._engine, window=self.render_mode == "human")
-        self._renderer = make_renderer(self.room, self._engine)
+        self._renderer = make_renderer(instance, self._engine)
         self.rules = self.room.rules
         self._observer = make_observer(self._kind, self.rules, self._renderer)
         low, high = self._observer.low, self._observer.high
@@ -270,7 +270,8 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         if self.render_mode == "human":
             room.show(self.metadata["render_fps"])
             return None
-        return self._get_renderer().render(self._camera, *self._size, trail=self._trail if self._trailing else ())
+        trail = self._trail if self._trailing else ()
+        return self._renderer.render(room.state, self._camera, *self._size, trail=trail)  # type: ignore[union-attr]  # open
 
     def close(self) -> None:
         """Free the engine; safe to call twice."""
@@ -316,11 +317,6 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         if self.room is None:
             raise ClosedError("the environment was closed; make a new one")
         return self.room
-
-    def _get_renderer(self) -> Renderer:
-        if self._renderer is None:
-            raise ClosedError("the environment was closed; make a new one")
-        return self._renderer
 
     def _observe(self) -> NDArray[Any]:
         return self._observer.observe(self._state)  # type: ignore[arg-type]  # called within an episode

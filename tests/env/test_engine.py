@@ -42,7 +42,7 @@ class RulesOnly:
 
 
 class Blind:
-    def __init__(self, room):
+    def __init__(self, instance):
         pass
 '''
 
@@ -76,7 +76,7 @@ def test_unknown_engines_and_cameras_are_named_with_the_closest():
 def test_a_room_without_a_window_is_drawn_and_closes():
     room = make_engine(generate(get_preset("paper-one-button"), 0))
     assert room.is_open
-    assert make_renderer(room).render("overhead", 40, 30).shape == (30, 40, 3)
+    assert make_renderer(room.instance).render(room.state, "overhead", 40, 30).shape == (30, 40, 3)
     room.close()
     assert not room.is_open
 

@@ -18,12 +18,12 @@ import pybullet
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.bullet.stage import SUN, Stage, Standing
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.engine import check_camera, check_picture_size
 from hrl_escape.env.geometry import make_footprint
-from hrl_escape.errors import ClosedError
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState
 
 _FINE = 3  # the trail is drawn this many times larger, for soft edges
 
@@ -42,75 +42,71 @@ class _View(NamedTuple):
 
 
 class BulletRenderer:
-    """Renderer of one Bullet room; its `Stage` is built for the first picture and freed with the renderer."""
+    """Renderer of one room; its `Stage` is built for the first picture and freed with the renderer."""
 
-    def __init__(self, room: BulletRoom) -> None:
-        self._room = room
+    def __init__(self, instance: RoomInstance) -> None:
+        self._instance = instance
         self._stage: Stage | None = None
 
-    def render(self, camera: str, width: int, height: int, *,
+    def render(self, state: RoomState, camera: str, width: int, height: int, *,
                trail: Sequence[tuple[float, float]] = ()) -> NDArray[np.uint8]:
-        """Take a picture, as `env.engine.Renderer` describes; the room is not changed."""
+        """Take a picture, as `env.engine.Renderer` describes."""
         check_camera(camera)
         check_picture_size(width, height)
-        room = self._room
-        if not room.is_open:
-            raise ClosedError("this room is closed; make a new one")
-        stage = self._stage = self._stage or Stage(room.instance, room.rules)
-        stage.follow(room.state)
-        view = _VIEWS[camera](room, width / height)
+        stage = self._stage = self._stage or Stage(self._instance)
+        stage.follow(state)
+        view = _VIEWS[camera](stage.rules, state, width / height)
         for standing in stage.standing:
-            stage.set_cut(standing, camera == "chase" and _hides(standing, room, view.eye))
-        return _take(stage.client, view, width, height, trail, 0.2 * room.instance.robot.inner_radius)
+            stage.set_cut(standing, camera == "chase" and _hides(standing, stage.rules, state, view.eye))
+        return _take(stage.client, view, width, height, trail, 0.2 * self._instance.robot.inner_radius)
 
 
 # --- cameras -------------------------------------------------------------------------------
 
 
-def _view_chase(room: BulletRoom, aspect: float) -> _View:
-    state, heading = room.state, room.rules.get_heading(room.state)
-    size = min(max(room.instance.robot.outer_radius / 0.75, 0.5), 4.0)
+def _view_chase(rules: Kinematics, state: RoomState, aspect: float) -> _View:
+    heading = rules.get_heading(state)
+    size = min(max(rules.instance.robot.outer_radius / 0.75, 0.5), 4.0)
     cos, sin = math.cos(heading), math.sin(heading)
     back, ahead, lift = 6.0 * size, 1.6 * size, 4.6 * size
     eye = (state.x - back * cos, state.y - back * sin, state.z + lift)
     target = (state.x + ahead * cos, state.y + ahead * sin, state.z + 0.4 * size)
-    return _View(eye, target, (0.0, 0.0, 1.0), 52.0, 0.3 * size, _reach(room) + back)
+    return _View(eye, target, (0.0, 0.0, 1.0), 52.0, 0.3 * size, _reach(rules.instance) + back)
 
 
-def _view_overhead(room: BulletRoom, aspect: float) -> _View:
-    instance, field = room.instance, 30.0
+def _view_overhead(rules: Kinematics, state: RoomState, aspect: float) -> _View:
+    instance, field = rules.instance, 30.0
     margin = 1.04
     half = margin * max(instance.reach_y + 0.5, (instance.reach_x + 0.5) / aspect)
     height = half / math.tan(math.radians(field / 2)) + instance.wall_height
     return _View((0.0, 0.0, height), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), field, 0.2 * height, 1.2 * height)
 
 
-def _view_robot(room: BulletRoom, aspect: float) -> _View:
+def _view_robot(rules: Kinematics, state: RoomState, aspect: float) -> _View:
     """Mounted above the front edge of the base, looking 12 degrees down."""
-    state, heading, robot = room.state, room.rules.get_heading(room.state), room.instance.robot
+    heading, robot = rules.get_heading(state), rules.instance.robot
     cos, sin = math.cos(heading), math.sin(heading)
     forward = 0.9 * robot.base.front
     eye = (state.x + forward * cos, state.y + forward * sin, state.z + 1.15 * robot.body_height + 0.1)
     drop = math.tan(math.radians(12.0))
     target = (eye[0] + cos, eye[1] + sin, eye[2] - drop)
-    return _View(eye, target, (0.0, 0.0, 1.0), 70.0, 0.05, _reach(room))
+    return _View(eye, target, (0.0, 0.0, 1.0), 70.0, 0.05, _reach(rules.instance))
 
 
 _VIEWS = {"chase": _view_chase, "overhead": _view_overhead, "robot": _view_robot}
 
 
-def _reach(room: BulletRoom) -> float:
-    instance = room.instance
+def _reach(instance: RoomInstance) -> float:
     return 2.2 * math.hypot(instance.reach_x + 1.0, instance.reach_y + 1.0, instance.wall_height)
 
 
-def _hides(standing: Standing, room: BulletRoom, eye: tuple[float, float, float]) -> bool:
+def _hides(standing: Standing, rules: Kinematics, state: RoomState, eye: tuple[float, float, float]) -> bool:
     """Return whether something stands between the eye and the near side of the robot."""
-    solid, radius = standing.solid, room.instance.robot.outer_radius
+    solid, radius = standing.solid, rules.instance.robot.outer_radius
     shape = make_footprint(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
-    (ex, ey, ez), x, y = eye, room.state.x, room.state.y
+    (ex, ey, ez), x, y = eye, state.x, state.y
     near = 1.0 - 1.2 * radius / math.dist((ex, ey), (x, y))
-    dx, dy, drop = near * (x - ex), near * (y - ey), ez - room.state.z
+    dx, dy, drop = near * (x - ex), near * (y - ey), ez - state.z
     enter, leave = 0.0, 1.0
     for axis_x, axis_y, half in ((shape.cos, shape.sin, shape.half_x), (-shape.sin, shape.cos, shape.half_y)):
         at = axis_x * (ex - shape.x) + axis_y * (ey - shape.y)

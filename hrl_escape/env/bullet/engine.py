@@ -39,7 +39,7 @@ class BulletRoom:
         self.instance, self._is_closed, self._next_frame = instance, False, 0.0
         is_kinematic = instance.dynamics.kind == "kinematic"
         self.rules: Rules = Kinematics(instance) if is_kinematic else Rules(instance)
-        self._window = Stage(instance, self.rules, window=True) if window else None
+        self._window = Stage(instance, window=True) if window else None
         self.physics = None if is_kinematic else PhysicsDynamics(self.rules)
         self._mover: Any = self.physics or self.rules
         self.state = self.reset(instance.starts[0])

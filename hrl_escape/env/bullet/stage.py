@@ -24,7 +24,7 @@ from hrl_escape.env.drawing import meshes, palette
 from hrl_escape.env.drawing.meshes import LAYER, Mesh, compute_outline, make_cylinder, make_prism, make_shadow
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Target
-from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
+from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
@@ -72,8 +72,8 @@ class Stage:
         UnsupportedError: a window without a display, or too many clients in this process.
     """
 
-    def __init__(self, instance: RoomInstance, rules: Rules, window: bool = False) -> None:
-        self._instance, self._rules, robot = instance, rules, rules.robot
+    def __init__(self, instance: RoomInstance, window: bool = False) -> None:
+        self._instance, self.rules = instance, Kinematics(instance)
         self.client = connect(window)
         self.close = weakref.finalize(self, disconnect, self.client)
         if window:
@@ -82,7 +82,7 @@ class Stage:
         self.standing = [self._add_solid(solid) for solid in instance.solids]
         self._lamps = [self._add_target(target) for target in instance.targets]
         self._base, self._shadow = self._add_base()
-        self._arm, self._joints = self._add_arm(robot) if instance.robot.joints else (None, ())
+        self._arm, self._joints = self._add_arm(self.rules.robot) if instance.robot.joints else (None, ())
         self._props = [self._add_prop(placed) for placed in instance.props]
         self._door = self._add_leaf(instance.door, meshes.make_leaf, palette.DOOR) if instance.door else None
         self._inner = [self._add_leaf(door, meshes.make_inner_door, palette.get_inner_colour(door))
@@ -96,7 +96,7 @@ class Stage:
 
     def follow(self, state: RoomState) -> None:
         """Bring the copy into a state."""
-        rules = self._rules
+        rules = self.rules
         turn = pybullet.getQuaternionFromEuler((state.roll, state.pitch, rules.get_heading(state)))
         at = (state.x, state.y, state.z)
         for body in self._base:
@@ -126,10 +126,10 @@ class Stage:
 
     def _find_door_angle(self, state: RoomState) -> float:
         """Angle of the exit's door on its hinge, rad; kinematic doors swing outwards so that the robot passes."""
-        if not isinstance(self._rules, Kinematics):
+        if self._instance.dynamics.kind == "physics":
             return state.physics.door[0] if state.physics else 0.0
-        rotation = self._rules.get_rotation(state.heading_steps, state.heading_offset)
-        is_shut = self._rules.is_door_shut(state.x, state.y, state.puzzle, rotation)
+        rotation = self.rules.get_rotation(state.heading_steps, state.heading_offset)
+        is_shut = self.rules.is_door_shut(state.x, state.y, state.puzzle, rotation)
         return 0.0 if is_shut else math.pi / 2 * self._instance.door_swing
 
     def _light(self, lamp: _Lamp, is_lit: bool) -> None:

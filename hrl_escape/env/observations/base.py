@@ -97,7 +97,7 @@ class Observer(ABC):
 
     @abstractmethod
     def observe(self, state: RoomState) -> NDArray[Any]:
-        """Return a fresh array in the shape and type of `low`; for pictures, the renderer's room is in that state."""
+        """Return a fresh array in the shape and type of `low`."""
 
     @staticmethod
     def observe_batch(rooms: BatchView) -> list[Tensor]:

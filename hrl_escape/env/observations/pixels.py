@@ -31,7 +31,7 @@ class PixelObserver(Observer):
 
     def observe(self, state: RoomState) -> NDArray[np.uint8]:
         """Return the robot camera's picture, uint8 (height, width, 3)."""
-        return self._renderer.render("robot", *PIXELS)
+        return self._renderer.render(state, "robot", *PIXELS)
 
 
 register_observation(PixelObserver)

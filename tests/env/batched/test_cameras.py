@@ -40,9 +40,9 @@ def label_bodies(stage, instance):
 
 def look_with_bullet(room, camera):
     """Depth and labels of Bullet's picture of a room."""
-    renderer = BulletRenderer(room)
-    renderer.render(camera, WIDTH, HEIGHT)
-    stage, view = renderer._stage, bullet_cameras._VIEWS[camera](room, WIDTH / HEIGHT)
+    renderer = BulletRenderer(room.instance)
+    renderer.render(room.state, camera, WIDTH, HEIGHT)
+    stage, view = renderer._stage, bullet_cameras._VIEWS[camera](renderer._stage.rules, room.state, WIDTH / HEIGHT)
     matrices = (pybullet.computeViewMatrix(view.eye, view.target, view.up),
                 pybullet.computeProjectionMatrixFOV(view.field, WIDTH / HEIGHT, view.near, view.far))
     *_, depths, bodies = pybullet.getCameraImage(WIDTH, HEIGHT, *matrices, renderer=pybullet.ER_TINY_RENDERER,

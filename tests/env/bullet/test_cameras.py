@@ -33,11 +33,11 @@ def make_room(name, seed=3):
 
 @functools.lru_cache(maxsize=4)
 def get_renderer(room):
-    return BulletRenderer(room)
+    return BulletRenderer(room.instance)
 
 
 def render_camera(room, camera, width, height, trail=()):
-    return get_renderer(room).render(camera, width, height, trail=trail)
+    return get_renderer(room).render(room.state, camera, width, height, trail=trail)
 
 
 def count_like(picture, colour, within=30):
@@ -257,11 +257,10 @@ def test_pushed_blocks_are_seen_where_they_are():
 
 def test_pictures_free_what_they_needed():
     room = make_room("paper-one-button")
-    renderer = BulletRenderer(room)
-    renderer.render("chase", 40, 30)
+    renderer = BulletRenderer(room.instance)
+    renderer.render(room.state, "chase", 40, 30)
     stage = renderer._stage.client
     assert pybullet.isConnected(stage)
-    room.close()
     del renderer
     gc.collect()
     assert not pybullet.isConnected(stage)
@@ -274,9 +273,10 @@ def test_clear_errors(monkeypatch):
     for size in ((7, 30), (30, 2049)):
         with pytest.raises(ConfigError, match="8 to 2048"):
             render_camera(room, "chase", *size)
-    room.close()
+    env = gymnasium.make("hrl_escape/PaperOneButton-v1", render_mode="rgb_array").unwrapped
+    env.close()
     with pytest.raises(ClosedError):
-        render_camera(room, "chase", 40, 30)
+        env.render()
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(UnsupportedError, match="display"):
         gymnasium.make("hrl_escape/PaperOneButton-v1", render_mode="human")

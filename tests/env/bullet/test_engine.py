@@ -135,7 +135,7 @@ def test_base_and_hand_stand_in_bullet_where_the_state_says(make_room, name):
 def test_an_open_door_swings_out_of_the_room(make_room):
     for seed in range(6):  # doors in all four walls
         room = make_room(all_schematics()["door"], seed=seed)
-        stage, door, area = Stage(room.instance, room.rules), room.instance.door, room.instance.exit
+        stage, door, area = Stage(room.instance), room.instance.door, room.instance.exit
         stage.follow(room.state._replace(puzzle=1 << room.instance.puzzle.goal))
         (x, y, _), turn = pybullet.getBasePositionAndOrientation(stage._door.whole[0], physicsClientId=stage.client)
         yaw = pybullet.getEulerFromQuaternion(turn)[2]
