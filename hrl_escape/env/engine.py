@@ -42,11 +42,6 @@ class Engine(Protocol):
     rules: Rules
     state: RoomState
 
-    @property
-    def is_open(self) -> bool:
-        """False once the engine, or its window, was closed."""
-        ...
-
     def reset(self, start: Start, noise_key: int = 0) -> RoomState:
         """Begin an episode at a start, with the 64-bit key of its noise."""
         ...

@@ -12,7 +12,7 @@ from hrl_escape.env import engine
 from hrl_escape.env.engine import EngineEntry, film, make_engine, make_renderer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import UnknownNameError
+from hrl_escape.errors import ClosedError, UnknownNameError
 
 RULES_ONLY = '''
 from hrl_escape.env.kinematics import Kinematics
@@ -22,7 +22,7 @@ class RulesOnly:
     """An engine that is the rules alone, without a body in any simulator."""
 
     def __init__(self, instance, window=False):
-        self.instance, self.rules, self.is_open = instance, Kinematics(instance), True
+        self.instance, self.rules = instance, Kinematics(instance)
         self.reset(instance.starts[0])
 
     def reset(self, start, noise_key=0):
@@ -38,7 +38,7 @@ class RulesOnly:
         return transition
 
     def close(self):
-        self.is_open = False
+        pass
 
 
 class Blind:
@@ -75,10 +75,10 @@ def test_unknown_engines_and_cameras_are_named_with_the_closest():
 
 def test_a_room_without_a_window_is_drawn_and_closes():
     room = make_engine(generate(get_preset("paper-one-button"), 0))
-    assert room.is_open
     assert make_renderer(room.instance).render(room.state, "overhead", 40, 30).shape == (30, 40, 3)
     room.close()
-    assert not room.is_open
+    with pytest.raises(ClosedError):
+        room.step(0)
 
 
 def test_commands_load_no_engine_until_they_need_one():
