@@ -27,8 +27,7 @@ class PolicySettings(NetworkSettings):
     """Networks of policies and critics, and steps down the sum of their losses."""
 
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, tanh units and a small last layer of the policy, usual for PPO."""
+    """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
     """Step size of Adam."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
@@ -40,13 +39,21 @@ class PolicySettings(NetworkSettings):
 
 
 @dataclass(frozen=True)
-class ClippedSettings(PolicySettings):
+class AdvantageSettings(PolicySettings):
+    """Generalised advantage estimation."""
+
+    gae_lambda: Annotated[float, Range(0, 1)] = 1.0
+    """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
+    lambda_per: Literal["decision", "primitive"] = "decision"
+    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
+
+
+@dataclass(frozen=True)
+class ClippedSettings(AdvantageSettings):
     """Rounds of updates with the clipped objective from rollouts of decisions."""
 
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
     """Lambda of generalised advantage estimation."""
-    lambda_per: Literal["decision", "primitive"] = "decision"
-    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     rollout: Annotated[int, Range(2)] = 256
     """Decisions collected before each round of updates, of all streams together."""
     stream_rollout: Annotated[int, Range(1)] = 32

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import torch
@@ -17,29 +17,21 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.components.exploration import compute_epsilon_greedy
+from hrl_escape.agents.components.options.agent import OptionSettings
 from hrl_escape.agents.components.options.networks import OptionChoices, OptionHeads
 from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
-from hrl_escape.agents.components.policy_gradient import PolicySettings, Rollout, compute_entropy, take_column
-from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.components.policy_gradient import AdvantageSettings, Rollout, compute_entropy, take_column
 from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class A2OCSettings(PolicySettings, LearningSettings):
+class A2OCSettings(AdvantageSettings, OptionSettings):
     """Options, their terminations and the actor-critic update of `a2oc`."""
 
-    options: Annotated[int, Range(1)] = 4
-    """Options that are learned."""
-    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
-    """Probability of ending an option before anything is learned."""
     rollout: Annotated[int, Range(2)] = 20
     """Decisions collected before each update."""
     stream_rollout: Annotated[int, Range(1)] = 20
     """Decisions of each stream, on average, that a rollout of several streams has at least."""
-    gae_lambda: Annotated[float, Range(0, 1)] = 1.0
-    """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
-    lambda_per: Literal["decision", "primitive"] = "decision"
-    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     epsilon: Annotated[float, Range(0, 1)] = 0.1
     """Share of options that are chosen at random, and of the mean in the value of ending an option."""
     deliberation_cost: Annotated[float, Range(0)] = 0.01

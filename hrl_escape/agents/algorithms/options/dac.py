@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from hrl_escape.agents.components.options.agent import OptionSettings
 from hrl_escape.agents.components.options.networks import SMALLEST, OptionChoices, mix_values
 from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import (
@@ -22,18 +23,13 @@ from hrl_escape.agents.components.policy_gradient import (
     compute_clipped_loss,
     take_column,
 )
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class DACSettings(ClippedSettings, LearningSettings):
+class DACSettings(ClippedSettings, OptionSettings):
     """Options, their terminations and the clipped updates of `dac`."""
 
-    options: Annotated[int, Range(1)] = 4
-    """Options that are learned."""
-    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
-    """Probability of ending an option before anything is learned."""
     option_entropy_weight: Annotated[float, Range(0)] = 0.01
     """Weight of the entropy of the choice of options in the loss."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0

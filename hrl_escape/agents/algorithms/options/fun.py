@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -29,7 +29,7 @@ from hrl_escape.agents.components.networks import (
     make_network,
 )
 from hrl_escape.agents.components.policy_gradient import (
-    PolicySettings,
+    AdvantageSettings,
     Rollout,
     compute_advantages,
     compute_entropy,
@@ -45,7 +45,7 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class FunSettings(PolicySettings, LearningSettings):
+class FunSettings(AdvantageSettings, LearningSettings):
     """Settings of `fun`."""
 
     horizon: Annotated[int, Range(1)] = 10
@@ -60,10 +60,6 @@ class FunSettings(PolicySettings, LearningSettings):
     """Share of directions that are drawn at random."""
     rollout: Annotated[int, Range(2)] = 40
     """Decisions collected before each update."""
-    gae_lambda: Annotated[float, Range(0, 1)] = 1.0
-    """Lambda of generalised advantage estimation, of both levels."""
-    lambda_per: Literal["decision", "primitive"] = "decision"
-    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
 
 
 class FunLayers(nn.Module):

@@ -23,19 +23,16 @@ from hrl_escape.agents.components.exploration import (
     mask_values,
     sample_index,
 )
-from hrl_escape.agents.components.options.agent import OptionAgent
+from hrl_escape.agents.components.options.agent import OptionAgent, OptionSettings
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import StateTree, pack_keys, unpack_keys
 from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class OptionCriticSettings(ResolutionSettings, LearningSettings):
+class OptionCriticSettings(ResolutionSettings, OptionSettings):
     """Options, step sizes and exploration of `option-critic`."""
 
-    options: Annotated[int, Range(1)] = 4
-    """Options that are learned."""
     critic_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
     """Step size of option values and of action values within options."""
     policy_rate: Annotated[float, Range(0)] = 0.25
@@ -54,8 +51,6 @@ class OptionCriticSettings(ResolutionSettings, LearningSettings):
     multi_option: Annotated[float, Range(0, 1)] = 0.0
     """Share in which each decision updates every option, weighted by how likely it was to run and to decide the same;
     the rest goes to the option that ran. Above 0 this is MOC."""
-    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
-    """Probability of ending an option in a state where nothing was learned."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.01
     """Values are learned of rewards times this, so that returns are about 1; logged values stay in units of return."""
 

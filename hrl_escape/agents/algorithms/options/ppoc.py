@@ -20,22 +20,20 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.components.networks import Learner
+from hrl_escape.agents.components.options.agent import OptionSettings
 from hrl_escape.agents.components.options.networks import OptionChoices, mix_values
 from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, take_column
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, read_value
 from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class PPOCSettings(ClippedSettings, LearningSettings):
+class PPOCSettings(ClippedSettings, OptionSettings):
     """Options, their terminations and the clipped updates of `ppoc`."""
 
     options: Annotated[int, Range(1)] = 2
     """Options that are learned."""
-    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
-    """Probability of ending an option before anything is learned."""
     least_samples: Annotated[int, Range(2)] = 160
     """Decisions of an option that are collected, over several rollouts if need be, before it is updated."""
     termination_rate: Annotated[float, Range(0)] = 2e-4
