@@ -16,7 +16,7 @@ from pathlib import Path
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.commands.serving import PageAddress
 from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import load_episode
+from hrl_escape.viewer.play.saved_episode import SavedEpisode, load_episode
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,13 +33,18 @@ class PlayArgs(PageAddress, RoomChoice):
     """Hide which buttons wait for which: the graph shows what your presses prove, and all of it once you escape."""
 
 
+    def make_episode(self, saved: SavedEpisode | None = None) -> Episode:
+        """Episode in the room that is asked for, or in that of a saved one."""
+        if saved is not None:
+            return Episode(saved.instance, None, saved.seed, self.hidden)
+        config = None if self.load else self.make_config()
+        return Episode(self.make_instance(), config, self.episode_seed, self.hidden)
+
+
 def run(args: PlayArgs) -> None:
     """Play until the user quits."""
     saved = load_episode(args.replay) if args.replay else None
-    instance = saved.instance if saved else args.make_instance()
-    config = None if saved or args.load else args.make_config()
-    seed = saved.seed if saved else args.episode_seed
-    episode = Episode(instance, config, seed)
+    episode = args.make_episode(saved)
     server = args.open_server()
     try:
         from hrl_escape.viewer.pages.play import PlayPage

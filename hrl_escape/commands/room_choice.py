@@ -9,21 +9,15 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import load_urdf
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, UnsupportedError
 from hrl_escape.files import parse_json, read_json, read_toml
-
-if TYPE_CHECKING:
-    VectorObservation: TypeAlias = str
-else:  # choices that `--help` lists
-    VectorObservation = Literal[tuple(observation.name for observation in list_observations() if observation.is_vector)]
 
 
 @dataclasses.dataclass(frozen=True)

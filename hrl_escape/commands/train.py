@@ -20,7 +20,7 @@ import dataclasses
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import gymnasium
 import tyro
@@ -33,9 +33,10 @@ from hrl_escape.agents.training.callbacks import TensorBoard
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
-from hrl_escape.commands.room_choice import RoomChoice, VectorObservation, split_assignment
+from hrl_escape.commands.agent_choice import AgentChoice
+from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.grid import AgentSpec, OptionsView
+from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.runs import find_starts, make_env, make_player
@@ -56,7 +57,7 @@ SHOWN_EVALUATIONS, PRIMITIVES = 12, 20_000
 
 
 @dataclasses.dataclass(frozen=True)
-class TrainArgs(RoomChoice):
+class TrainArgs(AgentChoice, RoomChoice):
     """Options of `hrl-escape train`."""
 
     agent: Annotated[str, tyro.conf.Positional] = "smdp-dqn"
@@ -67,23 +68,8 @@ class TrainArgs(RoomChoice):
     """Learn from this data set, or tape, and be tested in its rung's unseen rooms; see `hrl-escape list offline`."""
     training_seed: int = 0
     """Training seed: fixes the agent and every training episode."""
-    recipe: str = "corrected"
-    """Recipe of its settings: corrected or paper."""
-    settings: tuple[str, ...] = ()
-    """Settings to change, as name=value; --list-settings shows them."""
     list_settings: bool = False
     """Print the agent's settings with their meaning; train nothing."""
-    options_only: bool = False
-    """Let an smdp- agent choose among options only."""
-    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
-    """Meta-actions: press one button, or press first those that must be on before it."""
-    memory: bool = False
-    """Show an smdp- agent what it has tried in this episode, beside each object: with --observation objects."""
-    leaves: Literal["planned", "learned"] | None = None
-    """Run a hierarchy synthesised from the room, for agents such as maxq-q or hamq: the planner walks to each target,
-    or walking is learned over primitives."""
-    observation: VectorObservation = "features"
-    """Observation of the agent; with --leaves it is what the tasks ask for."""
     eval_every: int | None = None
     """Primitives between evaluations; a twentieth of the budget by default."""
     eval_episodes: int = 5
@@ -103,13 +89,6 @@ class TrainArgs(RoomChoice):
     """Threads for torch, a part of the run: small networks are quickest with one, many copies with all cores."""
     json: bool = False
     """Print the result as JSON."""
-
-    def make_spec(self) -> AgentSpec:
-        """The agent that is asked for."""
-        options = OptionsView(include_primitives=not self.options_only, flavour=self.flavour, memory=self.memory)
-        settings = dict(split_assignment(text, "--settings", "gamma=0.95") for text in self.settings)
-        return AgentSpec(name=self.agent, recipe=self.recipe, settings=settings, options=options,
-                         leaves=self.leaves)
 
     def make_batch(self, spec: AgentSpec, instance: RoomInstance) -> VectorEnv | Streams:
         """Copies of the room that train together."""
@@ -136,7 +115,7 @@ class TrainArgs(RoomChoice):
 
 def run(args: TrainArgs) -> None:
     """Train an agent, evaluate it as the options say, and print its learning curve."""
-    spec = args.make_spec()
+    spec = args.make_spec(args.agent)
     if spec.is_reference and spec.name != TOOLS:
         raise UnsupportedError(f"{spec.name} learns nothing: `hrl-escape watch {spec.name}` shows it, and `hrl-escape "
                                "compare` holds learners against it")
@@ -172,11 +151,7 @@ def run(args: TrainArgs) -> None:
         _record(env, recorder, result, f"{spec.label}, seed {args.training_seed}")
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
         env.close()
-    best = best_known_return(instance)
-    if args.json:
-        print(json.dumps({"best_known": best, "folder": str(result.folder), **result.to_json()}, indent=2))
-    else:
-        _print(result, best)
+    _tell(args, result, best_known_return(instance))
 
 
 def _train_offline(args: TrainArgs, settings: dict[str, Any]) -> None:
@@ -188,11 +163,7 @@ def _train_offline(args: TrainArgs, settings: dict[str, Any]) -> None:
     result = train(args.agent, data=data, primitives=args.primitives, seed=args.training_seed, settings=settings,
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
                    callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads)
-    best = data.tape.about["scores"].get("best_known")
-    if args.json:
-        print(json.dumps({"best_known": best, "folder": str(result.folder), **result.to_json()}, indent=2))
-    else:
-        _print(result, best)
+    _tell(args, result, data.tape.about["scores"].get("best_known"))
 
 
 def _record(env: gymnasium.Env, recorder: StateRecorder, result: TrainResult, source: str) -> None:
@@ -217,7 +188,10 @@ def _print_settings(args: TrainArgs, resolved: dict[str, Any]) -> None:
     Console().print(table)
 
 
-def _print(result: TrainResult, best: float | None) -> None:
+def _tell(args: TrainArgs, result: TrainResult, best: float | None) -> None:
+    if args.json:
+        print(json.dumps({"best_known": best, "folder": str(result.folder), **result.to_json()}, indent=2))
+        return
     console = Console(soft_wrap=True, highlight=False)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     for heading in ("primitives", "decisions", "return", "escapes", "primitives an episode"):

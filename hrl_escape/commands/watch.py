@@ -16,12 +16,13 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from typing import Annotated, Literal
+from typing import Annotated
 
 import torch
 import tyro
 
-from hrl_escape.commands.room_choice import RoomChoice, VectorObservation, split_assignment
+from hrl_escape.commands.agent_choice import AgentChoice
+from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.commands.serving import PageAddress
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
 from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, find_run_room, open_driver
@@ -29,7 +30,7 @@ from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
 @dataclasses.dataclass(frozen=True)
-class WatchArgs(PageAddress, RoomChoice):
+class WatchArgs(PageAddress, AgentChoice, RoomChoice):
     """Options of `hrl-escape watch`."""
 
     driver: Annotated[str, tyro.conf.Positional] = PLANNER_NAME
@@ -38,18 +39,6 @@ class WatchArgs(PageAddress, RoomChoice):
     """Primitives a second at first; 0 for no limit."""
     paused: bool = False
     """Wait for the page's play button before the first primitive."""
-    observation: VectorObservation = "features"
-    """Observation of an agent to train."""
-    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
-    """Meta-actions: press one button, or press first those that must be on before it."""
-    options_only: bool = False
-    """Let an agent to train choose among options only."""
-    leaves: Literal["planned", "learned"] | None = None
-    """Train with a hierarchy synthesised from the room, for agents such as maxq-q; the page lists its running calls."""
-    settings: tuple[str, ...] = ()
-    """Settings to change of an agent to train, or of smdp-tools, as name=value."""
-    recipe: str = "corrected"
-    """Recipe of an agent to train: corrected or paper."""
     episode_seed: int = 0
     """Seed of the episodes, and of an agent to train."""
     trust: bool = False
@@ -61,10 +50,8 @@ def run(args: WatchArgs) -> None:
     torch.set_num_threads(1)
     text = find_driver(args.driver)
     instance = (None if args.load else find_run_room(text)) or args.make_instance()
-    driver = open_driver(text, instance, observation=args.observation, flavour=args.flavour,
-                         include_primitives=not args.options_only, recipe=args.recipe, seed=args.episode_seed,
-                         settings=dict(split_assignment(text, "--settings", "gamma=0.95") for text in args.settings),
-                         leaves=args.leaves, trust=args.trust)
+    driver = open_driver(args.make_spec(text), instance, observation=args.observation, seed=args.episode_seed,
+                         trust=args.trust)
     gate = Gate(args.pace or None, args.paused)
     server = args.open_server()
     page = WatchPage(server, Watch(driver, gate, args.episode_seed))

@@ -1,17 +1,32 @@
-"""A record of the room's states in an episode, and progress in it.
+"""A record of the room's states in an episode, progress in it, and callbacks on every primitive.
 
-Recording changes nothing in the environment and adds `progress` to its `info`.
+Recording changes nothing in the environment and adds `progress` to its `info`. A callback may take its time, and may
+stop the episode by raising.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import gymnasium
+import numpy as np
 
 from hrl_escape.agents.agent import read_success
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import UnsupportedError
+
+
+class PrimitiveStep(NamedTuple):
+    """One primitive and its transition."""
+
+    before: RoomState
+    primitive: int
+    after: RoomState
+    reward: float
+    pressed: tuple[int, ...]
+    end: EpisodeEnd
 
 
 class StateRecorder(gymnasium.Wrapper):
@@ -23,6 +38,9 @@ class StateRecorder(gymnasium.Wrapper):
     Attributes:
         states: the first one, and one a primitive.
         starts: first states of this episode and of those before it, back to the last reset with a seed.
+        on_step: called after every primitive, those inside options included.
+        before_step: called before every primitive.
+        on_reset: called with the first state of an episode.
     """
 
     is_passive = True  # runs with and without it are the same
@@ -31,6 +49,9 @@ class StateRecorder(gymnasium.Wrapper):
         super().__init__(env)
         self.states: list[RoomState] = []
         self.starts: list[RoomState] = []
+        self.on_step: Callable[[PrimitiveStep], None] | None = None
+        self.before_step: Callable[[], None] | None = None
+        self.on_reset: Callable[[RoomState], None] | None = None
         self._progress = 0.0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -39,15 +60,24 @@ class StateRecorder(gymnasium.Wrapper):
         self.states = [self._get_state()]
         self.starts = [*([] if seed is not None else self.starts), self.states[0]]
         self._progress = self._measure_progress()
+        if self.on_reset is not None:
+            self.on_reset(self.states[0])
         return observation, {**info, "progress": self._progress}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step, and record the state reached."""
+        if self.before_step is not None:
+            self.before_step()
+        before = None if self.on_step is None else self._get_state()
         observation, reward, terminated, truncated, info = self.env.step(action)
         self.states.append(self._get_state())
         if self.states[-1].puzzle != self.states[-2].puzzle:
             self._progress = max(self._progress, self._measure_progress())
         self._progress = 1.0 if read_success(info, terminated) else self._progress
+        if self.on_step is not None and before is not None:
+            self.on_step(PrimitiveStep(before, int(action), self.states[-1], float(reward),
+                                       tuple(np.flatnonzero(info["pressed"]).tolist()),
+                                       EpisodeEnd.of_step(bool(info["success"]), terminated, truncated)))
         return observation, reward, terminated, truncated, {**info, "progress": self._progress}
 
     def _measure_progress(self) -> float:

@@ -339,6 +339,11 @@ class GridRun:
         return f"{self.agent.label}, {self.room}, seed {self.seed}"
 
     @property
+    def source(self) -> str:
+        """Agent and training seed, as the origin of a return."""
+        return f"{self.agent.label}, seed {self.seed}"
+
+    @property
     def eval_seed(self) -> int:
         """Fixes its evaluation episodes: the same for every agent, others for each training seed."""
         return self.grid.eval_seed + self.seed

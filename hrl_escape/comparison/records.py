@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def record_returns(starts: Sequence[tuple[RoomInstance, RoomState]], best: Sequence[float],
-                   evaluations: Iterable[Evaluation], source: str, records: Path | None = None) -> None:
+                   evaluations: Iterable[Evaluation], source: str) -> None:
     """Raise the best known returns that an agent has beaten in evaluations, and warn; see `record_return`.
 
     Args:
@@ -25,7 +24,6 @@ def record_returns(starts: Sequence[tuple[RoomInstance, RoomState]], best: Seque
         best: best known return of each.
         evaluations: of these episodes.
         source: agent and seed.
-        records: file that keeps the better returns; None for this process only.
     """
     from hrl_escape.planning.best_known import record_return  # brings the planners in
 
@@ -33,7 +31,7 @@ def record_returns(starts: Sequence[tuple[RoomInstance, RoomState]], best: Seque
         episodes = zip(starts, best, evaluation.returns, evaluation.lengths, strict=True)
         for (instance, state), known, value, length in episodes:
             if length and value > known + 1e-9:
-                record_return(instance, state, value, source, records)
+                record_return(instance, state, value, source)
 
 
 def record_escapes(env: gymnasium.Env, seeds: Sequence[int], evaluations: Sequence[Evaluation], source: str) -> None:

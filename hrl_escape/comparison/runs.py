@@ -231,7 +231,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
             player, value = _train(run, out, env, env, place, score_range, checkpoint_seconds)
         else:
             player, value = _train_in_set(run, out, env, place, common, score_range, checkpoint_seconds)
-        _record(run, out, starts, score_range, value.evaluations)
+        record_returns(starts, score_range.best, value.evaluations, run.source)
         if grid.trials > 1 and place.split is not None:
             value = _try_several_times(run, out, player, place.split, common, order, value)
         drawn = seeds if place.split is None else seeds[:: len(place.split.test)]  # those in the room in pictures
@@ -255,7 +255,7 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPl
         starts = find_starts(again, again_recorder, seeds)
         seen_range = compute_score_range(starts, run.agent, out / "references", floors)
         seen = evaluate(agent, again, len(seeds), run.eval_seed, value.primitives, value.decisions, trials=floors)
-        _record(run, out, starts, seen_range, [seen])
+        record_returns(starts, seen_range.best, [seen], run.source)
     finally:
         env.close()
         again.close()
@@ -279,7 +279,7 @@ def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, com
     tried = list(zip(*starts, strict=True))
     ranges = tuple(compute_score_range(trial, run.agent, out / "references") for trial in tried)
     for trial, score_range, evaluation in zip(tried, ranges, found, strict=True):
-        _record(run, out, trial, score_range, [evaluation])
+        record_returns(trial, score_range.best, [evaluation], run.source)
     return dataclasses.replace(value, trials=found, trial_ranges=ranges)
 
 
@@ -300,13 +300,6 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
     solution = None if probe is None else probe.solution
     budget = min(run.grid.primitives, result.primitives)
     return result.agent, RunResult.make(budget, result, score_range, solution)
-
-
-def _record(run: GridRun, out: Path, starts: Sequence[tuple[RoomInstance, RoomState]], score_range: ScoreRange,
-            evaluations: Sequence[Evaluation]) -> None:
-    """Keep what beats the best known returns in `records.json` beside the run's result."""
-    record_returns(starts, score_range.best, evaluations, f"{run.agent.label}, seed {run.seed}",
-                   get_run_folder(out, run) / "records.json")
 
 
 def find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int]

@@ -14,7 +14,6 @@ import threading
 import warnings
 from collections import OrderedDict
 from collections.abc import Hashable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +21,7 @@ import numpy as np
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import draw_episode
-from hrl_escape.errors import EscapeError, FileReadError, PlanningFailed
-from hrl_escape.files import read_json, write_json
+from hrl_escape.errors import EscapeError, PlanningFailed
 from hrl_escape.planning.goals import Goal
 from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.planning.plan import Plan, strip
@@ -56,21 +54,19 @@ class BestKnown(NamedTuple):
     plan: Plan | None = None
 
 
-def best_known_return(instance: RoomInstance, *, state: RoomState | None = None,
-                      records: str | Path | None = None) -> float:
+def best_known_return(instance: RoomInstance, *, state: RoomState | None = None) -> float:
     """Return the best known return of a room, without noise, slip and physics, by a puzzle's most likely outcomes.
 
     Args:
         instance: the room.
         state: first state of the episode; None for the mean over the instance's starts.
-        records: JSON file of returns reached by agents (see `record_return`), read if it exists.
 
     Returns:
         Undiscounted return; `horizon` times the step's reward if no escape is known.
     """
     if state is not None:
-        return find_best_known(instance, state, records=records).value
-    return float(np.mean([find_best_known(instance, s, records=records).value for s in list_start_states(instance)]))
+        return find_best_known(instance, state).value
+    return float(np.mean([find_best_known(instance, s).value for s in list_start_states(instance)]))
 
 
 def list_start_states(instance: RoomInstance) -> list[RoomState]:
@@ -83,8 +79,7 @@ def list_start_states(instance: RoomInstance) -> list[RoomState]:
     return [pairs[n] for n in np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_STARTS)).astype(int)]
 
 
-def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | Path | None = None
-                    ) -> BestKnown:
+def find_best_known(instance: RoomInstance, state: RoomState) -> BestKnown:
     """Find the best known return from one state, with its source, its plan and an upper bound.
 
     It is the best of all known ways: legs one by one in several orders (that of a press with its ancestors among
@@ -94,7 +89,6 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
     Args:
         instance: the room.
         state: first state of the episode.
-        records: see `best_known_return`.
     """
     get_planner(instance).routes.check_query(state)
     key = (instance.id, get_pose(state), state.puzzle)
@@ -105,10 +99,6 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
     with _LOCK:
         found = _KNOWN.get(key, found)
         _remember(instance, state, found)
-    if records is not None:
-        recorded = _read_records(records).get(_name_record(instance, state))
-        if recorded is not None and recorded["return"] > found.value:
-            found = _make_record(found, instance, recorded["return"], recorded["source"])
     return found
 
 
@@ -120,9 +110,8 @@ def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnow
             _remember(instance, state, found._replace(upper_bound=known.upper_bound))
 
 
-def record_return(instance: RoomInstance, state: RoomState, value: float, source: str,
-                  records: str | Path | None = None) -> bool:
-    """Record a return that beats the best known one, and warn.
+def record_return(instance: RoomInstance, state: RoomState, value: float, source: str) -> bool:
+    """Record a return that beats the best known one, in this process, and warn.
 
     Rooms with noise, slip, physics or a random puzzle keep their value: a lucky episode is no reference.
 
@@ -131,24 +120,18 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
         state: first state of the episode.
         value: its undiscounted return.
         source: its origin, such as `dqn, seed 3`.
-        records: JSON file that keeps better returns; None keeps them in this process, while the state is among
-            the last `MOST_REMEMBERED`.
 
     Returns:
-        True if it was better.
+        True if it was better; it is kept while the state is among the last `MOST_REMEMBERED`.
     """
     dynamics = instance.dynamics
     if dynamics.is_random or dynamics.kind == "physics" or instance.puzzle.is_random:
         return False
-    known = find_best_known(instance, state, records=records)
+    known = find_best_known(instance, state)
     if value <= known.value + 1e-9:
         return False
     with _LOCK:
         _remember(instance, state, _make_record(known, instance, value, source))
-        if records is not None:
-            content = _read_records(records)
-            content[_name_record(instance, state)] = {"return": value, "source": source}
-            write_json(records, content)
     warnings.warn(
         f"{source} reached a return of {value:g} in room {instance.id} from ({state.x:.2f}, {state.y:.2f}), where "
         f"{known.value:g} was the best known (by {known.source}). Scores of this room are normalised anew",
@@ -172,30 +155,12 @@ def _remember(instance: RoomInstance, state: RoomState, found: BestKnown) -> Non
         _KNOWN.popitem(last=False)
 
 
-def _name_record(instance: RoomInstance, state: RoomState) -> str:
-    arm = "".join(f" {n}" for n in state.joint_steps)
-    begun = "" if state.puzzle == instance.puzzle.make_state() else f" {state.puzzle!r}"
-    return f"{instance.id} {state.x!r} {state.y!r} {state.heading_steps} {state.heading_offset!r}{arm}{begun}"
-
-
 def _make_record(known: BestKnown, instance: RoomInstance, value: float, source: str) -> BestKnown:
     """Best known return that an agent reached; without noise its length follows from it."""
     step = instance.reward.step
     is_told = step and not instance.puzzle.has_reward
     primitives = 1 + round((value - compute_escape_return(instance, 1)) / step) if is_told else None
     return BestKnown(value, source, known.upper_bound, primitives)
-
-
-def _read_records(records: str | Path) -> dict:
-    try:
-        content = read_json(records, "file of best known returns")
-    except FileReadError:
-        if Path(records).exists():
-            raise
-        return {}
-    if not isinstance(content, dict):
-        raise FileReadError(f"{records}: this is no file of best known returns")
-    return content
 
 
 def compute_worst_return(instance: RoomInstance) -> float:
@@ -207,9 +172,7 @@ def compute_escape_return(instance: RoomInstance, primitives: float) -> float:
     """Return of an escape after a number of primitives; that of never escaping if the horizon comes first."""
     if primitives > instance.horizon:
         return compute_worst_return(instance)
-    reward = instance.reward
-    bonus = reward.on_exit
-    return reward.step * (primitives - 1) + bonus
+    return instance.reward.step * (primitives - 1) + instance.reward.on_exit
 
 
 def find_by_plan(planner: RoomPlanner, state: RoomState, jointly: bool) -> BestKnown:

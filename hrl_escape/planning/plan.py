@@ -122,10 +122,7 @@ class Plan:
             return sum(rules.step(*pair).reward for pair in zip(self.states, self.primitives, strict=False))
         reward, last = self.instance.reward, self.states[-1]
         escapes = self.instance.exit.contains(last.x, last.y) and self.instance.puzzle.is_solved(last.puzzle)
-        if not escapes:
-            return reward.step * self.cost
-        bonus = reward.on_exit
-        return reward.step * (self.cost - 1) + bonus
+        return reward.step * (self.cost - 1) + reward.on_exit if escapes else reward.step * self.cost
 
     def execute(self, env: gymnasium.Env) -> Execution:
         """Execute the primitives in an environment, open loop, until the plan or the episode ends.

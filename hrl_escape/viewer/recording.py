@@ -8,13 +8,13 @@ from __future__ import annotations
 import dataclasses
 
 from hrl_escape.agents.training.evaluation import play_episode
+from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.play.saved_episode import SavedEpisode
-from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.drivers import Driver
 
 
@@ -42,7 +42,7 @@ def record_driver(driver: Driver, seed: int = 0) -> Recording:
         raise UnsupportedError(f"{name} has not been trained: run `hrl-escape train {name}` first, then name the "
                                "folder of that run")
     steps: list[PrimitiveStep] = []
-    driver.hooks.on_step = steps.append
+    driver.recorder.on_step = steps.append
     decisions: list[tuple[str, int]] = []
     for transition, _ in play_episode(driver.agent, driver.env, seed):
         decisions.append((driver.names[transition.action], transition.duration))

@@ -101,7 +101,6 @@ def test_what_planners_found_is_kept_for_other_runs_and_a_damaged_file_is_made_a
 
 def test_a_run_that_beats_the_best_known_return_raises_it(tmp_path, monkeypatch):
     (finished, result), = run_quietly(change(agents=(INDEX_ORDER,), runs=1, primitives=200), tmp_path).runs
-    assert not list(tmp_path.rglob("records.json")), "nothing has been beaten"
     instance, = (RoomInstance.load(path) for path in (tmp_path / "rooms").glob("*.json"))
     states = [Kinematics(instance).make_state(start) for start in instance.starts]
     poor = {(instance.id, get_pose(state), state.puzzle): find_best_known(instance, state)._replace(value=-70.0)
@@ -110,10 +109,8 @@ def test_a_run_that_beats_the_best_known_return_raises_it(tmp_path, monkeypatch)
     shutil.rmtree(tmp_path / "references")
     with pytest.warns(UserWarning, match=f"{INDEX_ORDER}, seed 0 reached a return of"):
         execute_run(finished, tmp_path, 60.0)
-    reached = set(result.evaluations[0].returns)
-    records, = tmp_path.rglob("records.json")
-    assert {row["return"] for row in json.loads(records.read_text()).values()} <= reached
-    assert max(best_known_return(instance, state=state) for state in states) == max(reached) > -70
+    reached = max(result.evaluations[0].returns)
+    assert max(best_known_return(instance, state=state) for state in states) == reached > -70
 
 
 class Follower(Agent):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import warnings
 from collections import OrderedDict
@@ -20,7 +19,7 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError, FileReadError
+from hrl_escape.errors import ConfigError
 from hrl_escape.options.best_with_options import best_return_with_options, find_best_with_options
 from hrl_escape.options.option import ScriptedOption
 from hrl_escape.planning import best_known
@@ -226,24 +225,21 @@ def test_what_no_one_can_do_is_worth_the_horizon():
         assert best_known_return(dataclasses.replace(instance, horizon=horizon)) == value
 
 
-def test_a_better_return_is_taken_over_and_said(tmp_path):
-    instance, path = generate(get_preset("paper-two-button"), 0), tmp_path / "best.json"
+def test_a_better_return_is_taken_over_and_said():
+    instance = generate(get_preset("paper-two-button"), 0)
     start = make_start(instance)
     before = best_known_return(instance)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert not record_return(instance, start, before, "dqn", path), "as good is not better"
-        assert not path.exists()
+        assert not record_return(instance, start, before, "dqn"), "as good is not better"
     with pytest.warns(UserWarning, match=r"dqn, seed 3 reached a return of"):
-        assert record_return(instance, start, before + 2, "dqn, seed 3", path)
-    assert best_known_return(instance, records=path) == before + 2
-    known, fewest = find_best_known(instance, start, records=path), RoomPlanner(instance).solve(start).cost
+        assert record_return(instance, start, before + 2, "dqn, seed 3")
+    assert best_known_return(instance) == before + 2
+    known, fewest = find_best_known(instance, start), RoomPlanner(instance).solve(start).cost
     assert known.source == "dqn, seed 3" and known.primitives is not None and known.primitives < fewest
-    best_known._KNOWN.clear()
-    assert best_known_return(instance) == before, "another process without the file"
-    assert best_known_return(instance, records=path) == before + 2, "and with it"
     assert best_return_with_options(instance, "press") <= before
-    assert len(json.loads(path.read_text())) == 1
+    best_known._KNOWN.clear()
+    assert best_known_return(instance) == before, "another process"
 
 
 def test_the_state_asked_for_least_recently_is_forgotten_first(monkeypatch):
@@ -261,9 +257,3 @@ def test_luck_is_no_record():
     assert not record_return(noisy, make_start(noisy), 99.0, "luck")
 
 
-def test_a_damaged_file_of_records_is_an_error(tmp_path):
-    path = tmp_path / "best.json"
-    path.write_text("[1, 2")
-    instance = generate(get_preset("paper-one-button"), 0)
-    with pytest.raises(FileReadError):
-        best_known_return(instance, records=path)

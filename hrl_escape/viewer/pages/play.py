@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.errors import EscapeError
 from hrl_escape.viewer.pages.panels import make_facts, make_keys
@@ -21,7 +22,6 @@ from hrl_escape.viewer.play.commands import HELP, KEYS, Command, Controls, carry
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.play.saved_episode import SavedEpisode
 from hrl_escape.viewer.server import Server
-from hrl_escape.viewer.step_hooks import PrimitiveStep
 
 PLAY_STRIDE = 0.18
 """Duration of one primitive on the screen, s; less while keys are waiting."""

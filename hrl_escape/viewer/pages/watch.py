@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.episode_end import EpisodeEnd
@@ -28,7 +29,6 @@ from hrl_escape.viewer.pages.panels import KnownEdges, make_bars, make_facts, ma
 from hrl_escape.viewer.pages.room import RoomPage, name_room
 from hrl_escape.viewer.play.commands import praise
 from hrl_escape.viewer.server import Server
-from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.preview import Preview
 from hrl_escape.viewer.watch.watch import Watch
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Collection
 
+from hrl_escape.comparison.episodes import PrimitiveStep, StateRecorder
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
@@ -23,7 +24,6 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EpisodeFileError, UnsupportedError
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.viewer.play.saved_episode import SavedEpisode
-from hrl_escape.viewer.step_hooks import PrimitiveStep, StepHooks
 
 
 class PressEvidence:
@@ -98,9 +98,9 @@ class Episode:
         self.instance = instance
         self.discovery = PressEvidence(instance) if self._is_hidden else None
         self._env = EscapeRoomEnv(instance=instance)
-        hooks = StepHooks(self._env)
-        hooks.on_step = self._note
-        self._options = OptionsEnv(hooks)
+        recorder = StateRecorder(self._env)
+        recorder.on_step = self._note
+        self._options = OptionsEnv(recorder)
         self.names = self._options.action_names
         self.primitive_count = len(self._env.rules.actions)
         self.option_names = self.names[self.primitive_count :]

@@ -9,7 +9,7 @@ foresees the whole escape: there it takes the next goal of the cheapest order.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -24,8 +24,10 @@ from hrl_escape.agents.training.env_description import make_described_env
 from hrl_escape.agents.training.run import refusing_damage
 from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
-from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.references.registry import SEARCHERS, make_reference
+from hrl_escape.comparison.episodes import StateRecorder, find_recorder
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.references.registry import SEARCHERS
+from hrl_escape.comparison.runs import make_env, make_player
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -37,14 +39,8 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, Goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
-from hrl_escape.settings import replace_settings
-from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
-from hrl_escape.synthesis.kinds import find_kind
-from hrl_escape.text.agent import ToolsAgent
-from hrl_escape.text.managers import make_model
-from hrl_escape.text.settings import TOOLS, ToolsSettings
+from hrl_escape.text.settings import TOOLS
 from hrl_escape.text.told_env import ToldEnv
-from hrl_escape.viewer.step_hooks import StepHooks
 
 
 class EscapePlan:
@@ -154,7 +150,7 @@ class Driver:
     name: str  # name for people
     agent: Agent  # the agent
     env: gymnasium.Env  # its environment
-    hooks: StepHooks  # wrapper inside `env`, right around the flat room
+    recorder: StateRecorder  # wrapper inside `env`, right around the flat room
     names: tuple[str, ...]  # names of the actions
     primitives: int  # number of primitives among the actions; they come first
     flavour: str  # flavour of the meta-actions
@@ -176,22 +172,15 @@ class Driver:
         return make_meta_options(instance, self.flavour, get_planner(instance))
 
 
-def open_driver(text: str, instance: RoomInstance, *, observation: str = "features", flavour: str = "press",
-                include_primitives: bool = True, recipe: str = "corrected", seed: int = 0,
-                settings: Mapping[str, Any] | None = None, leaves: str | None = None, trust: bool = False) -> Driver:
+def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: str = "features", seed: int = 0,
+                trust: bool = False) -> Driver:
     """Open the driver that a user names.
 
     Args:
-        text: `planner`, a searcher such as `smdp-untried-nearest`, the folder of a run, or the name of an agent to
-            train.
+        agent: `planner`, a searcher such as `smdp-untried-nearest`, the folder of a run, or an agent to train.
         instance: the room.
         observation: observation of an agent to train; a run's own is found out.
-        flavour: flavour of the meta-actions of an agent to train; a run's own is kept with it.
-        include_primitives: an agent over options chooses among primitives too; found out for a run.
-        recipe: recipe of an agent to train.
         seed: seed of an agent to train.
-        settings: settings to change of an agent to train.
-        leaves: leaves of the hierarchy that is synthesised for an agent to train; None for none.
         trust: let a run's environment import whatever code its folder names.
 
     Raises:
@@ -202,38 +191,25 @@ def open_driver(text: str, instance: RoomInstance, *, observation: str = "featur
         RunMismatchError: the run was made in a room with other spaces.
         UnsupportedError: no hierarchy is synthesised for this agent.
     """
-    if text == PLANNER_NAME:
-        hooks, plan = _make_room(instance, observation), EscapePlan(get_planner(instance))
-        env = OptionsEnv(hooks, options=lambda _: make_legs(plan), include_primitives=False)
-        return _make_driver("the planner", PlannerAgent(env, plan), env, hooks, "press", plan=plan)
-    if text in SEARCHERS:
-        hooks = _make_room(instance, observation)
-        recorder = StateRecorder(hooks)
-        env = OptionsEnv(recorder, include_primitives=False, flavour=flavour)
-        return _make_driver(text, make_reference(text, env, recorder), env, hooks, flavour)
-    folder = Path(text)
-    if folder.exists() or "/" in text:
-        return _open_run(folder, instance, trust)
-    if text == TOOLS:
-        return _open_tools(instance, replace_settings(ToolsSettings(), settings or {}), observation, include_primitives,
-                           flavour)
-    agent_class = _find_agent_class(text)
-    over_options = text.startswith(SMDP_PREFIX)
-    trace = over_options and agent_class.needs_trace
-    env, hooks = _make_env(instance, observation, over_options, include_primitives, flavour, trace)
-    env = env if leaves is None else HierarchyEnv(env, find_kind(text), leaves)
-    agent = make_agent(text, env.observation_space, env.action_space, seed, recipe, read_structure(env),
-                       **(settings or {}))
-    return _make_driver(f"{text}, learning", agent, env, hooks, flavour, trains=True)
-
-
-def _open_tools(instance: RoomInstance, settings: ToolsSettings, observation: str, primitives: bool, flavour: str
-                ) -> Driver:
-    env, hooks = _make_env(instance, observation, True, primitives, flavour, False)
-    told = ToldEnv(env, settings.told)
-    agent = ToolsAgent(told, make_model(settings.model))
-    driver = _make_driver(f"{TOOLS}, {settings.model}", agent, env, hooks, flavour)
-    return dataclasses.replace(driver, env=told, told=told)
+    spec = AgentSpec(agent) if isinstance(agent, str) else agent
+    name, flavour = spec.name, spec.options.flavour
+    if name == PLANNER_NAME:
+        recorder, plan = _make_room(instance, observation), EscapePlan(get_planner(instance))
+        env = OptionsEnv(recorder, options=lambda _: make_legs(plan), include_primitives=False)
+        return _make_driver("the planner", PlannerAgent(env, plan), env, "press", plan=plan)
+    if name in SEARCHERS:
+        spec = dataclasses.replace(spec, options=dataclasses.replace(spec.options, include_primitives=False))
+    elif Path(name).exists() or "/" in name:
+        return _open_run(Path(name), instance, trust)
+    if not spec.is_reference:
+        _check_agent(name)
+    env, recorder = make_env(spec, instance, observation)
+    if spec.is_reference:
+        words = f"{name}, {spec.resolve_settings()['model']}" if name == TOOLS else name
+        return _make_driver(words, make_player(spec, env, recorder), env, flavour)
+    learner = make_agent(name, env.observation_space, env.action_space, seed, spec.recipe, read_structure(env),
+                         **spec.settings)
+    return _make_driver(f"{name}, learning", learner, env, flavour, trains=True)
 
 
 def find_driver(text: str) -> str:
@@ -266,48 +242,33 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
         kept = described["environment"]
         flavour = next((part["arguments"]["flavour"] for part in kept["wrappers"] if "flavour" in part["arguments"]),
                        "press")
-        room = EscapeRoomEnv(instance=instance, observation=(kept["arguments"] or {}).get("observation", "features"))
-        arguments = room.describe()
+        room = _make_room(instance, (kept["arguments"] or {}).get("observation", "features"))
+        arguments = room.unwrapped.describe()
         room.close()
-    env = make_described_env({**kept, "arguments": arguments}, StepHooks, trust=trust)
+    env = make_described_env({**kept, "arguments": arguments}, StateRecorder, trust=trust)
     if (repr(env.observation_space), repr(env.action_space)) != spaces:
         env.close()
         raise RunMismatchError(f"{folder} was trained with the spaces {spaces[0]} and {spaces[1]}, which room "
                                f"{instance.id} does not have: leave out --load to use the run's own room")
-    return _make_driver(f"{name}, as trained", load_agent(folder, env), env, _find_hooks(env), flavour)
+    return _make_driver(f"{name}, as trained", load_agent(folder, env), env, flavour)
 
 
-def _find_agent_class(text: str) -> type[Agent]:
+def _check_agent(name: str) -> None:
     try:
-        return get_agent_class(text)
+        get_agent_class(name)
     except UnknownNameError as error:
         note = f"; or the folder of a run. Each agent also has {SMDP_PREFIX} in front"
-        raise UnknownNameError("driver", text, [PLANNER_NAME, *SEARCHERS, TOOLS, *error.known], note) from None
+        raise UnknownNameError("driver", name, [PLANNER_NAME, *SEARCHERS, TOOLS, *error.known], note) from None
 
 
-def _find_hooks(env: gymnasium.Env) -> StepHooks:
-    while not isinstance(env, StepHooks):
-        assert isinstance(env, gymnasium.Wrapper), "hooks are the innermost wrapper of every driver"
-        env = env.env
-    return env
+def _make_room(instance: RoomInstance, observation: str) -> Any:
+    return StateRecorder(EscapeRoomEnv(instance=instance, observation=observation))
 
 
-def _make_room(instance: RoomInstance, observation: str) -> StepHooks:
-    return StepHooks(EscapeRoomEnv(instance=instance, observation=observation))
-
-
-def _make_env(instance: RoomInstance, observation: str, over_options: bool, primitives: bool, flavour: str,
-              trace: bool) -> tuple[gymnasium.Env, StepHooks]:
-    hooks = _make_room(instance, observation)
-    if not over_options:
-        return hooks, hooks
-    return OptionsEnv(hooks, include_primitives=primitives, flavour=flavour, trace=trace), hooks
-
-
-def _make_driver(name: str, agent: Agent, env: gymnasium.Env, hooks: StepHooks, flavour: str,
-                 trains: bool = False, plan: EscapePlan | None = None) -> Driver:
+def _make_driver(name: str, agent: Agent, env: gymnasium.Env, flavour: str, trains: bool = False,
+                 plan: EscapePlan | None = None) -> Driver:
     room: Any = env.unwrapped
     flat = room.rules.actions.names
-    names = env.action_names if isinstance(env, OptionsEnv) else flat
-    primitives = sum(name in flat for name in names)
-    return Driver(name, agent, env, hooks, names, primitives, flavour, trains, plan)
+    names = env.get_wrapper_attr("action_names") if env.has_wrapper_attr("action_names") else flat
+    primitives, told = sum(name in flat for name in names), env if isinstance(env, ToldEnv) else None
+    return Driver(name, agent, env, find_recorder(env), names, primitives, flavour, trains, plan, told)

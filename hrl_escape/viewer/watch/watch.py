@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
+from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.comparison.references.by_lights import Searcher
 from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.drivers import Driver
 from hrl_escape.viewer.watch.preview import Preview, Previewer
 
@@ -182,8 +182,8 @@ class Watch:
         self.on_change: Callable[[PrimitiveStep | None], None] = lambda step: None
         self.on_wait: Callable[[], None] = lambda: None
         self.previewer = Previewer(driver.room.instance, driver.make_options())
-        hooks = driver.hooks
-        hooks.on_step, hooks.before_step, hooks.on_reset = self._note_step, self._wait, self._note_reset
+        recorder = driver.recorder
+        recorder.on_step, recorder.before_step, recorder.on_reset = self._note_step, self._wait, self._note_reset
 
     def run(self, episodes: int | None = None) -> None:
         """Drive until `gate.stop()` or for a number of episodes; an agent in training learns.

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
+from hrl_escape.commands.play import PlayArgs
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
@@ -57,6 +58,11 @@ def test_nothing_is_concluded_where_a_button_can_lock_another(clutter):
     episode = Episode(room, is_hidden=True)
     episode.do(episode.primitive_count)
     assert episode.discovery is not None and episode.discovery.list_edges() == ((), ())
+
+
+def test_the_command_hides_the_graph_where_it_is_asked_to():
+    assert PlayArgs(hidden=True).make_episode().discovery is not None
+    assert PlayArgs().make_episode().discovery is None
 
 
 def test_a_hidden_graph_looks_the_same_whatever_it_is():

@@ -6,12 +6,12 @@ import re
 
 import pytest
 
+from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.viewer.recording import record_driver
-from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.watch import Gate, ObservedChoice, Watch
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.training.train import load_agent, train
+from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.watch import KEPT_DECISIONS, KEPT_EVENTS, KEPT_VALUES, Gate, ObservedChoice, Watch
 
@@ -82,7 +82,7 @@ def test_an_agent_learns_the_same_whether_it_is_watched_or_not(name: str, one_bu
     watch.run()
     other = open_driver(name, one_button)
     alone: list[PrimitiveStep] = []
-    other.hooks.on_step = alone.append
+    other.recorder.on_step = alone.append
     train(other.agent, other.env, primitives=budget, seed=0, eval_episodes=0, progress=False)
     assert [step.primitive for step in steps[:budget]] == [step.primitive for step in alone[:budget]]
     assert steps[budget - 1].after == alone[budget - 1].after
