@@ -36,7 +36,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason
 from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.arm.model import ArmKinematics
-from hrl_escape.planning.motion_path import MotionPath
+from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.scene import Scene
 
 try:

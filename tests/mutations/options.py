@@ -164,7 +164,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a target out of the hand's reach is a long way off",
-        "options/batched/postures.py",
+        "options/batched/cost_to_go.py",
         "FAR = 20_000",
         "FAR = 1_000",
         "options/batched/test_hand_presses.py::test_a_target_that_no_hand_reaches_costs_one_primitive",

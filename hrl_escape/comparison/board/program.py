@@ -31,7 +31,7 @@ from typing_extensions import Self
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.comparison.board.submission import Card
-from hrl_escape.comparison.references.rules import ReferenceSettings
+from hrl_escape.comparison.references.by_lights import ReferenceSettings
 from hrl_escape.errors import ContractError, show_value
 from hrl_escape.names import parse_whole
 

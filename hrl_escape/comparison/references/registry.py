@@ -24,13 +24,15 @@ from numpy.typing import NDArray
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.references.bayes import BayesSearcher
-from hrl_escape.comparison.references.by_lights import Retrace, Untried, UntriedNearest
-from hrl_escape.comparison.references.rules import (
+from hrl_escape.comparison.references.by_lights import (
     IndexOrder,
     PlanFollower,
     Reference,
     ReferenceSettings,
+    Retrace,
     ShuffledRound,
+    Untried,
+    UntriedNearest,
 )
 from hrl_escape.ladder.sequence import SequenceEnv
 

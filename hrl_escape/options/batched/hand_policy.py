@@ -22,10 +22,9 @@ from hrl_escape.env.batched.engine import TensorRoom, list_shapes
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors
 from hrl_escape.env.tensor_geometry import Shapes, store, wrap
-from hrl_escape.options.batched.cost_to_go import CostFields, classify_headings, interpolate_cost, locate
+from hrl_escape.options.batched.cost_to_go import FAR, CostFields, classify_headings, interpolate_cost, locate
 from hrl_escape.options.batched.decisions import CHOSEN, OpenDecisions
 from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
-from hrl_escape.options.batched.postures import FAR
 from hrl_escape.options.batched.successors import find_touched_by_hand, rotate
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 

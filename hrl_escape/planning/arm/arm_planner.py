@@ -29,9 +29,8 @@ from hrl_escape.figures import make_svg, save_figure
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
-from hrl_escape.planning.motion_path import MotionPath
 from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
-from hrl_escape.planning.paths.problem import CheckerBudget
+from hrl_escape.planning.paths.problem import CheckerBudget, MotionPath
 
 KEPT_MARGINS = (0.02, 0.005, 0.001)
 """Clearances for a path, m: the first that start and goal allow is used."""

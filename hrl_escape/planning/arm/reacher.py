@@ -12,9 +12,9 @@ from __future__ import annotations
 import dataclasses
 import heapq
 import math
-from collections.abc import Sequence
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, cached_property, lru_cache
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,16 +22,15 @@ from numpy.typing import NDArray
 from hrl_escape.env.geometry import compute_distance_many
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.errors import UnsupportedError
+from hrl_escape.errors import PlanningFailed, UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED, ArmLattice, Halves, make_halves, make_lattice
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
 from hrl_escape.planning.arm.tables import bound_costs, find_heights, find_touching, map_hands, measure_gap
+from hrl_escape.search import find_cheapest_steps
 
 if TYPE_CHECKING:
     from hrl_escape.planning.arm.arm_planner import ArmPlanner
-
-__all__ = ["UNLIMITED", "NEVER", "QUICK", "ReachTable", "Reacher"]
 
 QUICK = 5_000_000
 """Default budget of a table, pairs of half configurations: all of them up to six joints."""
@@ -47,6 +46,14 @@ _MOST_HALVES = 60_000
 _CANDIDATES = 64  # configurations with equally many joint steps tested for collisions
 _SKIN = 1e-9  # rounding margin of a touch, m
 _PUSH = 0.01  # depth of a touch that presses by force, m
+PATH_TESTS = 20_000
+"""Most configurations tested for one path."""
+TUBES = (1.0, 2.0)
+"""Half widths of the tubes that are tried, in joint steps."""
+TESTED_SHARES = (0.25, 0.5, 0.75, 1.0)
+"""Fractions of a joint step at which the arm is tested for collisions."""
+Posture: TypeAlias = tuple[int, ...]
+"""Joint steps from home."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -378,6 +385,51 @@ class Reacher:
             is_stuck = collides
         return state
 
+    # --- joint steps round solids ------------------------------------------------------
+
+    def plan_steps(self, state: RoomState, joint_steps: Posture, others: int = 0) -> tuple[int, ...] | None:
+        """Plan joint steps round solids, along a path through the space of joint angles, the base at rest.
+
+        The fewest joint steps may lead through solids where a path of joint angles leads round them. Rounding the path
+        to whole steps may touch what it clears, so the lattice is searched near it, and every step is tested in
+        between as well.
+
+        Args:
+            state: base and arm at the beginning.
+            joint_steps: last posture, from home.
+            others: bits of targets that may not be pressed on the way.
+
+        Returns:
+            Primitives; None where no path is found, or no joint steps along it.
+        """
+        rules, robot, heading = self.kinematics, self.kinematics.robot, self.kinematics.get_heading(state)
+        home = np.array(robot.compute_angles((0,) * len(joint_steps), state.joint_offsets))
+        goal = home + robot.step * np.array(joint_steps)
+        try:
+            path = self.planner.plan(state, goal, budget=PATH_TESTS).interpolate(robot.step / 4)
+        except PlanningFailed:
+            return None
+
+        @cache
+        def get_touching(posture: Posture) -> int:
+            return rules.compute_touching(*state._replace(joint_steps=posture).pose)
+
+        @cache
+        def can_step(a: Posture, b: Posture) -> bool:
+            if any(not low <= n <= high for low, n, high in zip(robot.step_low, b, robot.step_high, strict=True)):
+                return False
+            if get_touching(b) & ~get_touching(a) & others:
+                return False
+            places = (home + robot.step * (np.array(a) + share * np.subtract(b, a)) for share in TESTED_SHARES)
+            return all(self.is_collision_free(state.x, state.y, heading, place.tolist()) for place in places)
+
+        steps = follow_path((path - home) / robot.step, state.joint_steps, joint_steps, can_step)
+        if steps is None:
+            return None
+        pairs, changes = rules.actions.joints, np.diff([state.joint_steps, *steps], axis=0)
+        return tuple(pairs[joint].increment if change[joint] > 0 else pairs[joint].decrement
+                     for change in changes.tolist() for joint in range(len(change)) if change[joint])
+
     # --- collisions --------------------------------------------------------------------
 
     @cached_property
@@ -407,3 +459,37 @@ class Reacher:
 def _bound_reach(lattice: ArmLattice) -> float:
     return float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest
 
+
+def follow_path(path: NDArray[np.float64], begin: Posture, end: Posture, can_step: Callable[[Posture, Posture], bool]
+                ) -> tuple[Posture, ...] | None:
+    """Find the fewest joint steps from one posture to another near a path.
+
+    Args:
+        path: places along it, at most a fraction of a step apart, shape (n, joints), in joint steps from home.
+        begin: first posture, in joint steps from home.
+        end: last posture.
+        can_step: (posture, a neighbouring one) -> the arm may go from one to the other.
+
+    Returns:
+        Postures after each step; None where no tube holds a way.
+    """
+    found = (_search_tube(path, begin, end, can_step, wide) for wide in TUBES)
+    return next((postures for postures in found if postures is not None), None)
+
+
+def _search_tube(path: NDArray[np.float64], begin: Posture, end: Posture, can_step: Callable[[Posture, Posture], bool],
+                 wide: float) -> tuple[Posture, ...] | None:
+    def list_steps(here: Posture) -> Iterator[tuple[Posture, int, Posture]]:
+        for there in _list_neighbours(here):
+            is_near = there == end or float(np.abs(path - there).max(axis=1).min()) <= wide
+            if is_near and can_step(here, there):
+                yield there, 1, there
+
+    return find_cheapest_steps(begin, end.__eq__, list_steps,
+                               lambda posture: sum(abs(i - j) for i, j in zip(posture, end, strict=True)))
+
+
+def _list_neighbours(posture: Posture) -> Iterator[Posture]:
+    for joint in range(len(posture)):
+        for change in (-1, 1):
+            yield (*posture[:joint], posture[joint] + change, *posture[joint + 1 :])

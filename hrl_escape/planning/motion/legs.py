@@ -33,8 +33,7 @@ from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.planning.motion.limits import MotionLimits, compute_ramp
-from hrl_escape.planning.motion_path import MotionPath
-from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, CheckerBudget, step_aside
+from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, CheckerBudget, MotionPath, step_aside
 from hrl_escape.planning.plan import Plan, make_planned_room
 
 HALVINGS = 40

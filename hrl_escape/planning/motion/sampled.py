@@ -29,8 +29,7 @@ from hrl_escape.planning.goals import Goal, PressGoal, describe_goal, is_reached
 from hrl_escape.planning.motion.legs import MISSED_BY, ROUNDINGS, Press, list_shut_doors, play, rest, time_path
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.trajectory import TimedTrajectory, join_presses
-from hrl_escape.planning.motion_path import MotionPath
-from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
+from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, MotionPath
 from hrl_escape.planning.plan import make_planned_room
 
 WAY_PLANNER = "InformedRRTstar"

@@ -21,7 +21,7 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.files import write_json, write_text
 from hrl_escape.planning.motion.legs import Contact, Press, time_legs, time_path
 from hrl_escape.planning.motion.limits import MotionLimits
-from hrl_escape.planning.motion_path import MotionPath
+from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.plan import Plan
 
 EFFORT_RATE = 100.0

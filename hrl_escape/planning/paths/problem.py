@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.clock import NO_LIMIT, Clock
+from hrl_escape.env.robot import Robot
 from hrl_escape.floor.clearance import CollisionMap
 
 CHECKER_CALLS = 200_000
@@ -160,3 +161,26 @@ PathPlanner: TypeAlias = Callable[[PathProblem], "Sequence[Sequence[float]] | ND
 
 PlannerFactory: TypeAlias = Callable[[CollisionMap], PathPlanner]
 """Makes a planner for one room, which may keep what it works out for later queries."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MotionPath:
+    """Path through coordinates of a robot, in straight lines."""
+
+    names: tuple[str, ...]  # of the coordinates: joints, or `x`, `y`, `heading` and joints
+    points: NDArray[np.float64]  # places to go through, shape (n, coordinates), m and rad
+    scale: NDArray[np.float64]
+    """Metres by which a point of the robot moves at most for each unit of a coordinate, shape (coordinates,)."""
+    margin: float  # largest deviation from the path without a collision, in metres of motion
+    planner: str  # planner that found it
+    checks: int = 0  # places that were tested
+    seconds: float = 0.0  # wall time
+    robot: Robot | None = None  # the robot, whose joints' limits of speed and effort then hold
+
+    def interpolate(self, step: float) -> NDArray[np.float64]:
+        """Points along the path at most `step` apart in every coordinate, corners included; shape (m, coordinates)."""
+        points = [self.points[:1]]
+        for a, b in zip(self.points, self.points[1:], strict=False):
+            count = max(1, math.ceil(float(np.abs(b - a).max()) / step))
+            points.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
+        return np.concatenate(points)

@@ -23,7 +23,6 @@ from hrl_escape.errors import PlanningReason
 from hrl_escape.floor.cost_to_go import FieldMaker
 from hrl_escape.floor.sweeps import make_presser
 from hrl_escape.planning.areas import Area, get_presser
-from hrl_escape.planning.arm.path_steps import plan_steps
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, is_reached
 from hrl_escape.planning.search import a_star
 
@@ -280,7 +279,7 @@ class SearchRun:
         if end is None:
             return None
         self._paths_left -= 1
-        steps = plan_steps(self._reacher, end, joints, others)
+        steps = self._reacher.plan_steps(end, joints, others)
         return None if steps is None else (*moves, *steps)
 
     def _list_joint_steps(self, begin: tuple[int, ...], end: tuple[int, ...]) -> list[int]:

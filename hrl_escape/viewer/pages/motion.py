@@ -18,8 +18,7 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.files import write_text
 from hrl_escape.planning.motion.trajectory import TimedTrajectory
 from hrl_escape.viewer.pages.policy import add_policy
-from hrl_escape.viewer.scene.poses import RoomPose, make_pose
-from hrl_escape.viewer.scene.room_scene import RoomScene
+from hrl_escape.viewer.scene.room_scene import RoomPose, RoomScene, make_pose
 from hrl_escape.viewer.server import open_server
 
 FRAME_RATE = 30.0

@@ -23,8 +23,7 @@ from hrl_escape.viewer.pages.policy import add_policy
 from hrl_escape.viewer.pages.room import name_room
 from hrl_escape.viewer.play.commands import praise
 from hrl_escape.viewer.recording import Recording
-from hrl_escape.viewer.scene.poses import blend, make_pose
-from hrl_escape.viewer.scene.room_scene import RoomScene, compute_overview
+from hrl_escape.viewer.scene.room_scene import RoomScene, blend, compute_overview, make_pose
 from hrl_escape.viewer.server import open_server
 
 REPLAY_STRIDE = 0.2

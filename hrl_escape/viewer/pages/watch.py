@@ -29,8 +29,7 @@ from hrl_escape.viewer.pages.panels import KnownEdges, make_bars, make_facts, ma
 from hrl_escape.viewer.pages.room import RoomPage, name_room
 from hrl_escape.viewer.play.commands import praise
 from hrl_escape.viewer.server import Server
-from hrl_escape.viewer.watch.preview import Preview
-from hrl_escape.viewer.watch.watch import Watch
+from hrl_escape.viewer.watch.watch import Preview, Watch
 
 FASTEST = 60.0
 REFRESH = 0.1

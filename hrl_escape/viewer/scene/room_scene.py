@@ -1,14 +1,15 @@
 """A room as a viser scene: built once from an instance, then posed, lit and annotated.
 
-`RoomScene` only shows; it steps nothing and knows no controls. Everything it adds lies below
-one node, so that a room can be removed as a whole and replaced. Metres, the room frame.
+`make_pose` reads the placement of everything that moves from a state, and `blend` interpolates. `RoomScene` only shows;
+it steps nothing and knows no controls. Everything it adds lies below one node, so that a room can be removed as a whole
+and replaced. Metres, the room frame.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
 from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.robot import Robot
+from hrl_escape.planning.props import get_prop_poses
 from hrl_escape.viewer.extra import SO3, viser
-from hrl_escape.viewer.scene.poses import RoomPose, make_pose
 from hrl_escape.viewer.scene.robot_shapes import ArmPose, Shape, make_arm_shapes, make_base_shapes, to_quaternion
 from hrl_escape.viewer.scene.room_meshes import (
     SCRAPS,
@@ -33,6 +34,59 @@ from hrl_escape.viewer.scene.room_meshes import (
     make_obstacle,
     make_target,
 )
+
+PropPose = tuple[float, ...]
+
+
+class RoomPose(NamedTuple):
+    """Placement of everything that moves."""
+
+    x: float  # x of the body's axis, m
+    y: float  # y of the body's axis, m
+    z: float  # height of the base above the floor, m
+    heading: float  # rad
+    pitch: float  # rad
+    roll: float  # rad
+    angles: tuple[float, ...]  # angles of the arm's joints, rad
+    door: float  # angle of the leaf about its hinge, rad
+    props: tuple[PropPose, ...]  # position x y z and quaternion x y z w of each prop
+
+
+def make_pose(rules: Rules, state: RoomState) -> RoomPose:
+    """Pose of a state; without physics the door stands open as soon as the puzzle is solved."""
+    instance = rules.instance
+    if state.physics is not None:
+        door = state.physics.door[0] if state.physics.door else 0.0
+        props = tuple(tuple(prop[:7]) for prop in state.physics.props)
+    else:
+        solved = instance.door is not None and instance.puzzle.is_solved(state.puzzle)
+        door = math.pi / 2 * instance.door_swing if solved else 0.0
+        poses = get_prop_poses(state, instance)
+        props = tuple((x, y, placed.prop.height / 2, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+                      for (x, y, yaw), placed in zip(poses, instance.props, strict=True))
+    return RoomPose(state.x, state.y, state.z, rules.get_heading(state), state.pitch, state.roll,
+                    tuple(rules.get_angles(state)), door, props)
+
+
+def blend(a: RoomPose, b: RoomPose, share: float) -> RoomPose:
+    """Interpolate from `a` (share 0) to `b` (share 1); headings turn the short way round."""
+
+    def mix(one: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(u + share * (v - u) for u, v in zip(one, other, strict=True))
+
+    turn = (b.heading - a.heading + math.pi) % math.tau - math.pi
+    x, y, z, pitch, roll, door = mix((a.x, a.y, a.z, a.pitch, a.roll, a.door), (b.x, b.y, b.z, b.pitch, b.roll, b.door))
+    props = tuple(_mix_prop(one, mix(one, other), other) for one, other in zip(a.props, b.props, strict=True))
+    return RoomPose(x, y, z, a.heading + share * turn, pitch, roll, mix(a.angles, b.angles), door, props)
+
+
+def _mix_prop(one: PropPose, mixed: PropPose, other: PropPose) -> PropPose:
+    """Normalise the quaternion of a mixed pose; a quaternion and its negative are the same rotation."""
+    if sum(u * v for u, v in zip(one[3:], other[3:], strict=True)) < 0.0:
+        return other
+    length = math.hypot(*mixed[3:])
+    return (*mixed[:3], *(v / length for v in mixed[3:]))
+
 
 ROOT = "/room"
 PLAN, PREVIEW = "#d55e00", "#cc79a7"
@@ -335,5 +389,3 @@ def _add_mesh(scene: viser.SceneApi, name: str, vertices: Any, faces: Any, colou
 def _to_bytes(colour: str) -> tuple[int, int, int]:
     red, green, blue = palette.to_rgb(colour)
     return round(255 * red), round(255 * green), round(255 * blue)
-
-

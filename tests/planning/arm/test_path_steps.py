@@ -16,8 +16,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import PlanningFailed
-from hrl_escape.planning.arm import path_steps
-from hrl_escape.planning.arm.path_steps import follow_path, plan_steps
+from hrl_escape.planning.arm import reacher
+from hrl_escape.planning.arm.reacher import follow_path
 from hrl_escape.planning.planner import RoomPlanner
 
 
@@ -64,7 +64,7 @@ def test_an_arm_among_posts_presses_by_joint_steps_along_a_path_under_physics():
     start, reacher = planner.rules.make_state(planner.instance.starts[0]), planner.routes.get_reacher()
     posture = reacher.get_configuration(start.x, start.y, start.heading_steps, start.joint_steps, 0)
     assert posture is not None and reacher.order_steps(start, (), posture, 0) is None, "no order of few steps is free"
-    primitives = plan_steps(reacher, start, posture, others=~1)
+    primitives = reacher.plan_steps(start, posture, others=~1)
     assert primitives is not None and len(primitives) > sum(map(abs, posture))
     end = press_in_bullet(planner, primitives)
     assert end.touching & 1 and end.joint_steps == posture
@@ -78,6 +78,6 @@ def test_a_plan_among_posts_comes_true_under_physics(monkeypatch):
     end, expected = press_in_bullet(planner, plan.primitives), plan.states[-1]
     assert end.touching & 1 and end.joint_steps == expected.joint_steps
     assert math.hypot(end.x - expected.x, end.y - expected.y) < 1e-4
-    monkeypatch.setattr(path_steps, "PATH_TESTS", 1)
+    monkeypatch.setattr(reacher, "PATH_TESTS", 1)
     with pytest.raises(PlanningFailed):
         planner.plan(start._replace(primitives=1, x=start.x + 1e-6), "button-1")

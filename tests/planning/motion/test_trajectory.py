@@ -22,7 +22,7 @@ from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.motion.legs import PRESS_SECONDS
 from hrl_escape.planning.motion.limits import MotionLimits, compute_duration, compute_rest_to_rest
 from hrl_escape.planning.motion.trajectory import make_trajectory
-from hrl_escape.planning.motion_path import MotionPath
+from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.planner import RoomPlanner
 
 LIMITS = MotionLimits()

@@ -14,10 +14,9 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.viewer.scene.poses import blend, make_pose
 from hrl_escape.viewer.scene.robot_shapes import ArmPose, make_arm_shapes, make_base_shapes, to_quaternion
 from hrl_escape.viewer.scene.room_meshes import is_hidden_by, make_confetti, make_fixtures
-from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, compute_overview
+from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, blend, compute_overview, make_pose
 
 ROBOTS = [RobotConfig(joints=1), RobotConfig(joints=3, link_length=0.5), RobotConfig(joints=7),
           RobotConfig(kind="kuka-iiwa", joints=7), RobotConfig(kind="franka-panda", joints=7)]
