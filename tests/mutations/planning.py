@@ -167,8 +167,8 @@ MUTATIONS = [
     Mutation(
         "a plan's return pays the exit beside the step",
         "planning/plan.py",
-        "return reward.step * (self.cost - 1) + bonus",
-        "return reward.step * self.cost + bonus",
+        "return reward.step * (self.cost - 1) + reward.on_exit if",
+        "return reward.step * self.cost + reward.on_exit if",
         "planning/test_best_known.py::test_nothing_that_the_planner_or_its_options_do_beats_the_best_known",
     ),
     Mutation(
