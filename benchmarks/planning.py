@@ -123,7 +123,7 @@ def measure_memory(plans: int, kinds: Sequence[str]) -> bool:
             target = PressGoal(number % len(instance.targets))
             if name == "answer":  # planned anew each time: nothing is remembered
                 planner.answer(PlanningRequest(state, target, improve=number % 200 == 0))
-                planner.routes.forget()
+                planner = planner.adapt(instance)
             elif name == "fields":
                 search.search(state, target)
             else:

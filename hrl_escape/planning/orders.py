@@ -187,7 +187,7 @@ class Orders:
 
     def find_exit(self, here: RoomState, has_moved: bool, clock: Clock, settings: SearchSettings) -> Route:
         """Find the last leg; empty if the primitive that solved the puzzle has already ended the episode."""
-        if not self._routes.has_escaped(here):
+        if not self._routes.rules.has_escaped(here):
             return self._routes.find_route(here, ExitGoal(), None, clock, settings)
         if has_moved:
             return Route((), (get_pose(here),), (), 0)

@@ -1,7 +1,7 @@
 """`RoomPlanner`: the programmatic API of all planning in one room.
 
 It composes routes to single goals (`routes.py`), orders of the puzzle's operators (`orders.py`) and legs planned
-together (`Escapes`) into plans. Every plan is checked by the room's own kinematics.
+together (`search/joint_search.py`) into plans. Every plan is checked by the room's own kinematics.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import Any
 
 from hrl_escape.clock import Clock, OutOfTime
 from hrl_escape.env.instance import RoomInstance
@@ -26,10 +25,13 @@ from hrl_escape.planning.plan import Plan, PlanPart, join_parts
 from hrl_escape.planning.requests import PlanningRequest, PlanningResult, bound_cost, compute_plan_cost, iterate_routes
 from hrl_escape.planning.route import Route, SearchSettings
 from hrl_escape.planning.routes import Routes, check_method
-from hrl_escape.planning.search.joint_search import JointSearch
 
 ESCAPES = 8
 """Orders of the puzzle's operators that are planned in detail for a request that asks for better plans."""
+MOST_JOINTS = 4
+"""Most joints of a pressing arm for joint searches: its tables then take a millisecond."""
+MOST_FLOOR = 1_000.0
+"""Largest floor for joint searches by hand, m^2: each posture's field then takes 0.1 s."""
 
 
 class RoomPlanner:
@@ -65,11 +67,6 @@ class RoomPlanner:
     def orders(self) -> Orders:
         """Cheapest orders of the puzzle's operators."""
         return Orders(self.routes)
-
-    @cached_property
-    def escapes(self) -> Escapes:
-        """Legs planned together with what comes after them."""
-        return Escapes(self.routes)
 
     def adapt(self, instance: RoomInstance) -> RoomPlanner:
         """Make the planner of an edited room; it plans as a new one would, and takes over what the edit leaves valid.
@@ -240,10 +237,17 @@ class RoomPlanner:
         """
         order = [part.goal for part in plan.parts]
         is_off = state.heading_offset or any(state.joint_offsets)
-        if is_off or not order or most_nodes <= 0 or not self.escapes.can_join(order):
+        if is_off or not order or most_nodes <= 0 or not can_join(self.instance, order):
             return plan, 0
-        found, goals, spent = self.escapes.shorten(state, order, plan.cost, clock, settings.effort, most_nodes)
-        return (plan if found is None else self.make_plan(state, found, goals, "joint search")), spent
+        with self.routes.lock:
+            search = self.routes.joint_search
+            try:
+                found, spent = search.find_escape(state, order, plan.cost, clock=clock, effort=settings.effort,
+                                                  budget=most_nodes)
+            except OutOfTime:
+                return plan, 0
+        return (plan if found is None else self.make_plan(state, found, search.list_goals(state, found),
+                                                          "joint search")), spent
 
     def order_goals(self, state: RoomState) -> tuple[Goal, ...]:
         """List the goals of an escape from here in the cheapest order; the last one is the exit.
@@ -269,10 +273,14 @@ class RoomPlanner:
         """
         began = read_clock()
         self.routes.check_query(state, *order)
-        if self.routes.method in ("auto", "fields") and not self.routes.has_escaped(state):
-            found = self.escapes.find_leg(state, order)
+        by_body = self.instance.dynamics.press_with == "body"
+        if self.routes.method in ("auto", "fields") and by_body and can_join(self.instance, order) and (
+                not self.rules.has_escaped(state)):
+            with self.routes.lock:
+                search = self.routes.joint_search
+                found = search.find_leg(state, order)
             if found is not None:
-                plan = self.make_plan(state, *found, "joint search")
+                plan = self.make_plan(state, found, search.list_goals(state, found)[:1], "joint search")
                 return dataclasses.replace(plan, seconds=read_clock() - began)
         return self.plan(state, order[0])
 
@@ -301,7 +309,7 @@ class RoomPlanner:
             if route.primitives:
                 legs.append(self._make_leg(here, goal, route))
                 here = legs[-1].states[-1]
-        return self._join_legs(state, legs, ", ".join(dict.fromkeys(leg.planner for leg in legs)), 0.0)
+        return self._join_legs(state, legs, ", ".join(dict.fromkeys(leg.planner for leg in legs)))
 
     def list_escapes(self, state: RoomState, count: int, clock: Clock | None = None,
                      settings: SearchSettings | None = None, most_nodes: float = math.inf) -> list[Plan]:
@@ -330,7 +338,7 @@ class RoomPlanner:
                 most_nodes -= failure.expansions
                 continue
             most_nodes -= plan.expansions
-            if self.routes.has_escaped(plan.states[-1]):
+            if self.rules.has_escaped(plan.states[-1]):
                 plans.setdefault(plan.primitives, plan)
         return sorted(plans.values(), key=lambda plan: plan.cost)[:count]
 
@@ -344,7 +352,7 @@ class RoomPlanner:
         legs: list[Plan] = []
         here, rest = state, self.routes.check_primitives(primitives)
         for goal in goals:
-            if isinstance(goal, ExitGoal) and not rest and self.routes.has_escaped(here):
+            if isinstance(goal, ExitGoal) and not rest and self.rules.has_escaped(here):
                 break  # reached by the primitive of the last press
             route = self.routes.replay(here, rest, goal)
             if route is None:
@@ -352,16 +360,16 @@ class RoomPlanner:
                                                planners=(planner,))
             legs.append(self._make_leg(here, goal, route))
             here, rest = legs[-1].states[-1], rest[legs[-1].cost :]
-        return self._join_legs(state, legs, planner, 0.0)
+        return self._join_legs(state, legs, planner)
 
-    def _join_legs(self, state: RoomState, legs: Sequence[Plan], planner: str, seconds: float) -> Plan:
+    def _join_legs(self, state: RoomState, legs: Sequence[Plan], planner: str) -> Plan:
         """Plan made of consecutive legs."""
         primitives = tuple(action for leg in legs for action in leg.primitives)
         states = (state, *(s for leg in legs for s in leg.states[1:]))
         escapes = bool(legs) and isinstance(legs[-1].parts[-1].goal, ExitGoal)
         name = "escape" if escapes else ", ".join(leg.name for leg in legs)
         return Plan(self.instance, name, primitives, states, join_parts(legs), planner,
-                    sum(leg.expansions for leg in legs), seconds)
+                    sum(leg.expansions for leg in legs), 0.0)
 
     def _make_leg(self, state: RoomState, goal: Goal, route: Route, seconds: float = 0.0) -> Plan:
         states = [state]
@@ -373,6 +381,15 @@ class RoomPlanner:
         part = PlanPart(name, goal, 0, len(route.primitives), others)
         return Plan(self.instance, name, route.primitives, tuple(states), (part,), route.method, route.expansions,
                     seconds, route.timed_out)
+
+
+def can_join(room: RoomInstance, order: Sequence[Goal]) -> bool:
+    """Return whether legs to these goals can be planned jointly: only presses, and no rewards of the puzzle."""
+    is_plain = not (room.props or room.inner_doors or room.puzzle.has_reward)
+    if room.dynamics.press_with == "hand":  # arms that collide, or with many joints, take long
+        is_plain &= room.dynamics.kind == "kinematic" and room.robot.joints <= MOST_JOINTS
+        is_plain &= 4 * room.reach_x * room.reach_y <= MOST_FLOOR
+    return is_plain and all(isinstance(goal, (PressGoal, ExitGoal)) for goal in order)
 
 
 _PLANNERS: OrderedDict[tuple[str, str], RoomPlanner] = OrderedDict()
@@ -393,78 +410,3 @@ def get_planner(instance: RoomInstance, method: str = "auto") -> RoomPlanner:
                 _PLANNERS.popitem(last=False)
         _PLANNERS.move_to_end(key)
         return planner
-
-
-# --- escapes planned jointly ----------------------------------------------------------------
-
-MOST_JOINTS = 4
-"""Most joints of a pressing arm for joint searches: its tables then take a millisecond."""
-MOST_FLOOR = 1_000.0
-"""Largest floor for joint searches by hand, m^2: each posture's field then takes 0.1 s."""
-
-
-class Escapes:
-    """Joint searches of one room, made on first use; pickling drops them.
-
-    Args:
-        routes: routes of the room, whose grids and lock they share.
-    """
-
-    def __init__(self, routes: Routes) -> None:
-        self._routes, self._instance = routes, routes.instance
-        self._by_hand = routes.instance.dynamics.press_with == "hand"
-        self._joint: JointSearch | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_joint": None}
-
-    def can_join(self, order: Sequence[Goal]) -> bool:
-        """Return whether legs to these goals can be planned jointly: only presses, and no rewards of the puzzle."""
-        room = self._instance
-        is_plain = not (room.props or room.inner_doors or room.puzzle.has_reward)
-        if self._by_hand:  # arms that collide, or with many joints, take long
-            is_plain &= room.dynamics.kind == "kinematic" and room.robot.joints <= MOST_JOINTS
-            is_plain &= 4 * room.reach_x * room.reach_y <= MOST_FLOOR
-        return is_plain and all(isinstance(goal, (PressGoal, ExitGoal)) for goal in order)
-
-    def _get_search(self) -> JointSearch:
-        """Joint search of the room, made on first use; the caller must hold the lock."""
-        if self._joint is None and self._by_hand:
-            from hrl_escape.planning.search.hand_search import HandSearch  # loads Pinocchio
-
-            self._joint = HandSearch(self._routes.search)
-        elif self._joint is None:
-            self._joint = JointSearch(self._routes.search)
-        return self._joint
-
-    def shorten(self, state: RoomState, order: Sequence[Goal], most: int, clock: Clock, effort: int, budget: int
-                ) -> tuple[tuple[int, ...] | None, tuple[Goal, ...], int]:
-        """Search for an escape of fewer than `most` primitives.
-
-        Args:
-            state: first state; heading and joints are on their lattices.
-            order: goals of a known escape, for which `can_join` holds.
-            most: its primitives.
-            clock: time limit.
-            effort: 0, 1 or 2; higher values search longer.
-            budget: search nodes.
-
-        Returns:
-            The primitives, or None; the goals that they reach; and the nodes expanded (0 once the clock is up).
-        """
-        with self._routes.lock:
-            search = self._get_search()
-            try:
-                found, spent = search.find_escape(state, order, most, clock=clock, effort=effort, budget=budget)
-            except OutOfTime:
-                return None, (), 0
-            return found, () if found is None else search.list_goals(state, found), spent
-
-    def find_leg(self, state: RoomState, order: Sequence[Goal]) -> tuple[tuple[int, ...], tuple[Goal, ...]] | None:
-        """Primitives and goal of the next leg, chosen so that the rest is short; None without a joint search."""
-        if self._by_hand or not self.can_join(order):
-            return None
-        with self._routes.lock:
-            search = self._get_search()
-            found = search.find_leg(state, order)
-            return None if found is None else (found, search.list_goals(state, found)[:1])

@@ -40,6 +40,7 @@ from hrl_escape.planning.plan import make_planned_room
 from hrl_escape.planning.props import get_prop_poses, list_obstacles, meets
 from hrl_escape.planning.route import PlanningReport, Pose, Route, SearchSettings, check_budget, get_pose
 from hrl_escape.planning.search.inner_doors import DoorKey, DoorSearches, find_move, is_way_open, list_places
+from hrl_escape.planning.search.joint_search import JointSearch
 from hrl_escape.planning.search.primitive_search import METHODS, PrimitiveSearch
 
 if TYPE_CHECKING:
@@ -85,6 +86,7 @@ class Routes:
 
     def _open(self) -> None:
         self.search = PrimitiveSearch(self._quiet, self.rules)
+        self._joint: JointSearch | None = None
         self._doors = self._make_door_searches()
         self._routes: OrderedDict[RouteKey, Route | PlanningFailed] = OrderedDict()
         self._poses = 0
@@ -95,7 +97,7 @@ class Routes:
         return None if self.rules.inner_doors is None else DoorSearches(self.search)
 
     def __getstate__(self) -> dict[str, Any]:
-        left_out = ("search", "_doors", "_routes", "_poses", "_reasons", "lock")
+        left_out = ("search", "_joint", "_doors", "_routes", "_poses", "_reasons", "lock")
         return {k: v for k, v in self.__dict__.items() if k not in left_out}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -122,6 +124,17 @@ class Routes:
         """Arm of this room's robot, which finds its postures."""
         with self.lock:
             return self.search.reacher
+
+    @property
+    def joint_search(self) -> JointSearch:
+        """Search for legs planned together, made on first use; to be held under the lock."""
+        if self._joint is None and self.instance.dynamics.press_with == "hand":
+            from hrl_escape.planning.search.hand_search import HandSearch  # loads Pinocchio
+
+            self._joint = HandSearch(self.search)
+        elif self._joint is None:
+            self._joint = JointSearch(self.search)
+        return self._joint
 
     @property
     def settings(self) -> SearchSettings:
@@ -265,12 +278,6 @@ class Routes:
         while self._poses > MOST_POSES and len(self._routes) > 1:
             self._poses -= _count_poses(self._routes.popitem(last=False)[1])
 
-    def forget(self) -> None:
-        """Forget all routes; grids and fields stay."""
-        with self.lock:
-            self._routes.clear()
-            self._poses = 0
-
     def _make_key(self, state: RoomState, goal: Goal, settings: SearchSettings) -> RouteKey:
         """Cache key of a route: everything that it depends on."""
         props = tuple(get_prop_poses(state, self.instance)) if self.instance.props else ()
@@ -396,10 +403,6 @@ class Routes:
     def is_solved(self, state: RoomState) -> bool:
         """Return whether the exit is open."""
         return self.instance.puzzle.is_solved(state.puzzle)
-
-    def has_escaped(self, state: RoomState) -> bool:
-        """Return whether the exit is open and the robot stands in it."""
-        return self.rules.has_escaped(state)
 
 
 def _count_poses(found: Route | PlanningFailed) -> int:

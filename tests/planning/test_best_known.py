@@ -131,7 +131,7 @@ def test_nothing_that_the_planner_or_its_options_do_beats_the_best_known(config,
     assert max(by_press.value, planner.solve(start).compute_return()) <= known.value <= known.upper_bound
     for found in (known, by_press):
         assert found.plan is not None and found.plan.compute_return() == found.value
-        assert found.plan.states[0] == start and planner.routes.has_escaped(found.plan.states[-1])
+        assert found.plan.states[0] == start and planner.rules.has_escaped(found.plan.states[-1])
 
 
 def beam_along(rules: Kinematics, start: RoomState, primitives, width: int, bin_size: float) -> int:

@@ -120,7 +120,7 @@ def test_a_published_room_takes_two_primitives_fewer_than_leg_after_leg():
 def follow_onward(planner: RoomPlanner, state, order) -> int:
     """Primitives of an escape whose legs are planned one by one, each where the one before ends."""
     spent = 0
-    while not planner.routes.has_escaped(state):
+    while not planner.rules.has_escaped(state):
         leg = planner.plan_onward(state, order)
         assert [part.goal for part in leg.parts] and leg.states[0] == state
         spent, state = spent + leg.cost, leg.states[-1]
@@ -151,5 +151,4 @@ def test_puzzles_with_too_many_states_are_searched_along_the_best_order():
     start = planner.rules.make_state(planner.instance.starts[0])
     plan = planner.solve(start)
     assert plan.cost <= plan_by_legs(planner, start).cost
-    joint = planner.escapes._joint
-    assert joint is not None and len(joint._fields) <= 65
+    assert len(planner.routes.joint_search._fields) <= 65
