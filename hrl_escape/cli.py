@@ -171,14 +171,9 @@ def find_commands(folder: Path) -> dict[str, Path]:
     found = {}
     for path in sorted(folder.iterdir()):
         is_group = (path / "__init__.py").is_file()
-        if is_group or (path.suffix == ".py" and _has_run(path)):
+        if is_group or (path.suffix == ".py" and "\ndef run(" in path.read_text(encoding="utf-8")):
             found[path.stem.replace("_", "-")] = path
     return found
-
-
-def _has_run(path: Path) -> bool:
-    body = ast.parse(path.read_text(encoding="utf-8")).body
-    return any(isinstance(part, ast.FunctionDef) and part.name == "run" for part in body)
 
 
 def _get_document(path: Path) -> str:

@@ -133,7 +133,8 @@ def _compare_with_chance(summary: Summary) -> list[str]:
         if _beats(summary, best, chance):
             both = min(chance.success.value, best.success.value) >= SETTLED
             gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
-            adds = "Learning adds to it: " if _beats_searchers(summary, best) else ""
+            searchers = _list_searchers(summary)
+            adds = "Learning adds to it: " if searchers and _beats(summary, best, find_leader(searchers)) else ""
             sentences.append(f"{start}. {adds}`{best.label}` {gain}.")
         elif _beats(summary, chance, best):
             sentences.append(f"{start}. No learner matches it: the best, `{best.label}`, "
@@ -153,11 +154,6 @@ def _list_searchers(summary: Summary) -> list[AgentSummary]:
     has_marks = any(get_trait(room.place.instance.puzzle, Marked).marks for room in summary.rooms)
     names = references.BY_NUMBER + references.FLOORS if has_marks else references.SEARCHERS
     return [agent for agent in summary.agents if agent.spec.name in names]
-
-
-def _beats_searchers(summary: Summary, agent: AgentSummary) -> bool:
-    searchers = _list_searchers(summary)
-    return bool(searchers) and _beats(summary, agent, find_leader(searchers))
 
 
 def _compare_with_searchers(summary: Summary) -> list[str]:

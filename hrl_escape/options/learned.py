@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import numbers
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -131,66 +131,11 @@ class _LearnedPolicy:
                 "is_stochastic": self._is_stochastic}
 
 
-class GivenRun(Protocol):
-    """One run of a policy."""
-
-    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Choose an action that the mask allows, for one observation."""
-        ...
-
-    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
-        """Probability of ending at the state that the latest action led to."""
-        ...
-
-
-class GivenPolicy(Protocol):
-    """Policy that an agent learned, with its beginning and end."""
-
-    @property
-    def name(self) -> str:
-        """Name, unique among the agent's policies."""
-        ...
-
-    @property
-    def agent(self) -> Any:
-        """The agent, whose state identifies runs over this option."""
-        ...
-
-    @property
-    def begin(self) -> Callable[[], GivenRun]:
-        """Factory of a run: called when the option starts."""
-        ...
-
-    @property
-    def can_start(self) -> Callable[[Any, NDArray[np.bool_]], bool]:
-        """Function of observation and action mask: whether it may start there."""
-        ...
-
-    @property
-    def is_markov(self) -> bool:
-        """True if choice and end are functions of observation and action mask."""
-        ...
-
-    @property
-    def origin(self) -> Mapping[str, Any]:
-        """Run in which it was learned: `agent`, `run`, `seed`, `primitives`."""
-        ...
-
-
-@runtime_checkable
-class TeachingAgent(Protocol):
-    """Agent that offers its learned policies, as those of `hrl_escape.agents` do."""
-
-    def get_options(self) -> Sequence[GivenPolicy]:
-        """Policies that the trained agent teaches as options, in its own order."""
-        ...
-
-
 class AgentOption(Option):
     """Option that follows a policy of a trained agent.
 
     Args:
-        learned: the policy.
+        learned: the policy, as an agent's `get_options` gives it: `hrl_escape.agents.agent.OptionPolicy`.
         legal: number of the agent's actions, or state -> bool (actions,) of the legal ones.
         observe: state -> observation that the agent knows; None for the state itself.
         until: state -> probability of ending there, in addition to the policy's own end; None for that alone.
@@ -200,17 +145,17 @@ class AgentOption(Option):
         origin: run in which it was learned: `agent`, `run`, `seed`, `primitives`; empty for an agent never trained.
     """
 
-    def __init__(self, learned: GivenPolicy, legal: LegalActions, observe: Callable[[Any], Any] | None = None,
+    def __init__(self, learned: Any, legal: LegalActions, observe: Callable[[Any], Any] | None = None,
                  until: Callable[[Any], float] | None = None, name: str | None = None) -> None:
         super().__init__(learned.name if name is None else name)
         self.is_markov, self.origin = learned.is_markov, dict(learned.origin)
         self._learned, self._legal, self._observe, self._until = learned, legal, observe, until
-        self._run: GivenRun | None = None
+        self._run: Any = None
 
     def _look(self, state: Any) -> tuple[Any, NDArray[np.bool_]]:
         return state if self._observe is None else self._observe(state), _find_legal(self._legal, state)
 
-    def _get_run(self) -> GivenRun:
+    def _get_run(self) -> Any:
         """Return the present run; a policy that is a function of the state can use any run."""
         if self._run is None or self.is_markov:
             self._run = self._learned.begin()
@@ -264,7 +209,7 @@ class AgentOption(Option):
                 "legal": self._legal, "until": self._until, "origin": self.origin}
 
 
-def make_learned_options(agent: TeachingAgent, legal: LegalActions, *, observe: Callable[[Any], Any] | None = None,
+def make_learned_options(agent: Any, legal: LegalActions, *, observe: Callable[[Any], Any] | None = None,
                          until: Callable[[Any], float] | None = None, prefix: str = "") -> tuple[AgentOption, ...]:
     """Make options of all policies that an agent has learned.
 
@@ -284,7 +229,7 @@ def make_learned_options(agent: TeachingAgent, legal: LegalActions, *, observe: 
         OptionError: it is no such agent, has no policies to give, or `legal` is neither a number nor a
             function.
     """
-    if not isinstance(agent, TeachingAgent):
+    if not hasattr(agent, "get_options"):
         raise OptionError(f"{agent!r} has no get_options: give a trained agent, as train and load_agent return it")
     if not callable(legal) and (isinstance(legal, bool) or not isinstance(legal, numbers.Integral) or legal < 1):
         raise OptionError(f"legal is {legal!r}: give the number of the agent's actions, or a function of the state "

@@ -291,17 +291,14 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
                    for goal, option in parts.items()]
     elif flavour == "press-markov":
         options = [MarkovOption(option.name, planner, goal)
-                   if isinstance(option, PlannedOption) and not _is_lattice_push(goal) else option
+                   if isinstance(option, PlannedOption) and not (
+                       isinstance(goal, GripGoal) and goal.action.startswith("push-")) else option
                    for goal, option in parts.items()]
     leave = MarkovOption if flavour == "press-markov" else PlannedOption
     options.append(leave("meta-exit", planner, ExitGoal()))
     for option, goal in zip(options, [*goals, ExitGoal()], strict=True):
         option.about = name_object(goal, instance)
     return tuple(options)
-
-
-def _is_lattice_push(goal: Goal) -> bool:
-    return isinstance(goal, GripGoal) and goal.action.startswith("push-")
 
 
 def name_object(goal: Goal, instance: RoomInstance) -> str | None:

@@ -150,7 +150,7 @@ class Plan:
             end = EpisodeEnd.of_step(room.rules.has_escaped(states[-1]), terminated, truncated)
             if end.is_over:
                 break
-        exact = len(states) == len(self.states) and all(map(_is_same, states, self.states))
+        exact = [*map(strip, states)] == [*map(strip, self.states)]
         return Execution(tuple(states), tuple(rewards), end, exact)
 
     def draw(self, path: str | Path | None = None) -> Any:
@@ -229,10 +229,6 @@ def make_planned_room(instance: RoomInstance) -> RoomInstance:
 def strip(state: RoomState) -> RoomState:
     """Reduce a state to the part on which the future of a room without noise depends."""
     return state._replace(primitives=0, noise_key=0, physics=None)
-
-
-def _is_same(met: RoomState, predicted: RoomState) -> bool:
-    return strip(met) == strip(predicted)
 
 
 def _describe_pose(state: RoomState) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.references import choose_levels
-from hrl_escape.comparison.profile import AxisScore, draw_radar, list_references, make_profiles
+from hrl_escape.comparison.reporting.figures import AxisScore, draw_radar, list_references, make_profiles
 from hrl_escape.ladder.manifest import AxisRecord, RungReferences
 
 AXES = (AxisRecord("depth", ("depth-1", "depth-2")), AxisRecord("noise", ("noise-1", "noise-2")),

@@ -94,7 +94,7 @@ MUTATIONS = [
     Mutation(
         "a searcher goes back to the pattern that is nearest, however dark",
         "comparison/references/by_lights.py",
-        "key=lambda place: (self._count_lit(place), -len(ways[place])))",
+        "key=lambda place: (lit[place], -len(ways[place])))",
         "key=lambda place: -len(ways[place]))",
         "comparison/test_searchers.py",
     ),

@@ -29,7 +29,6 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.comparison.comparison import read_comparison
-from hrl_escape.comparison.profile import AxisScore, draw_radar, list_references, make_profiles
 from hrl_escape.comparison.protocols import (
     TOWER,
     Protocol,
@@ -38,6 +37,7 @@ from hrl_escape.comparison.protocols import (
     name_protocol,
     score_standings,
 )
+from hrl_escape.comparison.reporting.figures import AxisScore, draw_radar, list_references, make_profiles
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import FileReadError
 from hrl_escape.figures import save_figure
@@ -93,7 +93,7 @@ def run(args: ReportArgs) -> None:
             "" if standing.learned is None else f"{standing.learned:.2f}",
             "" if agent.seen is None else f"{agent.seen.value:.3f}", f"{share:.0%} ({low:.0%} to {high:.0%})",
             "yes" if standing.is_passed else "no", f"{_count_hours(standing):.2g}",
-            *([_describe_climb(standing)] if args.protocol == TOWER else []))
+            *([f"{share * standing.floors:.2f} of {standing.floors}"] if args.protocol == TOWER else []))
     console.print(table)
     if any(standing.agent.trials for standing in standings):
         console.print(_make_trial_table(standings))
@@ -135,10 +135,6 @@ def _profiles_to_json(profiles: dict[str, dict[str, AxisScore]]) -> dict[str, ob
 def _count_hours(standing: RungStanding) -> float:
     """Core hours of training of all its runs."""
     return standing.agent.seconds * standing.agent.runs / 3600
-
-
-def _describe_climb(standing: RungStanding) -> str:
-    return f"{standing.escapes[0] * standing.floors:.2f} of {standing.floors}"
 
 
 def _make_trial_table(standings: Sequence[RungStanding]) -> Table:

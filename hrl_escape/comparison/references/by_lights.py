@@ -279,7 +279,8 @@ class Retrace(Searcher):
         for only_dark in (True, False):
             open_ = [place for place in ways if self._list_untried(place, legal, only_dark)]
             if open_:
-                best = max(open_, key=lambda place: (self._count_lit(place), -len(ways[place])))
+                lit = {place: sum(self._puzzle.get_lit(self._states[place].puzzle)) for place in open_}
+                best = max(open_, key=lambda place: (lit[place], -len(ways[place])))
                 if ways[best] and ways[best][0] in legal:
                     return ways[best][0]
                 if not ways[best]:
@@ -302,6 +303,3 @@ class Retrace(Searcher):
         known = self._known.get(place, {})
         return [action for action in legal if action not in known
                 and (not only_dark or self._is_dark(action, self._states[place]))]
-
-    def _count_lit(self, place: Hashable) -> int:
-        return sum(self._puzzle.get_lit(self._states[place].puzzle))

@@ -29,11 +29,10 @@ from hrl_escape.comparison.reporting.figures import AgentStyle, choose_styles, i
 from hrl_escape.comparison.reporting.tables import describe_place, format_first_escape, write_markdown, write_tables
 from hrl_escape.comparison.runs import get_room_file, get_training_folder, read_episodes
 from hrl_escape.comparison.statistics import compute_iqm
-from hrl_escape.comparison.summary import PROFILE, AgentSummary, Curve, RoomSummary, Summary, summarise
+from hrl_escape.comparison.summary import PROFILE, AgentSummary, Curve, Summary, summarise
 from hrl_escape.comparison.verdict import find_leader, write_verdict
 from hrl_escape.env.drawing.maps import make_map
 from hrl_escape.env.drawing.moving_map import PLAYER, PLAYER_COLOURS, describe_room
-from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.files import write_text
 from hrl_escape.templates import embed_json, render_template
@@ -281,19 +280,16 @@ def _describe_room(summary: Summary, number: int, agent_styles: Sequence[AgentSt
     edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in get_trait(puzzle, Graphed).edges]
     words = [f"{2 * instance.half_width:g} \N{MULTIPLICATION SIGN} {2 * instance.half_depth:g} m"]
     words += [", ".join(edges)] if 0 < len(edges) <= 6 else []
+    split = "" if room.place.split is None else f" One of the rooms tested in: {describe_place(room.place)}."
     ends = ("" if np.isnan(room.best) else
             f" The best known escape takes {room.fewest:g} primitives ({room.source}).")
     return {
         "name": room.name,
         "id": instance.id,
-        "words": f"{'; '.join(words)}.{ends}{_describe_split(room)}",
+        "words": f"{'; '.join(words)}.{ends}{split}",
         "picture": _embed_picture(instance),
         "ranks": sorted(ranks, key=lambda row: row["rank"]),
     }
-
-
-def _describe_split(room: RoomSummary) -> str:
-    return "" if room.place.split is None else f" One of the rooms tested in: {describe_place(room.place)}."
 
 
 def _embed_picture(instance: Any) -> str:
@@ -320,8 +316,8 @@ def make_page_data(summary: Summary, agent_styles: Sequence[AgentStyle], replays
     """Collect what the page's scripts need."""
     rooms = [describe_room(room.instance) for room in summary.rooms]
     for replay in replays:
-        room, primitives = rooms[replay["room"]], _list_primitives(summary.rooms[replay["room"]].instance)
-        chosen = {name for name, _, _ in replay["decisions"]} - primitives
+        room, primitives = rooms[replay["room"]], summary.rooms[replay["room"]].instance.robot.actions.names
+        chosen = {name for name, _, _ in replay["decisions"]}.difference(primitives)
         room["options"] = sorted(chosen.union(room["options"]))
     return {
         "agents": [_describe_agent(agent, look) for agent, look in zip(summary.agents, agent_styles, strict=True)],
@@ -383,7 +379,3 @@ def _describe_curve(curve: Curve) -> dict[str, Any]:
 
 def _round(values: NDArray[np.float64]) -> list[float]:
     return [float(f"{value:.5g}") for value in values]
-
-
-def _list_primitives(instance: RoomInstance) -> set[str]:
-    return set(instance.robot.actions.names)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.clock import NO_LIMIT, Clock, OutOfTime
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.geometry import Footprint, Solid, compute_distance_many, stack_footprints
+from hrl_escape.env.geometry import Footprint, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningReason, UnknownNameError
@@ -142,7 +142,8 @@ class PrimitiveSearch:
         new, old = PrimitiveSearch(instance, kinematics), self.instance
         if _get_floor(instance) != _get_floor(old) or not instance.robot.base.turns_anywhere:
             return new
-        changed = [solid.footprint for solid in _list_differences(old.solids, instance.solids)]
+        before, after = Counter(old.solids), Counter(instance.solids)
+        changed = [solid.footprint for solid in (*(before - after), *(after - before))]
         same_arm = (instance.robot, instance.dynamics.press_with) == (old.robot, old.dynamics.press_with)
 
         def keeps(key: object) -> bool:
@@ -201,7 +202,8 @@ class PrimitiveSearch:
             for thorough in (False, True):
                 problem = self.make_problem(state, goal, tuple(keep_out), clock, thorough)
                 problem = problem._replace(seed=seed, effort=effort)
-                result = self._solve(problem, method, planner, avoid, refine, budget_expansions)
+                result = self._check_trivial(problem) or self._search_variants(
+                    problem, self._iterate_variants(problem, method, planner, avoid, refine), budget_expansions)
                 if result.is_reached or problem.table is None or problem.table.complete_to == NEVER:
                     break  # otherwise the first table of an arm with many joints was incomplete
                 clock.check()
@@ -218,11 +220,6 @@ class PrimitiveSearch:
         is_once = isinstance(goal, (PoseGoal, RegionGoal)) and not keep_out
         is_large = 4.0 * self.instance.reach_x * self.instance.reach_y > LARGE
         return "corridor" if is_once and is_large else "fields"
-
-    def _solve(self, problem: SearchProblem, method: str, planner: str, avoid: bool, refine: bool, budget: int
-                ) -> SearchResult:
-        variants = self._iterate_variants(problem, method, planner, avoid, refine)
-        return self._check_trivial(problem) or self._search_variants(problem, variants, budget)
 
     def make_problem(self, state: RoomState, goal: Goal, keep_out: tuple[Footprint, ...] = (),
                      clock: Clock = NO_LIMIT, thorough: bool = False) -> SearchProblem:
@@ -391,8 +388,3 @@ def _get_floor(instance: RoomInstance) -> tuple:
     robot = instance.robot
     return (instance.reach_x, instance.reach_y, instance.door, robot.outer_radius, robot.body_height, robot.actions,
             robot.turn_step_deg, instance.dynamics.press_margin, instance.dynamics.press_with)
-
-
-def _list_differences(before: Sequence[Solid], after: Sequence[Solid]) -> list[Solid]:
-    """Footprints of the solids that only one of two rooms has."""
-    return [*(Counter(before) - Counter(after)), *(Counter(after) - Counter(before))]

@@ -165,7 +165,7 @@ class WatchPage:
         pace = self.watch.gate.pace
         if step is not None and pace is not None:
             self.page.move(step.after, 1.0 / pace, lambda: self.watch.gate.pace != pace)
-        is_due = self._is_due()
+        is_due = self.watch.gate.is_paused or time.monotonic() - self._refreshed >= REFRESH
         if pace is not None or is_due:
             self._show_scene()
         if is_due:
@@ -201,9 +201,6 @@ class WatchPage:
         if self._planned is None or watch.plan is not self._planned[0]:
             self._planned = (watch.plan,)
             self._show_plan()
-
-    def _is_due(self) -> bool:
-        return self.watch.gate.is_paused or time.monotonic() - self._refreshed >= REFRESH
 
     def _show_plan(self) -> None:
         """Draw the predicted course of the running option, its final posture, and OMPL's path for the base."""

@@ -23,7 +23,7 @@ from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.robot import Robot
 from hrl_escape.planning.props import get_prop_poses
 from hrl_escape.viewer.extra import SO3, viser
-from hrl_escape.viewer.scene.robot_shapes import ArmPose, Shape, make_arm_shapes, make_base_shapes, to_quaternion
+from hrl_escape.viewer.scene.robot_shapes import ArmPose, make_arm_shapes, make_base_shapes, to_quaternion
 from hrl_escape.viewer.scene.room_meshes import (
     SCRAPS,
     Painted,
@@ -361,7 +361,8 @@ class _RobotModel:
                 continue
             if shape.link not in self._links:
                 self._links[shape.link] = scene.add_frame(f"{name}/{shape.link}", show_axes=False)
-            _add_shape(scene, f"{name}/{shape.link}/{number}", shape, colour, opacity)
+            _add_mesh(scene, f"{name}/{shape.link}/{number}", shape.vertices, shape.faces, colour or shape.colour,
+                      opacity)
 
     def place(self, pose: RoomPose) -> None:
         """Put base and links where they are."""
@@ -374,10 +375,6 @@ class _RobotModel:
             placement = placements[link]
             frame.position = placement[:3, 3]
             frame.wxyz = SO3.from_matrix(placement[:3, :3]).wxyz
-
-
-def _add_shape(scene: viser.SceneApi, name: str, shape: Shape, colour: str | None, opacity: float | None) -> None:
-    _add_mesh(scene, name, shape.vertices, shape.faces, colour or shape.colour, opacity)
 
 
 def _add_mesh(scene: viser.SceneApi, name: str, vertices: Any, faces: Any, colour: str,
