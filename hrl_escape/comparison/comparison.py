@@ -99,11 +99,10 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
         FileWriteError: the folder cannot be written.
         EscapeError: no such room, agent or setting.
     """
-    plan = _Plan.make(grid)
+    places, runs = _make_runs(grid)
     out = Path(out).absolute()
     with _lock(out, shard):
-        chosen = plan._replace(runs=shard.choose(plan.runs))
-        return _run(chosen, out, launcher or LocalLauncher(), console or _make_console(), shard == WHOLE)
+        return _run(grid, places, shard.choose(runs), out, launcher, console, shard == WHOLE)
 
 
 def read_comparison(out: str | os.PathLike[str], grid: Grid | None = None) -> Comparison:
@@ -118,9 +117,9 @@ def read_comparison(out: str | os.PathLike[str], grid: Grid | None = None) -> Co
     """
     out = Path(out).absolute()
     grid = grid or load_grid(out / "grid.json")
-    plan = _Plan.make(grid)
-    found = [(run, result) for run in plan.runs if (result := load_run_result(out, run)) is not None]
-    return Comparison(grid, plan.places, tuple(found), (), out)
+    places, runs = _make_runs(grid)
+    found = [(run, result) for run in runs if (result := load_run_result(out, run)) is not None]
+    return Comparison(grid, places, tuple(found), (), out)
 
 
 def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, float | None]:
@@ -129,9 +128,9 @@ def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, fl
     Returns:
         All runs, runs to be made, and the seconds; None where none has finished.
     """
-    plan, out = _Plan.make(grid), Path(out).absolute()
-    seconds = [result.seconds[-1] for run in plan.runs if (result := load_run_result(out, run)) is not None]
-    return len(plan.runs), len(plan.runs) - len(seconds), statistics.median(seconds) if seconds else None
+    (_, runs), out = _make_runs(grid), Path(out).absolute()
+    seconds = [result.seconds[-1] for run in runs if (result := load_run_result(out, run)) is not None]
+    return len(runs), len(runs) - len(seconds), statistics.median(seconds) if seconds else None
 
 
 def run_grids(grids: Iterable[Grid], out: str | os.PathLike[str], launcher: Launcher | None = None,
@@ -143,52 +142,42 @@ def run_grids(grids: Iterable[Grid], out: str | os.PathLike[str], launcher: Laun
     out = Path(out).absolute()
     with _lock(out):
         for grid in grids:
-            yield _run(_Plan.make(grid), out, launcher or LocalLauncher(), console or _make_console())
+            yield _run(grid, *_make_runs(grid), out, launcher, console)
 
 
-def _make_console() -> Console:
-    """Console on standard error, where progress is shown."""
-    return Console(stderr=True, highlight=False)
+def _make_runs(grid: Grid) -> tuple[tuple[RunPlace, ...], list[GridRun]]:
+    """Make the places and the runs of a grid, which refuses impossible ones."""
+    places = grid.make_places()
+    return places, grid.make_runs(places)
 
 
-class _Plan(NamedTuple):
-    """A grid with its places and runs; making it refuses impossible grids."""
-
-    grid: Grid
-    places: tuple[RunPlace, ...]
-    runs: list[GridRun]
-
-    @classmethod
-    def make(cls, grid: Grid) -> _Plan:
-        places = grid.make_places()
-        return cls(grid, places, grid.make_runs(places))
-
-
-def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console, is_alone: bool = True) -> Comparison:
+def _run(grid: Grid, places: tuple[RunPlace, ...], runs: Sequence[GridRun], out: Path, launcher: Launcher | None,
+         console: Console | None, is_alone: bool = True) -> Comparison:
+    console = console or Console(stderr=True, highlight=False)
     shared = [out, out / "rooms"] if is_alone else []  # where other parts may be writing at this moment
-    for folder in (*shared, *(get_run_folder(out, run) for run in plan.runs)):
+    for folder in (*shared, *(get_run_folder(out, run) for run in runs)):
         clear_unfinished(folder)
-    write_json(out / "grid.json", plan.grid.to_dict())
-    for place in plan.places:
+    write_json(out / "grid.json", grid.to_dict())
+    for place in places:
         place.save(out / "rooms")
-    monitor = Monitor(plan.runs, console)
+    monitor = Monitor(runs, console)
     unfinished = []
-    for run in plan.runs:
+    for run in runs:
         result = _read_finished(out, run, console)
         if result is None:
             unfinished.append(run)
         else:
             monitor.keep(run, result)
-    if len(unfinished) < len(plan.runs):
-        console.print(f"{len(plan.runs) - len(unfinished)} of {len(plan.runs)} runs were finished before and are kept")
+    if len(unfinished) < len(runs):
+        console.print(f"{len(runs) - len(unfinished)} of {len(runs)} runs were finished before and are kept")
     else:
-        console.print(describe_cost(plan.grid, plan.places))
+        console.print(describe_cost(grid, places))
     with monitor.watch():
-        launcher.run(unfinished, out, monitor)
-    order = {run.folder: number for number, run in enumerate(plan.runs)}
+        (launcher or LocalLauncher()).run(unfinished, out, monitor)
+    order = {run.folder: number for number, run in enumerate(runs)}
     finished = sorted(monitor.results, key=lambda result: order[result[0].folder])
     failures = sorted(monitor.failures, key=lambda failure: order[failure.run.folder])
-    return Comparison(plan.grid, plan.places, tuple(finished), tuple(failures), out)
+    return Comparison(grid, places, tuple(finished), tuple(failures), out)
 
 
 @contextmanager

@@ -95,15 +95,14 @@ def _append(room: Floats, bound: float) -> Floats:
     return np.concatenate([room, np.full((*room.shape[:-1], 1), bound)], axis=-1)
 
 
-def compute_wilson_interval(share: float, tries: int, level: float = LEVEL) -> tuple[float, float]:
-    """Wilson's interval of a share (Wilson 1927).
+def compute_wilson_interval(share: float, tries: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share (Wilson 1927).
 
     Args:
         share: observed; where a try is itself a share of episodes, the mean of these.
         tries: independent ones. Episodes of one run are not independent, runs are.
-        level: confidence.
     """
-    z2 = float(special.ndtri((1 + level) / 2)) ** 2
+    z2 = float(special.ndtri((1 + LEVEL) / 2)) ** 2
     middle = (share + z2 / (2 * tries)) / (1 + z2 / tries)
     reach = math.sqrt(z2 * share * (1 - share) / tries + z2**2 / (4 * tries**2)) / (1 + z2 / tries)
     return max(0.0, middle - reach), min(1.0, middle + reach)

@@ -177,9 +177,9 @@ def _describe_death(exit_code: int | None) -> str:
     return f"its process {how} and left no result"
 
 
-def _read_tail(path: Path, lines: int = 30) -> str:
+def _read_tail(path: Path) -> str:
     try:
-        return "\n".join(path.read_text(errors="replace").splitlines()[-lines:])
+        return "\n".join(path.read_text(errors="replace").splitlines()[-30:])
     except OSError:
         return ""
 

@@ -65,7 +65,7 @@ from hrl_escape.options.batched.successors import presses_by_hand
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.option import FLAVOURS
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
+from hrl_escape.planning.goals import ExitGoal, PressGoal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.spaces import PointingDiscrete, make_vector_space
 
@@ -122,17 +122,25 @@ class HostPlanner:
         """
         rooms = where.nonzero().squeeze(1).tolist()
         kept = 1 if self._room.layout.is_random else PLAN_LENGTH  # a slip invalidates what follows
-        return self._store_plans(running, rooms, [self._find_plan(room, int(running.goal[room]))[:kept]
-                                                  for room in rooms])
+        plans = [self._find_plan(room, int(running.goal[room]))[:kept] for room in rooms]
+        has_failed = torch.zeros_like(running.plan_left, dtype=torch.bool)
+        if not rooms:
+            return running, has_failed
+        plan, planned = running.plan.clone(), running.plan_left.clone()
+        table = torch.zeros((PLAN_LENGTH, len(rooms)), dtype=plan.dtype)
+        for column, found in enumerate(plans):
+            if found:
+                table[PLAN_LENGTH - len(found) :, column] = torch.tensor(found, dtype=plan.dtype)
+        at = torch.tensor(rooms, device=plan.device)
+        lengths = torch.tensor([len(found) for found in plans], dtype=planned.dtype, device=planned.device)
+        plan[:, at], planned[at], has_failed[at] = table.to(plan.device), lengths, lengths == 0
+        return running._replace(plan=plan, plan_left=planned), has_failed
 
     def _get_planner(self, room: int) -> RoomPlanner:
         number = int(self._room.state.instance[room])
         if number not in self._planners:
             self._planners[number] = get_planner(self._room.instances[number])
         return self._planners[number]
-
-    def _make_goal(self, number: int) -> Goal:
-        return PressGoal(number) if number < self._room.layout.targets else ExitGoal()
 
     def _find_order(self, room: int, target: int) -> list[int]:
         try:
@@ -142,26 +150,11 @@ class HostPlanner:
         return [goal.target for goal in goals if isinstance(goal, PressGoal)]
 
     def _find_plan(self, room: int, goal: int) -> tuple[int, ...]:
+        planned = PressGoal(goal) if goal < self._room.layout.targets else ExitGoal()
         try:
-            route = self._get_planner(room).routes.find_route(self._room.get_room_state(room), self._make_goal(goal))
+            return self._get_planner(room).routes.find_route(self._room.get_room_state(room), planned).primitives
         except PlanningFailed:
             return ()
-        return route.primitives
-
-    def _store_plans(self, running: OpenDecisions, rooms: list[int], plans: list[tuple[int, ...]]
-                     ) -> tuple[OpenDecisions, Tensor]:
-        has_failed = torch.zeros_like(running.plan_left, dtype=torch.bool)
-        if not rooms:
-            return running, has_failed
-        plan, planned = running.plan.clone(), running.plan_left.clone()
-        table = torch.zeros((PLAN_LENGTH, len(rooms)), dtype=plan.dtype)
-        for column, found in enumerate(plans):
-            if found:
-                table[PLAN_LENGTH - len(found) :, column] = torch.tensor(found, dtype=plan.dtype)
-        where = torch.tensor(rooms, device=plan.device)
-        lengths = torch.tensor([len(found) for found in plans], dtype=planned.dtype, device=planned.device)
-        plan[:, where], planned[where], has_failed[where] = table.to(plan.device), lengths, lengths == 0
-        return running._replace(plan=plan, plan_left=planned), has_failed
 
 
 _SHARED = ("options", "include_primitives", "discount", "flavour", "interruptible", "max_duration")  # by OptionsEnv too

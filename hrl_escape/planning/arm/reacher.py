@@ -292,7 +292,7 @@ class Reacher:
     # --- joint steps in order ----------------------------------------------------------
 
     def order_steps(self, state: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
-                    most: int | None = None, avoiding: bool = True) -> tuple[int, ...] | None:
+                    avoiding: bool = True) -> tuple[int, ...] | None:
         """Interleave joint steps with given moves of the base so that no other target is pressed on the way.
 
         Args:
@@ -300,27 +300,26 @@ class Reacher:
             moves: primitives of the base, kept in their order.
             joint_steps: last configuration.
             target: index of the target to touch; the primitives end with the touch.
-            most: most states to try; by default 1000, or 250 where each is tested for collisions.
             avoiding: other targets may not be pressed on the way.
 
         Returns:
             Primitives, verified by the room's kinematics: as many as moves and joint steps if possible, else
             with the fewest more that take the arm round; None if no order was found.
         """
-        most = most or (250 if self.collide else 1_000)
         for detours in (False, True):
-            actions = self._search_order(state, moves, joint_steps, target, detours, most, avoiding)
+            actions = self._search_order(state, moves, joint_steps, target, detours, avoiding)
             if actions is not None:
                 return actions
         return None
 
     def _search_order(self, begin: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
-                      detours: bool, most: int, avoiding: bool) -> tuple[int, ...] | None:
+                      detours: bool, avoiding: bool) -> tuple[int, ...] | None:
         """A* over (moves made, joint steps); a primitive is simulated when it is taken from the queue, moves first."""
         others, table = ~(1 << target) if avoiding else 0, self.kinematics.actions
         known: set[tuple[int, tuple[int, ...]]] = set()
         queue: list[tuple] = [(0, 0, 0, begin, None, 0, (), False, self.collide and self.collides(begin))]
-        queued = tried = 0
+        queued, tried = 0, 0
+        most = 250 if self.collide else 1_000  # states to try: a test for collisions takes long
         while queue and tried <= most:
             _, _, _, state, action, made, actions, is_pressed, is_stuck = heapq.heappop(queue)
             if action is not None:
