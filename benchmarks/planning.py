@@ -34,8 +34,9 @@ PRESETS = ("paper-one-button", "paper-two-button", "larg-2019", "clutter", "ten-
 MEDIAN_MS, P99_MS, PREPARE_S, CACHED_MS = 5.0, 50.0, 1.0, 0.2
 CANCELLED_MS, LONGEST_DELAY_S = 50.0, 0.5
 ALLOWED_GROWTH_MB = 4.0
-WATCHED = ("fields", "RRTConnect", "answer")
-"""Plans whose memory is watched: of one search, along paths of OMPL, and answers to requests, improved now and then."""
+WATCHED = ("fields", "RRTConnect", "answer", "plan")
+"""Plans whose memory is watched: of one search, along paths of OMPL, answers to requests, improved now and then, and
+`RoomPlanner.plan`, each from another state, with all that it remembers."""
 
 
 def get_memory_mb() -> float:
@@ -113,7 +114,7 @@ def measure_memory(plans: int, kinds: Sequence[str]) -> bool:
     instance = generate(get_preset("clutter"), 1)
     search, navigator = PrimitiveSearch(instance), Navigator(instance)
     state = search.kinematics.make_state(instance.starts[0])
-    grown = []
+    grown, wandered, rng = [], state, np.random.default_rng(0)
     planner = RoomPlanner(instance)
     for name in kinds:
         warm, before = plans // 5, 0.0
@@ -121,7 +122,10 @@ def measure_memory(plans: int, kinds: Sequence[str]) -> bool:
             if number == warm:
                 before = get_memory_mb()
             target = PressGoal(number % len(instance.targets))
-            if name == "answer":  # planned anew each time: nothing is remembered
+            if name == "plan":
+                wandered = wander(planner, wandered, rng)
+                planner.plan(wandered, target)
+            elif name == "answer":  # planned anew each time: nothing is remembered
                 planner.answer(PlanningRequest(state, target, improve=number % 200 == 0))
                 planner = planner.adapt(instance)
             elif name == "fields":
