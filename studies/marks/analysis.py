@@ -180,12 +180,13 @@ def tell(cells: Cells) -> list[str]:
     share = compute_learned_share(end, cells.searcher, cells.ceiling)
     start = f"Trained in {many:,} rooms, the learner has an efficiency of {end:.2f} in rooms that it has never seen"
     bar = f"the best searcher that learns nothing ({cells.searcher:.2f})"
+    worth = stats.ttest_ind(cells.told[many], cells.control, equal_var=False).confidence_interval()
     if low > cells.searcher:
         headline = f"What marks mean is learned across rooms. {start}, above {bar}"
-    elif high < cells.searcher:
-        headline = f"What marks mean is not learned. {start}, below {bar}"
     else:
-        headline = f"These runs do not show that what marks mean is learned. {start}, and {bar} is as good"
+        learned = ("Some of what marks mean is learned, not enough to beat searching." if worth.low > 0 else
+                   "What marks mean is not shown to be learned.")
+        headline = f"{learned} {start}, " + (f"below {bar}" if high < cells.searcher else f"and {bar} is as good")
     headline += (f"; the ceiling is {cells.ceiling:.2f}"
                  + ("." if share is None else f", so its learned share is {share:.0%}."))
     sentences = [headline]
@@ -209,7 +210,6 @@ def tell(cells: Cells) -> list[str]:
         f"{control}: marks that say nothing lift it above the searcher, so something else carries over." if low > 0 else
         f"{control}: at the searcher's level." if low > -ALIKE else
         f"{control}: below the searcher." if high < 0 else f"{control}: the runs differ too much to say more.")
-    worth = stats.ttest_ind(cells.told[many], cells.control, equal_var=False).confidence_interval()
     sentences.append(f"True marks are worth {np.mean(cells.told[many]) - np.mean(cells.control):+.2f} "
                      f"({worth.low:+.2f} to {worth.high:+.2f}) against shuffled ones.")
     return sentences
