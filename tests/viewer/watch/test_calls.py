@@ -103,7 +103,7 @@ def test_the_page_lists_the_calls_and_labels_their_goals(server: Server, maxq_ru
         shown.append((view._calls.content, {text for text, _ in view.page.scene._goals.values()}))
 
     monkeypatch.setattr(view, "_refresh", note)
-    monkeypatch.setattr(view, "_is_due", lambda: True)
+    monkeypatch.setattr("hrl_escape.viewer.pages.watch.REFRESH", 0.0)
     view.run(episodes=1)
     assert any("press-button-1" in page and "touch button-1" in page for page, _ in shown)
     assert {"press-button-1, touch button-1"} in [goals for _, goals in shown]
