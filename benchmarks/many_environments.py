@@ -3,6 +3,7 @@
     python -m benchmarks.many_environments rates               # one room at 1 to 4,096, beside SB3
     python -m benchmarks.many_environments rates --counts 4096 --threads 2    # both cores at work
     python -m benchmarks.many_environments options             # options a second, beside the single environment
+    python -m benchmarks.many_environments decisions           # options a second that are learned from
     python -m benchmarks.many_environments pixels              # frames of the robot's camera, beside Bullet's
     python -m benchmarks.many_environments rates --device cuda --counts 4096 65536 --contenders "1 epoch"
     python -m benchmarks.many_environments rates --quick       # seconds: shows that everything runs
@@ -28,6 +29,7 @@ import torch
 
 import hrl_escape  # noqa: F401  # registers the rooms
 from hrl_escape.agents import train
+from hrl_escape.options.memory import MemoryStreams
 
 RATES = "hrl_escape/PaperTwoButton-v1"
 CHOOSING = ("PaperTwoButton", "ArmTwoButton")
@@ -38,6 +40,10 @@ COMPILED = 512
 RATED: dict[str, tuple[str, dict[str, Any]]] = {
     "10 epochs": ("ppo", {}), "4 epochs": ("ppo", {"epochs": 4}), "1 epoch": ("ppo", {"epochs": 1}), "dqn": ("dqn", {})}
 """Contender -> agent and settings."""
+DECIDED: dict[str, tuple[str, dict[str, Any]]] = {
+    "smdp-ppo, 1 epoch": ("features", {"epochs": 1}), "smdp-ppo, 10 epochs": ("features", {}),
+    "objects and memory, 1 epoch": ("objects", {"epochs": 1, "network": "objects"})}
+"""Contender -> observation and settings; of rows of objects with a memory."""
 
 
 def measure_ours(contender: str, count: int, budget: int, threads: int, device: str = "cpu") -> dict[str, float]:
@@ -69,6 +75,25 @@ def measure_peer(count: int, budget: int, threads: int, device: str = "cpu") -> 
     model.learn(budget)
     torch.set_num_threads(1)
     return _tell_rates(model.num_timesteps, started, clock)
+
+
+def measure_decisions(contender: str, count: int, room: str, budget: int, device: str = "cpu") -> dict[str, float]:
+    """Decisions between planned options that `smdp-ppo` learns from in a second, and the primitives that they run."""
+    observation, settings = DECIDED[contender]
+    env: Any = gymnasium.make_vec(f"hrl_escape/{room}Options-v1", num_envs=count, output="torch", device=device,
+                                  observation=observation, include_primitives=False, compile=count >= 256)
+    streams = env.unwrapped.get_streams()
+    streams = MemoryStreams(streams) if observation == "objects" else streams
+
+    def run(primitives: int) -> tuple[int, int]:
+        done = train("smdp-ppo", streams, primitives=primitives, eval_episodes=0, progress=False, settings=settings)
+        return done.decisions, done.primitives
+
+    run(budget // 4)
+    started, clock = time.process_time(), time.perf_counter()
+    decisions, primitives = run(budget)
+    rates = _tell_rates(decisions, started, clock)
+    return rates | {"primitives": primitives / decisions * rates["wall"]}
 
 
 def measure_options(contender: str, count: int, room: str, quick: bool, device: str = "cpu") -> dict[str, float]:
@@ -139,6 +164,8 @@ def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
                       ("own pace, compiled", counts)]
     elif what == "pixels":
         contenders = [("single", [1]), ("batch", counts)]
+    elif what == "decisions":
+        contenders = [(name, counts) for name in DECIDED]
     else:
         contenders = [*((name, counts) for name in RATED), ("sb3", PEERS)]
     own = {"threads": arguments.threads} if what == "rates" else {}
@@ -157,6 +184,8 @@ def execute(run: dict[str, Any], quick: bool) -> dict[str, Any]:
     if run["what"] == "pixels":
         return {"rate": measure_pixels(run["contender"], count, run["room"], quick)}
     budget = 4_096 if quick or peer or count <= 8 else 512 * count
+    if run["what"] == "decisions":
+        return measure_decisions(run["contender"], count, run["room"], budget, device)
     if peer:
         return measure_peer(count, budget, run["threads"], device)
     return measure_ours(run["contender"], count, budget, run["threads"], device)
@@ -170,7 +199,7 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
             groups.setdefault((row["contender"], row["count"]), []).append(row)
     median = {key: float(np.median([row["rate"] for row in found])) for key, found in groups.items()}
     peer, unit = {"rates": ("sb3", "primitives"), "options": ("single", "options"),
-                  "pixels": ("single", "frames")}[what]
+                  "pixels": ("single", "frames"), "decisions": ("smdp-ppo, 10 epochs", "decisions")}[what]
     base = median.get((peer, 1), float("nan"))
     wall = {key: float(np.median([row["wall"] for row in found]))
             for key, found in groups.items() if "wall" in found[0]}
@@ -184,7 +213,7 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
 def main() -> None:
     """Run what is missing, then print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["rates", "options", "pixels"])
+    parser.add_argument("what", choices=["rates", "options", "decisions", "pixels"])
     parser.add_argument("--counts", nargs="+", type=int, help="numbers of environments")
     parser.add_argument("--rooms", nargs="+", help="rooms of options and pixels")
     parser.add_argument("--contenders", nargs="+", default=(), help="lines of the table to measure; by default all")
@@ -195,9 +224,11 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small budgets, one round")
     arguments = parser.parse_args()
     if arguments.counts is None:
-        arguments.counts = {"rates": [1, 8, 64, 512, 4096], "options": [256, 2048], "pixels": [64]}[arguments.what]
+        arguments.counts = {"rates": [1, 8, 64, 512, 4096], "options": [256, 2048], "pixels": [64],
+                            "decisions": [256, 2048]}[arguments.what]
     if arguments.rooms is None:
-        arguments.rooms = {"options": CHOOSING, "pixels": PICTURED}.get(arguments.what, [None])
+        arguments.rooms = {"options": CHOOSING, "decisions": CHOOSING[:1], "pixels": PICTURED}.get(
+            arguments.what, [None])
     if arguments.quick:
         arguments.rounds = 1
     torch.set_num_threads(1)

@@ -21,9 +21,12 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.options.batched.env import BatchedOptionsEnv
+from hrl_escape.options.memory import MemoryStreams
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 
-__all__ = ["UnseenRooms", "count_fewest", "get_unseen", "make_unseen", "play_agent", "play_unseen"]
+__all__ = ["UnseenRooms", "count_fewest", "get_unseen", "make_streams", "make_unseen",
+           "play_agent", "play_unseen"]
 
 
 class UnseenRooms(NamedTuple):
@@ -56,17 +59,34 @@ def get_unseen(benchmark: str, rung: str, tested: int) -> UnseenRooms:
     return make_unseen(load_benchmark(benchmark)[rung].test[:tested])
 
 
-def play_agent(spec: AgentSpec, unseen: UnseenRooms, train_in: InstanceSet, seed: int = 0, primitives: int = 1
-               ) -> tuple[float, float]:
+@lru_cache(maxsize=1)
+def make_streams(benchmark: str, rung: str, size: int, count: int) -> MemoryStreams:
+    """The first training rooms of a rung, many at once with a memory, kept for the next run in them.
+
+    Args:
+        benchmark: name.
+        rung: name.
+        size: number of training rooms.
+        count: number of streams; where rooms are fewer, several are the same.
+    """
+    rooms = load_benchmark(benchmark)[rung].train[:size]
+    many = rooms.make_vec(count, options={"include_primitives": False}, observation="objects", compile=True)
+    assert isinstance(many, BatchedOptionsEnv)  # as options were asked for
+    return MemoryStreams(many)
+
+
+def play_agent(spec: AgentSpec, unseen: UnseenRooms, train_in: InstanceSet | MemoryStreams, seed: int = 0,
+               primitives: int = 1) -> tuple[float, float]:
     """Train an agent in some rooms and play the others; who does not learn is only tested. See `play_unseen`."""
 
     def make_player(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
         if spec.is_reference:
             return make_reference(spec.name, env, recorder)
-        own, _ = make_env(spec, train_in, "objects")
+        own = train_in if isinstance(train_in, MemoryStreams) else make_env(spec, train_in, "objects")[0]
         player = train(spec.name, own, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
                        progress=False).agent
-        own.close()
+        if isinstance(own, gymnasium.Env):
+            own.close()
         assert player is not None  # a run without a folder gives its agent back
         return player
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, SupportsFloat
 import gymnasium
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
-from numpy.typing import NDArray
 
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
@@ -33,6 +32,8 @@ class _Memories:
         space: of observations without memory.
         actions: what they are about.
         count: number of episodes side by side.
+        library: `numpy` or `torch`, whose arrays observations are; what is called here has one name in both.
+        device: of these arrays.
 
     Attributes:
         space: of observations with memory.
@@ -41,77 +42,102 @@ class _Memories:
         UnsupportedError: observations or actions of another kind.
     """
 
-    def __init__(self, space: gymnasium.Space, actions: gymnasium.Space, count: int) -> None:
+    def __init__(self, space: gymnasium.Space, actions: gymnasium.Space, count: int, library: Any = np,
+                 device: Any = "cpu") -> None:
         if not isinstance(space, ObjectsBox) or not isinstance(actions, PointingDiscrete):
             raise UnsupportedError("a memory of decisions needs rows of objects and actions about them: give it an "
                                    "OptionsEnv over observation='objects'")
+        self._library, self._device = library, device
         self._shape = len(space.rows), len(space.words)
         self._lit, self._present = space.words.index("lit"), space.words.index("present")
-        self._subjects = np.array([space.rows.index(name) if name in space.rows else -1 for name in actions.about])
-        more = (1, len(space.rows), len(MEMORY_WORDS))
-        low, high = (self._join(bound[None], np.full(more, value))[0]
-                     for bound, value in ((space.low, 0), (space.high, 1)))
-        self.space = ObjectsBox(low, high, space.rows, (*space.words, *MEMORY_WORDS))
-        rows = count, len(space.rows)
-        self._failures: list[dict[bytes, NDArray[np.bool_]]] = [{} for _ in range(count)]  # by the set of lit objects
-        self._failed, self._lit_now = np.zeros(rows, np.bool_), np.zeros(rows, np.bool_)
-        self._since, self._ranks = np.full(rows, np.inf), np.zeros(rows)
+        subjects = [space.rows.index(name) if name in space.rows else -1 for name in actions.about]
+        self._subjects = library.asarray(subjects, device=device)
+        self._rows = library.arange(len(space.rows), device=device)
+        ends = np.repeat((1 + np.arange(len(space.rows))) * len(space.words), len(MEMORY_WORDS))
+        self.space = ObjectsBox(np.insert(space.low, ends, 0), np.insert(space.high, ends, 1), space.rows,
+                                (*space.words, *MEMORY_WORDS))
+        rows, sets = (count, len(space.rows)), (count, 1, len(space.rows))
+        self._sets, self._failures = self._make(sets, "bool"), self._make(sets, "bool")
+        self._used = self._make((count,), "int64")  # of the sets of lit objects in which something failed
+        self._lit_now, self._failed = self._make(rows, "bool"), self._make(rows, "bool")
+        self._since, self._ranks = self._make(rows, "float64") + np.inf, self._make(rows, "float64")
+        self._most_used = 0  # no episode has used more
 
-    def begin(self, which: NDArray[np.int64], observation: NDArray[Any]) -> None:
-        """Empty the memory of some episodes, which begin with these observations, (n, numbers)."""
-        for episode in which:
-            self._failures[episode] = {}
-        self._failed[which], self._ranks[which], self._since[which] = False, 0.0, np.inf
-        self._lit_now[which] = self._read_lit(observation)
+    def _make(self, shape: tuple[int, ...], dtype: str) -> Any:
+        return self._library.zeros(shape, dtype=getattr(self._library, dtype), device=self._device)
 
-    def note(self, which: NDArray[np.int64], action: NDArray[np.int64], reached: NDArray[Any], can_fail: bool = True
-             ) -> None:
-        """Note decisions of some episodes, (n,), and what they reached, (n, numbers)."""
-        before, after, subject = self._lit_now[which], self._read_lit(reached), self._subjects[action]
-        self._since[which] += 1
-        about = (subject >= 0).nonzero()[0]
-        self._since[which[about], subject[about]] = 0
-        for row in about[~after[about, subject[about]]] if can_fail else ():
-            failures = self._failures[which[row]].setdefault(before[row].tobytes(), np.zeros_like(before[row]))
-            failures[subject[row]] = True
+    def begin(self, which: Any, observation: Any) -> None:
+        """Empty the memory of some episodes, bool (count,), which begin with these observations, (count, numbers)."""
+        where, begins = self._library.where, which[:, None]
+        self._used = where(which, 0, self._used)
+        self._failed, self._ranks = self._failed & ~begins, where(begins, 0.0, self._ranks)
+        self._since = where(begins, np.inf, self._since)
+        self._lit_now = where(begins, self._read_lit(observation), self._lit_now)
+
+    def note(self, which: Any, action: Any, reached: Any, can_fail: bool = True) -> None:
+        """Note decisions of some episodes, bool (count,): actions (count,), and what they reached, (count, numbers)."""
+        where = self._library.where
+        before, after = self._lit_now, where(which[:, None], self._read_lit(reached), self._lit_now)
+        about = (self._subjects[where(which, action, 0)][:, None] == self._rows) & which[:, None]
+        self._since = where(about, 0.0, self._since + which[:, None])
+        if can_fail:
+            self._note_failures(before, about & ~after)
         ranks = 1.0 / (1 + before.sum(axis=1, keepdims=True))
-        self._ranks[which] = np.where(after & ~before, ranks, self._ranks[which])
-        self._lit_now[which] = after
-        for row, episode in enumerate(which):
-            self._failed[episode] = self._failures[episode].get(after[row].tobytes(), False)
+        self._ranks = where(after & ~before, ranks, self._ranks)
+        self._lit_now = after
+        self._failed = (self._find_sets(after)[:, :, None] & self._failures).any(axis=1)
 
-    def remember(self, which: NDArray[np.int64] | slice, observation: NDArray[Any]) -> NDArray[Any]:
-        """Observations of some episodes, (n, numbers), with their memory."""
-        return self._join(observation, np.stack([self._failed[which], 1.0 / (1 + self._since[which]),
-                                                 self._ranks[which]], axis=2))
+    def _note_failures(self, lit: Any, failed: Any) -> None:
+        """Note what failed, bool (count, rows), with these objects lit, in the set's place or in a new one."""
+        if self._most_used == self._sets.shape[1]:
+            self._most_used = int(self._used.max())
+        if self._most_used == self._sets.shape[1]:
+            self._sets, self._failures = (self._library.concatenate([part, self._library.zeros_like(part)], axis=1)
+                                          for part in (self._sets, self._failures))
+        self._most_used += 1
+        known = self._find_sets(lit)
+        free = self._library.arange(self._sets.shape[1], device=self._device) == self._used[:, None]
+        place = (known | (free & ~known.any(axis=1)[:, None])) & failed.any(axis=1)[:, None]
+        self._used = self._used + (place & ~known).any(axis=1)
+        self._sets = self._library.where(place[:, :, None], lit[:, None], self._sets)
+        still = self._failures & known[:, :, None]
+        self._failures = self._library.where(place[:, :, None], still | failed[:, None], self._failures)
 
-    def _read_lit(self, observation: NDArray[Any]) -> NDArray[np.bool_]:
-        """Read from observations which objects are lit, bool (n, rows)."""
+    def _find_sets(self, lit: Any) -> Any:
+        """Places at which these sets of lit objects, (count, rows), are noted, bool (count, places)."""
+        places = self._library.arange(self._sets.shape[1], device=self._device)
+        return (self._sets == lit[:, None]).all(axis=2) & (places < self._used[:, None])
+
+    def remember(self, observation: Any) -> Any:
+        """Observations of all episodes, (count, numbers), with the memory at the ends of their rows."""
+        (rows, words), library = self._shape, self._library
+        seen = observation[:, : rows * words].reshape(-1, rows, words)
+        memory = library.stack([self._failed + 0.0, 1.0 / (1 + self._since), self._ranks], -1)
+        memory = library.asarray(memory, dtype=seen.dtype) * (seen[:, :, self._present, None] > 0)
+        joined = library.concatenate([seen, memory], axis=2).reshape(len(seen), -1)
+        return library.concatenate([joined, observation[:, rows * words :]], axis=1)
+
+    def _read_lit(self, observation: Any) -> Any:
+        """Read from observations which objects are lit, bool (count, rows)."""
         rows, words = self._shape
         return observation[:, : rows * words].reshape(-1, rows, words)[:, :, self._lit] > 0.5
 
-    def _join(self, observation: NDArray[Any], memory: NDArray[Any]) -> NDArray[Any]:
-        """Observations with the memory (n, rows, words) at the ends of their rows."""
-        rows, words = self._shape
-        seen = observation[:, : rows * words].reshape(-1, rows, words)
-        joined = np.concatenate([seen, memory.astype(seen.dtype) * (seen[:, :, self._present, None] > 0)], axis=2)
-        return np.concatenate([joined.reshape(len(seen), -1), observation[:, rows * words :]], axis=1)
-
     def state_dict(self) -> dict[str, Any]:
-        """All memories, as arrays."""
-        failures = [[[np.frombuffer(lit, np.bool_), failed] for lit, failed in each.items()] for each in self._failures]
-        return {"failures": failures, "failed": self._failed, "lit_now": self._lit_now, "since": self._since,
-                "ranks": self._ranks}
+        """All memories, as NumPy arrays."""
+        return {name: np.asarray(self._library.asarray(getattr(self, f"_{name}"), device="cpu")).copy()
+                for name in _STATE}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on where `state_dict` was taken."""
-        self._failures = [{np.asarray(lit, np.bool_).tobytes(): np.array(failed, np.bool_) for lit, failed in each}
-                          for each in state["failures"]]
-        self._failed, self._lit_now = (np.array(state[name], np.bool_) for name in ("failed", "lit_now"))
-        self._since, self._ranks = (np.array(state[name], np.float64) for name in ("since", "ranks"))
+        for name in _STATE:
+            setattr(self, f"_{name}", self._library.asarray(np.array(state[name]), device=self._device))
+        self._most_used = self._sets.shape[1]
 
 
-_ONE = np.zeros(1, np.int64)
+_STATE = ("sets", "failures", "used", "lit_now", "failed", "since", "ranks")
+
+
+_ONE = np.ones(1, np.bool_)
 
 
 class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
@@ -144,13 +170,13 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
         """Begin an episode, with an empty memory."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._memory.begin(_ONE, observation[None])
-        return self._memory.remember(_ONE, observation[None])[0], info
+        return self._memory.remember(observation[None])[0], info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Run a decision, and remember its outcome."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._memory.note(_ONE, np.array([int(action)]), observation[None], not info.get("trial_ended", False))
-        return self._memory.remember(_ONE, observation[None])[0], reward, terminated, truncated, info
+        return self._memory.remember(observation[None])[0], reward, terminated, truncated, info
 
 
 class MemoryStreams:
@@ -168,10 +194,12 @@ class MemoryStreams:
     """
 
     def __init__(self, streams: BatchedOptionsEnv) -> None:
+        import torch  # which `DecisionMemory` does without
+
         self._streams = streams
         self.count, self.device, self.gamma = streams.count, streams.device, streams.gamma
         self.action_space = streams.action_space
-        self._memory = _Memories(streams.observation_space, streams.action_space, self.count)
+        self._memory = _Memories(streams.observation_space, streams.action_space, self.count, torch, self.device)
         self.observation_space = self._memory.space
         self.observation: Tensor
 
@@ -188,26 +216,18 @@ class MemoryStreams:
     def reset(self, seeds: int) -> None:
         """Begin all episodes anew, with empty memories; room i draws from seed + i."""
         seen = self._streams.reset(seeds)
-        self._memory.begin(np.arange(self.count), seen.cpu().numpy())
-        self.observation = self._remember(slice(None), seen)
+        self._memory.begin(self.is_waiting | True, seen)
+        self.observation = self._memory.remember(seen)
 
     def step(self, action: Tensor) -> Transitions:
         """Give waiting rooms their actions, int64 (rooms,), and remember the decisions that ended."""
         ended = self._streams.step(action)
-        where = ended.where.nonzero().squeeze(1)
-        which = where.cpu().numpy()
-        before = self._remember(slice(None), ended.observation)
-        self._memory.note(which, ended.action[where].cpu().numpy(), ended.next_observation[where].cpu().numpy())
-        after = self._remember(slice(None), ended.next_observation)
-        over = (ended.where & (ended.terminated | ended.truncated)).nonzero().squeeze(1)
-        self._memory.begin(over.cpu().numpy(), self._streams.observation[over].cpu().numpy())
-        self.observation = self._remember(slice(None), self._streams.observation)
+        before = self._memory.remember(ended.observation)
+        self._memory.note(ended.where, ended.action, ended.next_observation)
+        after = self._memory.remember(ended.next_observation)
+        self._memory.begin(ended.where & (ended.terminated | ended.truncated), self._streams.observation)
+        self.observation = self._memory.remember(self._streams.observation)
         return ended._replace(observation=before, next_observation=after)
-
-    def _remember(self, which: NDArray[np.int64] | slice, seen: Tensor) -> Tensor:
-        import torch  # which `DecisionMemory` does without
-
-        return torch.from_numpy(self._memory.remember(which, seen.cpu().numpy())).to(self.device)
 
     def make_single_env(self) -> gymnasium.Env:
         """Make an ordinary environment of the same rooms and options, with a memory."""
@@ -225,4 +245,4 @@ class MemoryStreams:
         """Go on where `state_dict` was taken, in as many of the same rooms."""
         self._streams.load_state_dict(state["streams"])
         self._memory.load_state_dict(state["memory"])
-        self.observation = self._remember(slice(None), self._streams.observation)
+        self.observation = self._memory.remember(self._streams.observation)

@@ -12,11 +12,9 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.options.batched.env import BatchedOptionsEnv
-from hrl_escape.options.memory import MemoryStreams
 from studies.baseline import BaselineRun
 from studies.generalisation.grids import MANY, MEMORY
-from studies.unseen import UnseenRooms, get_unseen, make_unseen, play_unseen
+from studies.unseen import UnseenRooms, get_unseen, make_streams, make_unseen, play_unseen
 
 __all__ = ["measure_many", "run_many"]
 
@@ -43,7 +41,7 @@ def measure_many(benchmark: str, rung: str, jobs: Sequence[tuple[int, int]], pri
 
 def run_many(benchmark: str, rung: str, size: int, seed: int, primitives: int, tested: int) -> BaselineRun:
     """One run; see `measure_many`."""
-    spec, streams = AgentSpec.parse(MEMORY), _make_streams(benchmark, rung, size)
+    spec, streams = AgentSpec.parse(MEMORY), make_streams(benchmark, rung, size, STREAMS)
     settings = {"benchmark": benchmark, "rung": rung, "rooms": size, "seed": seed, "primitives": primitives,
                 "streams": STREAMS, "settings": spec.settings}
     result = train(spec.name, streams, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
@@ -59,15 +57,6 @@ def run_many(benchmark: str, rung: str, size: int, seed: int, primitives: int, t
 
 def _play(spec: AgentSpec, rooms: UnseenRooms, agent: Agent) -> tuple[float, float]:
     return play_unseen(spec, rooms, lambda env, recorder: agent)
-
-
-@lru_cache(maxsize=1)
-def _make_streams(benchmark: str, rung: str, size: int) -> MemoryStreams:
-    """The first training rooms, many at once, kept for the next run in them."""
-    rooms = load_benchmark(benchmark)[rung].train[:size]
-    many = rooms.make_vec(STREAMS, options={"include_primitives": False}, observation="objects", compile=True)
-    assert isinstance(many, BatchedOptionsEnv)  # as options were asked for
-    return MemoryStreams(many)
 
 
 @lru_cache(maxsize=1)

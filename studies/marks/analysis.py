@@ -24,7 +24,7 @@ from studies.page import make_table
 from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Page, Study
-from studies.unseen import get_unseen, play_agent
+from studies.unseen import get_unseen, make_streams, play_agent
 
 __all__ = ["LINES", "Args", "Cells", "MarksRun", "analyse", "gather", "measure", "run_once", "tell", "tell_all"]
 
@@ -82,10 +82,14 @@ LINES = (MarksRun,)
 # --- runs ------------------------------------------------------------------------------------
 
 
-def run_once(agent: str, rung: str, rooms: int, seed: int, primitives: int, tested: int) -> MarksRun:
-    """Train an agent in the first rooms of a rung, and test it in others; who does not learn is only tested."""
+def run_once(agent: str, rung: str, rooms: int, seed: int, primitives: int, tested: int, streams: int = 0) -> MarksRun:
+    """Train an agent in the first rooms of a rung, so many of them at once, and test it in others.
+
+    Who does not learn is only tested; with 0 `streams`, one episode follows the other.
+    """
     spec, (benchmark, name) = AgentSpec.parse(agent), rung.split("/")
-    train_in = load_benchmark(benchmark)[name].train[:rooms]
+    train_in = (make_streams(benchmark, name, rooms, streams) if streams else
+                load_benchmark(benchmark)[name].train[:rooms])
     efficiency, escapes = play_agent(spec, get_unseen(benchmark, name, tested), train_in, seed, primitives)
     if spec.is_reference:
         rooms = primitives = 0
@@ -93,19 +97,21 @@ def run_once(agent: str, rung: str, rooms: int, seed: int, primitives: int, test
 
 
 def measure(study: Study, args: Args, store: Store) -> None:
-    """Run what is missing: searchers and ceiling once, the learner seed by seed with every number of rooms."""
+    """Run what is missing: searchers and ceiling once, the learners with every number of rooms and every seed."""
     data, console = study.data, Console(stderr=True, highlight=False)
     seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
-    jobs: dict[tuple[str, str, int, int], int] = {}  # a place, and the primitives to learn from
+    jobs: dict[tuple[str, str, int, int], tuple[int, ...]] = {}  # a place; primitives, and rooms at once
     for kind in data["kind"]:
         rungs, sizes = (kind["told"], kind["control"]), kind["sizes"]
-        jobs |= {(agent, rung, 0, 0): 0 for agent in (*data["searchers"], data["ceiling"]) for rung in rungs}
-        jobs |= {(kind["learner"], rung, size, seed): kind["primitives"] for seed in seeds
-                 for rung, size in (*((kind["told"], size) for size in sizes), (kind["control"], sizes[-1]))}
+        jobs |= {(agent, rung, 0, 0): (0, 0) for agent in (*data["searchers"], data["ceiling"]) for rung in rungs}
+        cells = [*((kind["told"], size) for size in sizes), (kind["control"], sizes[-1])]
+        for learning in (kind, *([kind["less"]] if "less" in kind else [])):
+            budget = learning["primitives"], learning.get("streams", 0)
+            jobs |= {(learning["learner"], rung, size, seed): budget for rung, size in cells for seed in seeds}
     known = {run.place for run in store.load()}
     with ProcessPoolExecutor(args.workers, get_fork_server()) as pool:
-        open_jobs = [pool.submit(run_once, *job, primitives, data["tested"])
-                     for job, primitives in jobs.items() if job not in known]
+        open_jobs = [pool.submit(run_once, *job, primitives, data["tested"], streams)
+                     for job, (primitives, streams) in jobs.items() if job not in known]
         for done, job in enumerate(as_completed(open_jobs), 1):
             run = job.result()
             store.add([run])
@@ -125,6 +131,7 @@ class Cells(NamedTuple):
         searcher: of the best searcher that learns nothing, where marks are true.
         control_searcher: likewise where they are shuffled.
         ceiling: of who knows the code.
+        less: of each run in the most rooms of the learner with a smaller budget; None where there is none.
     """
 
     told: dict[int, np.ndarray]
@@ -132,6 +139,7 @@ class Cells(NamedTuple):
     searcher: float
     control_searcher: float
     ceiling: float
+    less: np.ndarray | None = None
 
 
 def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Cells]:
@@ -152,8 +160,10 @@ def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Cells]:
         control = pick([kind["learner"]], kind["control"], kind["sizes"][-1])
         searched = [pick(data["searchers"], kind[rung], 0) for rung in ("told", "control")]
         ceiling = pick([data["ceiling"]], kind["told"], 0)
+        less = pick([kind["less"]["learner"]], kind["told"], max(told)) if "less" in kind else np.array([])
         if min(map(len, (*told.values(), control))) >= 2 and all(map(len, (*searched, ceiling))):
-            found[kind["title"]] = Cells(told, control, searched[0].max(), searched[1].max(), ceiling[0])
+            found[kind["title"]] = Cells(told, control, searched[0].max(), searched[1].max(), ceiling[0],
+                                         less if len(less) >= 2 else None)
     if not found:
         raise ComparisonError("two runs of every cell, the searchers and the ceiling are needed to tell of marks")
     return found
@@ -212,6 +222,12 @@ def tell(cells: Cells) -> list[str]:
         f"{control}: below the searcher." if high < 0 else f"{control}: the runs differ too much to say more.")
     sentences.append(f"True marks are worth {np.mean(cells.told[many]) - np.mean(cells.control):+.2f} "
                      f"({worth.low:+.2f} to {worth.high:+.2f}) against shuffled ones.")
+    if cells.less is not None:
+        gain = stats.ttest_ind(cells.told[many], cells.less, equal_var=False).confidence_interval()
+        interval = f"{end - np.mean(cells.less):+.2f} ({gain.low:+.2f} to {gain.high:+.2f})"
+        sentences.append(f"The larger budget is worth {interval} over the smaller one, with which "
+                         f"{np.mean(cells.less):.2f} was reached." if gain.low > 0 else
+                         f"The larger budget is not shown to be worth anything over the smaller one: {interval}.")
     return sentences
 
 
@@ -245,6 +261,9 @@ def analyse(study: Study, lines: Sequence[MarksRun]) -> Page:
         parts.append({**kind, "headline": headline, "sentences": sentences})
         rows += [[f"{kind['told']}, {size:,} room{'s' * (size > 1)}", *_describe(values, cells.searcher, cells.ceiling)]
                  for size, values in cells.told.items()]
+        if cells.less is not None:
+            rows.append([f"{kind['told']}, {max(cells.told):,} rooms, smaller budget",
+                         *_describe(cells.less, cells.searcher, cells.ceiling)])
         rows.append([kind["control"], *_describe(cells.control, cells.control_searcher, None)])
         rows += [[f"{rung}, {name}", "", f"{value:.3f}", "", ""] for rung, name, value in (
             (kind["told"], "searcher", cells.searcher), (kind["control"], "searcher", cells.control_searcher),

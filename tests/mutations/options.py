@@ -16,8 +16,8 @@ MUTATIONS = [
     Mutation(
         "a room's memory outlives its episode in a batch",
         "options/memory.py",
-        "            self._failures[episode] = {}\n",
-        "            pass\n",
+        "        self._used = where(which, 0, self._used)\n",
+        "",
         "options/test_memory_streams.py::test_every_room_remembers_its_own_decisions",
     ),
     Mutation(

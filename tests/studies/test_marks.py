@@ -68,6 +68,20 @@ def test_other_truths_give_other_sentences():
     assert "learned share" not in say((0.6, 0.8, 0.9), 0.7, ceiling=0.72)[0], "nothing lies between the two"
 
 
+def test_what_a_larger_budget_is_worth_is_told_where_there_is_a_smaller_one():
+    kind = STUDY.data["kind"][2]
+    study = dataclasses.replace(STUDY, data={**DATA, "kind": [kind]})
+
+    def compare(more: float, less: float) -> str:
+        lines = make_lines((0.5, more), 0.6, kind=kind)
+        small = make_lines((0.5, less), 0.6, kind={**kind, **kind["less"]})
+        assert say((0.5, 0.6, more), 0.6)[-1].startswith("True marks"), "where there is one budget, none is compared"
+        return tell(gather(study, [*lines, *small])[kind["title"]])[-1]
+
+    assert compare(0.85, 0.7).startswith("The larger budget is worth +0.1")
+    assert compare(0.7, 0.7).startswith("The larger budget is not shown to be worth anything")
+
+
 def test_the_headline_names_the_kinds_in_which_more_rooms_teach_more():
     def summarise(*truths: tuple[float, ...]) -> str:
         return tell_all({f"Kind {number}": gather(ONE, make_lines(truth, 0.7))[KIND["title"]]
@@ -120,3 +134,5 @@ def test_runs_are_made_once_and_to_the_bit(tmp_path: Path):
         assert len(runs) == 8 and store.path.read_text().count("\n") == 8
     learner = runs[KIND["learner"], KIND["told"], 2, 0]
     assert learner == run_once(KIND["learner"], KIND["told"], 2, 0, 300, 3)
+    many = [run_once(KIND["learner"], KIND["told"], 2, 0, 300, 3, streams) for streams in (4, 4, 0)]
+    assert many[0] == many[1] and many[2] == learner
