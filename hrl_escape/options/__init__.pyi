@@ -6,6 +6,7 @@ from .domain import OptionDomain
 from .execution import TraceStep
 from .learned import LearnedOption, make_learned_options
 from .masked_observation import MaskedObservation
+from .memory import DecisionMemory, MemoryStreams
 from .meta_actions import PlannedOption, make_meta_options
 from .option import FLAVOURS, FunctionOption, Option, ScriptedOption, TableOption
 from .options_env import OptionsEnv
@@ -15,10 +16,12 @@ from .torchrl_env import OptionsTorchRLEnv, SMDPTransform
 
 __all__ = [
     "BatchedOptionsEnv",
+    "DecisionMemory",
     "FLAVOURS",
     "FunctionOption",
     "LearnedOption",
     "MaskedObservation",
+    "MemoryStreams",
     "Option",
     "OptionDegradation",
     "OptionDomain",

@@ -48,7 +48,7 @@ class CompiledStep:
     It returns what the function returns; tensors that the function passes through unchanged cost nothing.
     """
 
-    def __init__(self, step: Callable[..., Any], device: str, threads: int) -> None:
+    def __init__(self, step: Callable[..., Any], device: str, threads: int, rounds_alike: bool = False) -> None:
         """Store the function; it is compiled at the first call.
 
         Args:
@@ -56,10 +56,11 @@ class CompiledStep:
             device: type of the device.
             threads: threads that a CPU kernel divides its rooms among. They are part of its code, but the compiler's
                 cache on disk ignores them unless they are part of its key.
+            rounds_alike: whether an accelerator's kernel rounds after every operation, as it does without compilation.
         """
         self._step = step
         self._options = _OPTIONS | (_CPU_OPTIONS | {"cpp.threads": threads} if device == "cpu" else
-                                    _ACCELERATOR_OPTIONS)
+                                    _ACCELERATOR_OPTIONS | {"emulate_precision_casts": rounds_alike})
         self._kernel: Callable[..., Any] | None = None
         self._forms: list[tuple[torch.Size, torch.dtype]] = []
         self._flags: list[int] = []

@@ -237,4 +237,4 @@ class PostureChooser:
 @lru_cache(maxsize=64)
 def _compile_weighing(layout: Layout, device: str, threads: int, shapes: tuple) -> CompiledStep:
     """Compile the weighing for one shape of batch."""
-    return CompiledStep(partial(_weigh_postures, layout), device, threads)
+    return CompiledStep(partial(_weigh_postures, layout), device, threads, rounds_alike=True)
