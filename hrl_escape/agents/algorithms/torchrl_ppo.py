@@ -103,7 +103,7 @@ class TorchRLPPO(TorchRLAgent):
     @property
     def _rollout(self) -> dict[str, Any] | None:
         """Decisions of the rollout so far by key; None where it is empty."""
-        return {key: value.numpy() for key, value in self._stack().flatten_keys(" ").items()
+        return {key: value.numpy() for key, value in sorted(self._stack().flatten_keys(" ").items())
                 } if self._rows else None
 
     @_rollout.setter

@@ -208,7 +208,7 @@ class TorchRLReplay:
             return {}
         kept = self._buffer[:].flatten_keys(" ")
         return {"writer": dict(self._buffer.writer.state_dict()),
-                "decisions": {key: value.numpy().copy() for key, value in kept.items()}}
+                "decisions": {key: value.numpy().copy() for key, value in sorted(kept.items())}}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on where `state_dict` was taken."""

@@ -9,6 +9,7 @@ import torch
 
 from hrl_escape import OptionsEnv, make_agent, train
 from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.training.checkpoint import compute_state_digest
 from tests.agents.algorithms.test_deep_losses import ACTIONS, GAMMA, INPUTS, SIZE, SPACES, make_batch
 from tests.agents.running import learn
 from tests.agents.small_envs import SmdpEnv, make_random_smdp, solve
@@ -148,3 +149,13 @@ def test_options_are_learned_through_the_public_door(name: str):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_same_seed_gives_the_same_run(name: str):
     assert train_options(name, 300) == train_options(name, 300)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_agent_that_took_up_a_state_has_the_digest_of_the_one_that_left_it(name: str):
+    trained = train_options(name, 300).agent
+    env = OptionsEnv(gymnasium.make("hrl_escape/PaperTwoButton-v1"), include_primitives=False)
+    other = make_agent(f"smdp-{name}", env.observation_space, env.action_space, 1)
+    assert compute_state_digest(other.state_dict()) != compute_state_digest(trained.state_dict())
+    other.load_state_dict(trained.state_dict())
+    assert compute_state_digest(other.state_dict()) == compute_state_digest(trained.state_dict())
