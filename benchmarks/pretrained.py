@@ -21,19 +21,19 @@ from hrl_escape.ladder import load_benchmark
 from studies.unseen import make_streams
 
 AGENT = "smdp-ppo+objects+memory+no-primitives"
-ROOMS, STREAMS, EVALUATIONS = 1000, 64, 10
-BUDGETS = {"ladder-1/chain-3": 1_000_000, "marks-2/motifs": 2_000_000, "marks-3/deceived": 2_000_000,
-           "marks-3/places": 2_000_000}
-"""Rung -> primitives."""
+STREAMS, EVALUATIONS = 64, 10
+TRAINED = {"ladder-1/chain-3": (64, 1_000_000), "marks-2/motifs": (1000, 2_000_000),
+           "marks-3/deceived": (1000, 2_000_000), "marks-3/places": (1000, 2_000_000)}
+"""Rung -> training rooms and primitives."""
 FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/pretrained"
 
 
-def make(place: str, out: Path, primitives: int, rooms: int | None = None) -> None:
-    """Train in a rung's training rooms, and write the submission."""
+def make(place: str, out: Path, size: int, primitives: int, rooms: int | None = None) -> None:
+    """Train in so many of a rung's training rooms, and write the submission."""
     benchmark, _, name = place.partition("/")
     rung, spec = load_benchmark(benchmark)[name], AgentSpec.parse(AGENT)
     with tempfile.TemporaryDirectory() as made:
-        train(spec.name, make_streams(benchmark, name, ROOMS, STREAMS), primitives=primitives, settings=spec.settings,
+        train(spec.name, make_streams(benchmark, name, size, STREAMS), primitives=primitives, settings=spec.settings,
               eval_every=primitives // EVALUATIONS, eval_episodes=10, out=made)
         card = Card.from_dict({"name": AGENT, "authors": ["hrl-escape"], "told": "nothing",
                                "training": f"python -m benchmarks.pretrained {place} ({AGENT})"})
@@ -45,13 +45,14 @@ def make(place: str, out: Path, primitives: int, rooms: int | None = None) -> No
 def main() -> None:
     """Make those that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("rungs", nargs="*", default=list(BUDGETS), help="benchmark and rung")
+    parser.add_argument("rungs", nargs="*", default=list(TRAINED), help="benchmark and rung")
     parser.add_argument("--out", type=Path, default=FOLDER, help="folder, by default the package's")
     parser.add_argument("--primitives", type=int, help="in place of the rung's own budget")
     parser.add_argument("--rooms", type=int, help="test rooms; all by default")
     arguments = parser.parse_args()
     for place in arguments.rungs:
-        make(place, arguments.out, arguments.primitives or BUDGETS[place], arguments.rooms)
+        size, primitives = TRAINED[place]
+        make(place, arguments.out, size, arguments.primitives or primitives, arguments.rooms)
 
 
 if __name__ == "__main__":
