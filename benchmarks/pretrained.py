@@ -22,8 +22,8 @@ from studies.unseen import make_streams
 
 AGENT = "smdp-ppo+objects+memory+no-primitives"
 STREAMS, EVALUATIONS = 64, 10
-TRAINED = {"ladder-1/chain-3": (64, 1_000_000), "marks-2/motifs": (1000, 2_000_000),
-           "marks-3/deceived": (1000, 2_000_000), "marks-3/places": (1000, 2_000_000)}
+TRAINED = {"marks-2/motifs": (1000, 2_000_000), "marks-3/deceived": (1000, 2_000_000),
+           "marks-3/places": (1000, 2_000_000)}
 """Rung -> training rooms and primitives."""
 FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/pretrained"
 

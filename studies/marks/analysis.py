@@ -234,21 +234,33 @@ def tell(cells: Cells) -> list[str]:
 def has_risen(cells: Cells) -> bool:
     """True if runs show a rise by `RISE` from `FEW` rooms to the most, to above the searcher and below the ceiling."""
     _, least, _ = _bound(_pair(cells, FEW))
-    _, low, high = _bound(cells.told[max(cells.told)])
-    return least >= RISE and low > cells.searcher and high < cells.ceiling
+    _, _, high = _bound(cells.told[max(cells.told)])
+    return least >= RISE and is_above(cells) and high < cells.ceiling
+
+
+def is_above(cells: Cells) -> bool:
+    """True if runs in the most rooms are shown to be above the best searcher."""
+    return _bound(cells.told[max(cells.told)])[1] > cells.searcher
 
 
 def tell_all(found: Mapping[str, Cells]) -> str:
-    """Headline over all kinds: those in which more rooms are shown to teach more."""
+    """Headline over all kinds: where learners beat searching, and where more rooms are shown to teach more."""
     most = max(size for cells in found.values() for size in cells.told)
+    above = sum(map(is_above, found.values()))
     risen = [title.lower() for title, cells in found.items() if has_risen(cells)]
     others = [title.lower() for title in found if title.lower() not in risen]
-    claim = (f"efficiency in unseen rooms rises by {RISE} or more from {FEW} to {most:,} training rooms, and ends "
-             "above the best searcher that learns nothing and below the ceiling")
+    beaten = (f"In {above} of {len(found)} kinds the learner is better in rooms that it has never seen than the best "
+              "searcher that learns nothing. ")
+    claim = (f"efficiency rises by {RISE} or more from {FEW} to {most:,} training rooms, to above the searcher and "
+             "below the ceiling")
     if not risen:
-        return f"On no rung with marks is it shown that {claim}."
-    rest = f"; with {' and '.join(others)} this is not shown" if others else ""
-    return f"With {' and '.join(risen)}, {claim}{rest}."
+        return f"{beaten}In none is it shown that {claim}."
+    rest = f"; with {_enumerate(others)} this is not shown" if others else ""
+    return f"{beaten}With {_enumerate(risen)} {claim}{rest}."
+
+
+def _enumerate(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def analyse(study: Study, lines: Sequence[MarksRun]) -> Page:

@@ -88,13 +88,16 @@ def test_the_headline_names_the_kinds_in_which_more_rooms_teach_more():
                          for number, truth in enumerate(truths)})
 
     learned, flat = (0.5, 0.6, 0.9), (0.5, 0.9, 0.9)
-    assert summarise(learned, learned) == (
-        "With kind 0 and kind 1, efficiency in unseen rooms rises by 0.2 or more from 16 to 1,000 training rooms, and "
-        "ends above the best searcher that learns nothing and below the ceiling.")
-    assert summarise(flat, learned).startswith("With kind 1, efficiency")
-    assert summarise(flat, learned).endswith("; with kind 0 this is not shown.")
-    for truth in (flat, (0.5, 0.75, 0.9), (0.1, 0.3, 0.65), (0.5, 0.6, 0.99)):
-        assert summarise(truth).startswith("On no rung with marks is it shown that efficiency in unseen rooms rises"), (
+    assert summarise(learned, learned, learned) == (
+        "In 3 of 3 kinds the learner is better in rooms that it has never seen than the best searcher that learns "
+        "nothing. With kind 0, kind 1 and kind 2 efficiency rises by 0.2 or more from 16 to 1,000 training rooms, to "
+        "above the searcher and below the ceiling.")
+    two = summarise(flat, learned)
+    assert two.startswith("In 2 of 2 kinds") and "With kind 1 efficiency" in two
+    assert two.endswith("; with kind 0 this is not shown.")
+    for truth, above in ((flat, 1), ((0.5, 0.75, 0.9), 1), ((0.1, 0.3, 0.65), 0), ((0.5, 0.6, 0.99), 1)):
+        said = summarise(truth)
+        assert said.startswith(f"In {above} of 1 kinds") and "In none is it shown that efficiency rises" in said, (
             "no rise, too little, not above the searcher, not below the ceiling")
 
 
@@ -112,7 +115,8 @@ def test_missing_cells_are_refused():
 def test_a_page_of_another_truth_says_another_thing(tmp_path: Path):
     lines = {line.place: line for kind in STUDY.data["kind"] for line in make_lines((0.5, 0.5, 0.5), 0.5, kind=kind)}
     page = write_page("marks", list(lines.values()), tmp_path)
-    assert "**On no rung with marks is it shown" in page and (tmp_path / "figures/marks.svg").stat().st_size > 10_000
+    assert "In none is it shown that" in page and f"**In 0 of {len(STUDY.data['kind'])} kinds" in page
+    assert (tmp_path / "figures/marks.svg").stat().st_size > 10_000
     assert page.count("What marks mean is not shown to be learned.") == len(STUDY.data["kind"])
     assert all(f"## {kind['title']}" in page for kind in STUDY.data["kind"])
 
