@@ -39,8 +39,7 @@ def test_the_agent_that_reads_marks_has_the_score_that_the_study_of_marks_publis
 
 
 def test_there_are_pretrained_agents_they_are_small_and_stand_on_the_board():
-    assert {"marks-1/told", "marks-2/motifs", "marks-3/deceived", "marks-3/places", "ladder-1/chain-3"
-            } <= list_pretrained().keys()
+    assert {"marks-1/told", "ladder-1/chain-3"} <= list_pretrained().keys()
     digests = {record.submission.agent_digest for record in read_records(BOARD)}
     sizes = 0
     for rung, agent in AGENTS:
@@ -49,7 +48,7 @@ def test_there_are_pretrained_agents_they_are_small_and_stand_on_the_board():
         benchmark, _, name = rung.partition("/")
         whole = load_benchmark(benchmark)[name].record.test.count == found.submission.entry.rooms
         assert (found.submission.agent_digest in digests) == whole
-    assert sizes < 3e6
+    assert sizes < 1.5e6
     with pytest.raises(UnknownNameError, match="marks-1/told"):
         load_pretrained("marks-1/tell")
     with pytest.raises(UnknownNameError, match="smdp-ppo"):
