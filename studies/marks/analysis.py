@@ -19,6 +19,7 @@ from hrl_escape.comparison.protocols import compute_learned_share
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.names import join_words
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
 from studies.running import StudyArgs
@@ -255,12 +256,8 @@ def tell_all(found: Mapping[str, Cells]) -> str:
              "below the ceiling")
     if not risen:
         return f"{beaten}In none is it shown that {claim}."
-    rest = f"; with {_enumerate(others)} this is not shown" if others else ""
-    return f"{beaten}With {_enumerate(risen)} {claim}{rest}."
-
-
-def _enumerate(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    rest = f"; with {join_words(others)} this is not shown" if others else ""
+    return f"{beaten}With {join_words(risen)} {claim}{rest}."
 
 
 def analyse(study: Study, lines: Sequence[MarksRun]) -> Page:
