@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from hrl_escape.agents.state import StateTree
-from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
+from hrl_escape.agents.training.checkpoint import drop_experience, load_checkpoint, save_checkpoint
 from hrl_escape.comparison.comparison import Comparison, read_comparison, run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
 from hrl_escape.comparison.launching.local import Failure, LocalLauncher
@@ -152,14 +151,6 @@ def ship_agents(found: dict[BaselinePlace, Comparison], folder: Path) -> dict[st
         save_checkpoint(folder / rung / CHECKPOINT, drop_experience(load_checkpoint(source / "best.npz")))
         shipped[rung] = run.agent.label
     return shipped
-
-
-def drop_experience(state: StateTree) -> StateTree:
-    """State of a run without its agent's replay, which acting does not need and which makes up most of its bytes."""
-    agent = dict(state["agent"])
-    if "replay" in agent:
-        agent["replay"] = {name: 0 if name == "added" else rows[:0] for name, rows in agent["replay"].items()}
-    return {**state, "agent": agent}
 
 
 def _rate(comparison: Comparison, run: GridRun, result: RunResult) -> tuple[float, int]:

@@ -22,11 +22,12 @@ import stat
 import struct
 import tempfile
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+from hrl_escape.agents.training.checkpoint import drop_experience, load_checkpoint, save_checkpoint
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts
 from hrl_escape.agents.training.run_folder import BEST, LAST, check_run, read_run
 from hrl_escape.errors import (
@@ -255,6 +256,8 @@ def _check_part(part: Part, found: Part, where: str | os.PathLike[str]) -> None:
 
 
 RUN_FILES = ("run.json", "log.jsonl", LAST, BEST, "result.json")
+FROZEN = ("run.json", LAST, "result.json")
+"""Files of an agent that only acts."""
 """Files of a run that an archive holds; locks and TensorBoard's files stay behind."""
 RUN_ARCHIVE = ArchiveKind("a run", re.compile("|".join(map(re.escape, RUN_FILES))),
                           "Pack the run anew with `hrl-escape run pack`")
@@ -283,14 +286,14 @@ class RunSummary:
         return compute_parts_digest(self.parts)
 
 
-def pack_run(folder: str | os.PathLike[str], path: str | os.PathLike[str], names: Sequence[str] = RUN_FILES
-             ) -> RunSummary:
+def pack_run(folder: str | os.PathLike[str], path: str | os.PathLike[str], is_frozen: bool = False) -> RunSummary:
     """Write a run's folder to one file, atomically.
 
     Args:
         folder: folder of a run that no process is training.
         path: the archive, by custom ending in `.zip`.
-        names: of the files to pack, where the folder has them; `run.json` among them.
+        is_frozen: take only what acting needs: the description, the result and the last checkpoint, without the
+            experience that is still to be learned from.
 
     Raises:
         FileReadError: the folder holds no run, or a link in place of a file.
@@ -298,10 +301,14 @@ def pack_run(folder: str | os.PathLike[str], path: str | os.PathLike[str], names
         FileWriteError: the archive cannot be written, or would have more than `LARGEST_ARCHIVE` bytes.
     """
     folder = Path(folder)
-    with _keeping_others_out(folder):
-        described = read_run(folder)
-        files: dict[str, Path | bytes] = {name: path for name, path in _list_files(folder).items() if name in names}
-        return RunSummary(described, pack_parts(path, files, RUN_ARCHIVE))
+    with _keeping_others_out(folder), tempfile.TemporaryDirectory() as made:
+        described, files = read_run(folder), _list_files(folder)
+        if is_frozen:
+            files = {name: path for name, path in files.items() if name in FROZEN}
+            if LAST in files:
+                save_checkpoint(Path(made) / LAST, drop_experience(load_checkpoint(files[LAST])))
+                files[LAST] = Path(made) / LAST
+        return RunSummary(described, pack_parts(path, {**files}, RUN_ARCHIVE))
 
 
 def unpack_run(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> RunSummary:

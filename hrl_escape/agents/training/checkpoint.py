@@ -45,6 +45,17 @@ def save_checkpoint(path: str | os.PathLike[str], state: StateTree) -> None:
         np.savez(file, allow_pickle=False, **arrays)  # pyright: ignore[reportArgumentType]
 
 
+def drop_experience(state: StateTree) -> StateTree:
+    """State of a run without its agent's replay and open rollout, which acting does not need: most of its bytes."""
+    agent = dict(state["agent"])
+    if "replay" in agent:
+        rows = agent["replay"] if "added" in agent["replay"] else {}  # TorchRL's own is empty without decisions
+        agent["replay"] = {name: 0 if name == "added" else field[:0] for name, field in rows.items()}
+    if "rollout" in agent:
+        agent["rollout"] = None
+    return {**state, "agent": agent}
+
+
 def load_checkpoint(path: str | os.PathLike[str]) -> StateTree:
     """Read a state tree, bit for bit as `save_checkpoint` took it.
 

@@ -16,7 +16,7 @@ from hrl_escape.agents.agent import Agent, read_success
 from hrl_escape.agents.training.archive import pack_run, unpack_run
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.results import load_result
-from hrl_escape.agents.training.run_folder import LAST, read_run
+from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
 from hrl_escape.comparison.board.program import ProgramAgent, describe_command
 from hrl_escape.comparison.board.submission import (
@@ -157,7 +157,7 @@ def pack_submission(path: Path, rung: Rung, card: Card, source: str = "", files:
             agent, parts = source, {}
         elif source:
             agent, card = read_run(source)["name"], _fill_in(card, Path(source))
-            pack_run(source, folder / RUN, ("run.json", LAST, "result.json"))
+            pack_run(source, folder / RUN, is_frozen=True)
             parts = {RUN: folder / RUN}
         else:
             agent, parts = "", {name: read_bytes(files / name, "file of a program") for name in card.files}

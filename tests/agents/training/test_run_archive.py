@@ -10,9 +10,11 @@ import stat
 import struct
 import zipfile
 
+import numpy as np
 import pytest
 
 from hrl_escape.agents import load_agent, pack_run, read_summary, train, unpack_run
+from hrl_escape.agents.training.checkpoint import load_checkpoint
 from hrl_escape.agents.training.run_folder import RunFolder, read_run
 from hrl_escape.cli import main
 from hrl_escape.errors import CheckpointError, EscapeError, FileReadError, FileWriteError, RunBusyError
@@ -46,6 +48,24 @@ def test_a_run_comes_back_to_the_byte_and_equal_runs_give_equal_archives(folder,
     assert summary.is_finished and summary.key == json.loads((folder / "result.json").read_text())["key"]
     assert load_agent(tmp_path / "moved" / "here", ButtonGrid(horizon=90)).origin["run"] == summary.key
     assert stat.S_IMODE((tmp_path / "moved" / "here").stat().st_mode) == 0o755
+
+
+@pytest.mark.parametrize("agent", ["dqn", "torchrl-dqn", "ppo"])
+def test_a_frozen_run_acts_as_the_whole_one_and_holds_no_experience(agent, tmp_path):
+    """Cut short in the middle of a rollout, and with a replay that is not empty."""
+    def act(folder):
+        rng, legal = np.random.default_rng(0), np.ones(7, np.bool_)
+        loaded = load_agent(folder, ButtonGrid(horizon=90))
+        return [loaded.act_greedy(np.array(state, np.float64), legal, rng) for state in np.ndindex(13, 13, 2, 2)]
+
+    train(agent, ButtonGrid(horizon=90), primitives=300, eval_episodes=0, progress=False, out=tmp_path / "whole")
+    pack_run(tmp_path / "whole", tmp_path / "whole.zip")
+    pack_run(tmp_path / "whole", tmp_path / "frozen.zip", is_frozen=True)
+    unpack_run(tmp_path / "frozen.zip", tmp_path / "frozen")
+    state = load_checkpoint(tmp_path / "frozen" / "checkpoint.npz")["agent"]
+    assert not state.get("rollout") and not state.get("replay", {}).get("added")
+    assert (tmp_path / "frozen.zip").stat().st_size < (tmp_path / "whole.zip").stat().st_size
+    assert act(tmp_path / "frozen") == act(tmp_path / "whole")
 
 
 def test_an_unpacked_run_goes_on_where_it_stopped(tmp_path):
