@@ -46,6 +46,7 @@ from hrl_escape.files import (
     make_folder,
     open_plain,
     parse_json,
+    write_json,
 )
 from hrl_escape.processes import take_lock
 from hrl_escape.settings import read_record
@@ -255,8 +256,9 @@ def _check_part(part: Part, found: Part, where: str | os.PathLike[str]) -> None:
                               f"{part.sha256[:16]}, found {found.bytes:,} of {found.sha256[:16]}")
 
 
-RUN_FILES = ("run.json", "log.jsonl", LAST, BEST, "result.json")
-FROZEN = ("run.json", LAST, "result.json")
+DESCRIBED = "run.json"
+RUN_FILES = (DESCRIBED, "log.jsonl", LAST, BEST, "result.json")
+FROZEN = (DESCRIBED, LAST, "result.json")
 """Files of an agent that only acts."""
 """Files of a run that an archive holds; locks and TensorBoard's files stay behind."""
 RUN_ARCHIVE = ArchiveKind("a run", re.compile("|".join(map(re.escape, RUN_FILES))),
@@ -292,8 +294,8 @@ def pack_run(folder: str | os.PathLike[str], path: str | os.PathLike[str], is_fr
     Args:
         folder: folder of a run that no process is training.
         path: the archive, by custom ending in `.zip`.
-        is_frozen: take only what acting needs: the description, the result and the last checkpoint, without the
-            experience that is still to be learned from.
+        is_frozen: take only what acting needs: the result, the last checkpoint without the experience that is still
+            to be learned from, and the description, in which the ids of rooms stand for them.
 
     Raises:
         FileReadError: the folder holds no run, or a link in place of a file.
@@ -304,10 +306,12 @@ def pack_run(folder: str | os.PathLike[str], path: str | os.PathLike[str], is_fr
     with _keeping_others_out(folder), tempfile.TemporaryDirectory() as made:
         described, files = read_run(folder), _list_files(folder)
         if is_frozen:
-            files = {name: path for name, path in files.items() if name in FROZEN}
+            described = hash_large_parts(described)
+            files = {name: Path(made) / name if name in (DESCRIBED, LAST) else path for name, path in files.items()
+                     if name in FROZEN}
+            write_json(files[DESCRIBED], described)
             if LAST in files:
-                save_checkpoint(Path(made) / LAST, drop_experience(load_checkpoint(files[LAST])))
-                files[LAST] = Path(made) / LAST
+                save_checkpoint(files[LAST], drop_experience(load_checkpoint(folder / LAST)))
         return RunSummary(described, pack_parts(path, {**files}, RUN_ARCHIVE))
 
 
