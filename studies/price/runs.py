@@ -31,6 +31,7 @@ from hrl_escape.settings import replace_settings
 from hrl_escape.version import __version__, find_versions
 from studies.flat import find_until
 from studies.price.contestants import CONTESTANTS, EFFICIENT, FRESH, Contestant, sample_replicate_room
+from studies.price.explorer import make_explorer
 from studies.store import Store
 
 __all__ = ["PriceRun", "compute_run_key", "list_price_runs", "measure_price_runs", "run_contestant"]
@@ -141,7 +142,7 @@ def compute_run_key(contestant: Contestant, room: RoomInstance, replicate: int) 
         "settings": {name: value for name, value in settings.items() if value != defaults[name]},
         "streams": contestant.streams, "room": room.id, "seed": replicate,
         "budget": contestant.budget, "eval_every": contestant.eval_every, "efficient": EFFICIENT,
-    })
+    } | ({"explores_by": contestant.explores_by} if contestant.explores_by else {}))
 
 
 def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -> PriceRun:
@@ -160,9 +161,13 @@ def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -
     least = find_until(room, fewest, EFFICIENT, contestant.has_goals)
     env = _make_training_env(contestant, room, single)
     started = time.process_time()
-    result = train(contestant.agent, env, primitives=contestant.budget, seed=replicate, settings=contestant.settings,
-                   eval_env=single if contestant.streams else None, eval_every=contestant.eval_every, eval_episodes=1,
-                   progress=False, until_return=least)
+    plan: dict[str, Any] = {"primitives": contestant.budget, "seed": replicate, "eval_every": contestant.eval_every,
+                            "eval_episodes": 1, "progress": False, "until_return": least}
+    if contestant.explores_by:
+        result = train(make_explorer(contestant.explores_by, env, replicate, contestant.settings), env, **plan)
+    else:
+        result = train(contestant.agent, env, settings=contestant.settings,
+                       eval_env=single if contestant.streams else None, **plan)
     seconds = time.process_time() - started
     env.close()
     episodes, escapes = _count_episodes(result)
@@ -179,6 +184,8 @@ def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -
 
 def _make_training_env(contestant: Contestant, room: RoomInstance, single: gymnasium.Env) -> gymnasium.Env | VectorEnv:
     """Environment in which a contestant learns; many streams have their kernels compiled, outside of its time."""
+    if contestant.explores_by:
+        return OptionsEnv(single, trace=True)
     if contestant.has_options:
         return OptionsEnv(single, include_primitives=False)
     if contestant.has_goals:

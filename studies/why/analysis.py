@@ -1,0 +1,166 @@
+"""Why options help a learner: exploration with them, the credit of their lengths, both, and all that they give."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from hrl_escape.env.drawing import palette
+from hrl_escape.errors import ComparisonError
+from hrl_escape.names import count_nouns, join_words
+from hrl_escape.settings import read_record
+from studies.figures import FIGURE_STYLE
+from studies.page import make_table
+from studies.price.contestants import Contestant
+from studies.price.ratios import COSTS, CostRatio, compare_costs, correct_prices
+from studies.price.runs import PriceRun, measure_price_runs
+from studies.price.words import conclude_prices, tell_factor
+from studies.running import StudyArgs, open_store
+from studies.store import Store
+from studies.study import Page, Study, find_study
+
+__all__ = ["ESCAPE", "HALF", "LINES", "Args", "Pair", "analyse", "compare", "list_pairs",
+           "list_questions", "measure", "tell_headline"]
+
+LINES = (PriceRun,)
+ESCAPE, HALF = COSTS[1], COSTS[3]
+"""The two costs that are told: until the first escape, and until a greedy policy of half the efficiency."""
+EXPLORES, REPEATS = "options explore", "repeats explore"
+
+
+@dataclasses.dataclass(frozen=True)
+class Args(StudyArgs):
+    """Options of the study."""
+
+    runs: int = 10
+    """Rooms of each size, each with a training seed of its own."""
+    minutes: float | None = None
+    """Minutes after which no further run is begun."""
+
+
+class Pair(NamedTuple):
+    """Two learners whose costs are compared, both by label."""
+
+    one: str
+    other: str
+
+
+def read_learners(study: Study) -> tuple[Contestant, ...]:
+    """Learners that the study runs."""
+    fields = {field.name for field in dataclasses.fields(Contestant)}
+    return tuple(read_record(Contestant, {name: value for name, value in learner.items() if name in fields})
+                 for learner in study.data["learners"])
+
+
+def measure(study: Study, args: Args, store: Store) -> None:
+    """Make the runs that are missing."""
+    for made in measure_price_runs(store, 0, args.runs, args.minutes, read_learners(study)):
+        print(f"{made.agent}, {count_nouns(made.buttons, 'button')}, replicate {made.replicate}: first escape "
+              f"{made.first_escape}, efficient at {made.efficient_at}, at last {made.efficiency:.2f}")
+
+
+def list_questions(study: Study) -> tuple[Pair, ...]:
+    """What is asked, as one family: exploration by options, what they give beyond it, and where they lead."""
+    return Pair(study.data["flat"], EXPLORES), Pair(EXPLORES, study.data["whole"]), Pair(REPEATS, EXPLORES)
+
+
+def list_pairs(study: Study) -> tuple[Pair, ...]:
+    """What the table compares: the questions, then the other parts and whole options with the flat learner."""
+    asked = list_questions(study)
+    labels = [*(learner["label"] for learner in study.data["learners"]), study.data["whole"]]
+    pairs = (Pair(study.data["flat"], label) for label in labels)
+    return *asked, *(pair for pair in pairs if pair not in asked)
+
+
+def compare(study: Study, runs: Sequence[PriceRun]) -> dict[tuple[Pair, str], list[CostRatio]]:
+    """Ratios of all pairs and both costs, those of the questions corrected as one family, by pair and cost."""
+    own = {label: [run for run in runs if run.agent == label] for pair in list_pairs(study) for label in pair}
+    found = {(pair, cost.name): compare_costs(own[pair.one], own[pair.other], cost)
+             for pair in list_pairs(study) for cost in (ESCAPE, HALF)}
+    asked = [key for key in found if key[0] in list_questions(study)]
+    corrected, _ = correct_prices([found[key] for key in asked])
+    return found | dict(zip(asked, corrected, strict=True))
+
+
+def tell_headline(study: Study, found: dict[tuple[Pair, str], list[CostRatio]]) -> str:
+    """What exploration by options brings alone, and what is left."""
+    flat, whole = study.data["flat"], study.data["whole"]
+
+    def gains(one: str, other: str, cost: str) -> str:
+        """Sizes in which one is shown to pay more than the other."""
+        return join_words(str(ratio.buttons) for ratio in found[Pair(one, other), cost] if ratio.middle.low > 1)
+
+    def tell(cost: str, event: str) -> str:
+        sooner, left = gains(flat, EXPLORES, cost), gains(EXPLORES, whole, cost)
+        claim = (f"brings {event} sooner with {sooner} button{'' if sooner == '1' else 's'}" if sooner else
+                 f"is not shown to bring {event} sooner")
+        if left:
+            return f"{claim}, and whole options bring it sooner still with {left}"
+        return f"{claim}; whole options are not shown to bring it sooner still" if sooner else claim
+
+    goals = gains(REPEATS, EXPLORES, ESCAPE.name)
+    control = (" Repeats that last as long do less, so what helps is where options lead, not that they last." if goals
+               else " Repeats that last as long are not shown to do less.")
+    return ("Exploration by planned options, with values of primitives alone, "
+            f"{tell(ESCAPE.name, 'the first escape')}; "
+            f"it {tell(HALF.name, 'a greedy policy of half the efficiency')}.{control}")
+
+
+def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
+    """Sentences, the table and the figure of lines, beside the runs of the price of flatness in the same rooms."""
+    replicates = {line.replicate for line in lines}
+    known = open_store(find_study("price"), None).load()
+    price = [run for run in known if isinstance(run, PriceRun) and run.replicate in replicates
+             and run.agent in (study.data["flat"], study.data["whole"]) and run.buttons in study.data["sizes"]]
+    if not lines or not price:
+        raise ComparisonError("runs of this study and of the price of flatness are needed to tell why options help")
+    runs = sorted([*lines, *price], key=lambda run: run.place)
+    found = compare(study, runs)
+    headline = tell_headline(study, found)
+    claims = [(pair.one, pair.other, cost) for pair in list_questions(study) for cost in (ESCAPE, HALF)]
+    told = conclude_prices(runs, claims)
+    return Page({"headline": headline, "told": told, "table": tabulate(study, found),
+                 "minutes": sum(line.seconds for line in lines) / 60, **study.data},
+                {"why": draw(study, found)}, [headline])
+
+
+def tabulate(study: Study, found: dict[tuple[Pair, str], list[CostRatio]]) -> str:
+    """Factors, a row a pair and cost."""
+    rows = [[f"`{pair.one}` to `{pair.other}`", cost.event,
+             *(next((tell_factor(ratio.middle) for ratio in found[pair, cost.name] if ratio.buttons == size), "-")
+               for size in study.data["sizes"])] for pair in list_pairs(study) for cost in (ESCAPE, HALF)]
+    return make_table(["primitives of", "until", *(count_nouns(size, "button") for size in study.data["sizes"])], rows)
+
+
+def draw(study: Study, found: dict[tuple[Pair, str], list[CostRatio]]) -> Figure:
+    """Factors saved against the flat learner, a panel a cost; an arrow where only a bound is known."""
+    flat, sizes = study.data["flat"], study.data["sizes"]
+    labels = [*(learner["label"] for learner in study.data["learners"]), study.data["whole"]]
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(8.6, 2.8), facecolor=palette.BACKGROUND, layout="constrained")
+        for axes, cost in zip(figure.subplots(1, 2, sharey=True), (ESCAPE, HALF), strict=True):
+            for row, label in enumerate(labels):
+                for number, size in enumerate(sizes):
+                    middle = next((ratio.middle for ratio in found[Pair(flat, label), cost.name]
+                                   if ratio.buttons == size), None)
+                    if middle is None or middle.knowledge == "unknown":
+                        continue
+                    high = middle.high if np.isfinite(middle.high) else 30 * middle.low
+                    at, colour = row + 0.22 * (number - (len(sizes) - 1) / 2), palette.LINES[number]
+                    axes.plot([middle.low, high], [at, at], color=colour,
+                              linestyle="-" if middle.knowledge == "measured" else ":")
+                    axes.plot([middle.factor], [at], "o" if middle.knowledge == "measured" else ">", color=colour,
+                              label=count_nouns(size, "button") if not row else None)
+            axes.axvline(1, color=palette.MUTED, linewidth=0.8)
+            axes.set(xscale="log", title=f"until {cost.event}", xlabel=f"primitives of {flat} to its own")
+            axes.set_yticks(range(len(labels)), labels)
+            axes.invert_yaxis()
+            for side in ("top", "right"):
+                axes.spines[side].set_visible(False)
+        figure.axes[0].legend(frameon=False, loc="lower right")
+    return figure
