@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError
@@ -24,7 +25,7 @@ from studies.running import StudyArgs, open_store
 from studies.store import Store
 from studies.study import Page, Study, find_study
 
-__all__ = ["ESCAPE", "HALF", "LINES", "Args", "Pair", "analyse", "compare", "list_pairs",
+__all__ = ["ESCAPE", "HALF", "LINES", "Args", "Pair", "advise", "analyse", "compare", "list_pairs",
            "list_questions", "measure", "tell_headline"]
 
 LINES = (PriceRun,)
@@ -77,6 +78,10 @@ def list_pairs(study: Study) -> tuple[Pair, ...]:
     return *asked, *(pair for pair in pairs if pair not in asked)
 
 
+Found: TypeAlias = Mapping[tuple[Pair, str], Sequence[CostRatio]]
+"""Ratios, a number of buttons each, by pair and cost."""
+
+
 def compare(study: Study, runs: Sequence[PriceRun]) -> dict[tuple[Pair, str], list[CostRatio]]:
     """Ratios of all pairs and both costs, those of the questions corrected as one family, by pair and cost."""
     own = {label: [run for run in runs if run.agent == label] for pair in list_pairs(study) for label in pair}
@@ -87,28 +92,43 @@ def compare(study: Study, runs: Sequence[PriceRun]) -> dict[tuple[Pair, str], li
     return found | dict(zip(asked, corrected, strict=True))
 
 
-def tell_headline(study: Study, found: dict[tuple[Pair, str], list[CostRatio]]) -> str:
+def list_gains(found: Found, one: str, other: str, cost: str) -> str:
+    """Numbers of buttons with which one learner is shown to pay more than another, in words; empty for none."""
+    return join_words(str(ratio.buttons) for ratio in found[Pair(one, other), cost] if ratio.middle.low > 1)
+
+
+def tell_headline(study: Study, found: Found) -> str:
     """What exploration by options brings alone, and what is left."""
     flat, whole = study.data["flat"], study.data["whole"]
 
-    def gains(one: str, other: str, cost: str) -> str:
-        """Sizes in which one is shown to pay more than the other."""
-        return join_words(str(ratio.buttons) for ratio in found[Pair(one, other), cost] if ratio.middle.low > 1)
-
     def tell(cost: str, event: str) -> str:
-        sooner, left = gains(flat, EXPLORES, cost), gains(EXPLORES, whole, cost)
+        sooner, left = list_gains(found, flat, EXPLORES, cost), list_gains(found, EXPLORES, whole, cost)
         claim = (f"brings {event} sooner with {sooner} button{'' if sooner == '1' else 's'}" if sooner else
                  f"is not shown to bring {event} sooner")
         if left:
             return f"{claim}, and whole options bring it sooner still with {left}"
         return f"{claim}; whole options are not shown to bring it sooner still" if sooner else claim
 
-    goals = gains(REPEATS, EXPLORES, ESCAPE.name)
-    control = (" Repeats that last as long do less, so what helps is where options lead, not that they last." if goals
-               else " Repeats that last as long are not shown to do less.")
+    control = (" Repeats that last as long do less, so what helps is where options lead, not that they last."
+               if list_gains(found, REPEATS, EXPLORES, ESCAPE.name) else
+               " Repeats that last as long are not shown to do less.")
     return ("Exploration by planned options, with values of primitives alone, "
             f"{tell(ESCAPE.name, 'the first escape')}; "
             f"it {tell(HALF.name, 'a greedy policy of half the efficiency')}.{control}")
+
+
+def advise(study: Study, found: Found) -> str:
+    """Advice to a user, by what each part brings."""
+    flat, whole = study.data["flat"], study.data["whole"]
+    explores = any(list_gains(found, flat, EXPLORES, cost.name) for cost in (ESCAPE, HALF))
+    acts = any(list_gains(found, EXPLORES, whole, cost.name) for cost in (ESCAPE, HALF))
+    if explores:
+        rest = (" Let it act by them too where it may: that is what makes it efficient soon." if acts else
+                " That is all that they were shown to give.")
+        return f"Let planned options explore even for a learner that must act in primitives.{rest}"
+    if acts:
+        return "Let a learner act by planned options: exploration by them alone was not shown to help."
+    return "Planned options were not shown to help this learner in these rooms."
 
 
 def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
@@ -124,12 +144,12 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
     headline = tell_headline(study, found)
     claims = [(pair.one, pair.other, cost) for pair in list_questions(study) for cost in (ESCAPE, HALF)]
     told = conclude_prices(runs, claims)
-    return Page({"headline": headline, "told": told, "table": tabulate(study, found),
+    return Page({"headline": headline, "told": told, "advice": advise(study, found), "table": tabulate(study, found),
                  "minutes": sum(line.seconds for line in lines) / 60, **study.data},
                 {"why": draw(study, found)}, [headline])
 
 
-def tabulate(study: Study, found: dict[tuple[Pair, str], list[CostRatio]]) -> str:
+def tabulate(study: Study, found: Found) -> str:
     """Factors, a row a pair and cost."""
     rows = [[f"`{pair.one}` to `{pair.other}`", cost.event,
              *(next((tell_factor(ratio.middle) for ratio in found[pair, cost.name] if ratio.buttons == size), "-")
@@ -137,7 +157,7 @@ def tabulate(study: Study, found: dict[tuple[Pair, str], list[CostRatio]]) -> st
     return make_table(["primitives of", "until", *(count_nouns(size, "button") for size in study.data["sizes"])], rows)
 
 
-def draw(study: Study, found: dict[tuple[Pair, str], list[CostRatio]]) -> Figure:
+def draw(study: Study, found: Found) -> Figure:
     """Factors saved against the flat learner, a panel a cost; an arrow where only a bound is known."""
     flat, sizes = study.data["flat"], study.data["sizes"]
     labels = [*(learner["label"] for learner in study.data["learners"]), study.data["whole"]]
@@ -157,10 +177,11 @@ def draw(study: Study, found: dict[tuple[Pair, str], list[CostRatio]]) -> Figure
                     axes.plot([middle.factor], [at], "o" if middle.knowledge == "measured" else ">", color=colour,
                               label=count_nouns(size, "button") if not row else None)
             axes.axvline(1, color=palette.MUTED, linewidth=0.8)
-            axes.set(xscale="log", title=f"until {cost.event}", xlabel=f"primitives of {flat} to its own")
+            axes.set(xscale="log", title=f"until {cost.event}", xlabel=f"times fewer primitives than {flat}")
+            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axes.set_yticks(range(len(labels)), labels)
-            axes.invert_yaxis()
             for side in ("top", "right"):
                 axes.spines[side].set_visible(False)
-        figure.axes[0].legend(frameon=False, loc="lower right")
+        figure.axes[0].invert_yaxis()  # both, as they share it
+        figure.axes[0].legend(frameon=False, loc="center right")
     return figure

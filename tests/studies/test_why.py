@@ -14,7 +14,7 @@ from studies.price.contestants import Contestant, sample_replicate_room
 from studies.price.explorer import count_primitives, make_explorer, measure_lengths
 from studies.price.runs import PriceRun, compute_run_key
 from studies.study import find_study
-from studies.why.analysis import EXPLORES, REPEATS, compare, tell_headline
+from studies.why.analysis import EXPLORES, REPEATS, advise, compare, tell_headline
 from tests.studies.pages import tell as write_page
 
 STUDY = find_study("why")
@@ -53,6 +53,18 @@ def test_other_truths_give_other_sentences():
     assert told.endswith("Repeats that last as long are not shown to do less.")
     told = say({FLAT: 9_000, EXPLORES: 100, REPEATS: 100, WHOLE: 100}, {FLAT: 5_000})
     assert "it is not shown to bring a greedy policy of half the efficiency sooner." in told
+
+
+def test_advice_follows_what_each_part_brings():
+    def advise_by(escapes, halves):
+        return advise(STUDY, compare(STUDY, make_lines(escapes, halves)))
+
+    both = advise_by({FLAT: 9_000, EXPLORES: 100, WHOLE: 100}, {FLAT: 50_000, EXPLORES: 20_000, WHOLE: 1_000})
+    assert both.startswith("Let planned options explore") and both.endswith("what makes it efficient soon.")
+    explored = advise_by({FLAT: 9_000, EXPLORES: 100, WHOLE: 100}, {FLAT: 50_000})
+    assert explored.endswith("That is all that they were shown to give.")
+    assert "exploration by them alone was not" in advise_by({FLAT: 9_000, WHOLE: 100}, {FLAT: 50_000, WHOLE: 1_000})
+    assert advise_by({FLAT: 9_000}, {FLAT: 50_000}).startswith("Planned options were not shown to help")
 
 
 def test_a_page_of_another_truth_says_another_thing(tmp_path):
