@@ -13,16 +13,14 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
-from hrl_escape.comparison.pairs import ALPHA
-from hrl_escape.comparison.profile import list_references, make_profiles
-from hrl_escape.comparison.reporting.radar import draw_radar
+from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
+from hrl_escape.comparison.reporting.figures import draw_radar, list_references, make_profiles
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.manifest import AxisRecord
-from hrl_escape.ladder.references import load_references
+from hrl_escape.ladder.manifest import load_references
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun
 from studies.figures import FIGURE_STYLE
