@@ -19,9 +19,8 @@ from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.manifest import AxisRecord
-from hrl_escape.ladder.manifest import load_references
-from hrl_escape.names import count_nouns, join_words
+from hrl_escape.ladder.manifest import AxisRecord, load_references
+from hrl_escape.names import join_words
 from studies.baseline import BaselineRun
 from studies.figures import FIGURE_STYLE
 from studies.ladder.baselines import BaselineArgs, collect_lines, list_missing, run_baselines
@@ -154,13 +153,15 @@ def tell_searching(gains: Mapping[tuple[str, str, str], Gain], axes: Sequence[st
     return f"{told}{f'; on {join_words(lost)} all learners are below it' if lost else ''}."
 
 
-def tell_falls(cells: Cells, axes: Sequence[AxisRecord], learners: Sequence[str], needed: int = 3) -> str:
-    """A sentence: the axes on which at least so many learners fall, from the first rung to the last and never up."""
-    smooth = [axis.name for axis in axes
-              if sum(_falls([cells[learner, rung] for rung in axis.rungs]) for learner in learners) >= needed]
-    rest = [axis.name for axis in axes if axis.name not in smooth]
-    told = f"On {len(smooth)} of {len(axes)} axes at least {count_nouns(needed, 'learner')} fall as rungs grow harder"
-    return f"{told}{f'; not on {join_words(rest)}' if rest and smooth else ''}."
+def tell_falls(cells: Cells, axes: Sequence[AxisRecord], names: Mapping[str, str]) -> str:
+    """A sentence: the axes on which each learner falls, from the first rung to the last and never up."""
+    falls = {learner: [axis.name for axis in axes if _falls([cells[learner, rung] for rung in axis.rungs])]
+             for learner in names}
+    told = [f"{names[learner]} falls on {join_words(own)}" for learner, own in falls.items() if own]
+    if not told:
+        return "No learner is shown to fall as rungs grow harder, on any axis."
+    none = [axis.name for axis in axes if not any(axis.name in own for own in falls.values())]
+    return f"As rungs grow harder {'; '.join(told)}{f'; none does on {join_words(none)}' if none else ''}."
 
 
 def _falls(levels: Sequence[NDArray[np.float64]]) -> bool:
@@ -216,13 +217,14 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     efficiencies["smdp-bayes"] = list_references(load_references(bench.name)).get("smdp-bayes", {})
     profiles = make_profiles(axes, efficiencies)
     headline = tell_leads(gains, order, names)
-    sentences = [tell_searching(gains, order, names, searcher), tell_falls(cells, axes, list(names)),
+    sentences = [tell_searching(gains, order, names, searcher), tell_falls(cells, axes, names),
                  tell_tops(cells, axes, list(names))]
     table = make_table(["axis", *efficiencies], [[axis.name, *(str(profile.get(axis.name, "-")) for profile in
                                                                profiles.values())] for axis in axes])
     return Page({"headline": headline, "sentences": sentences, "table": table, "left": [
         axis.name for axis in bench.manifest.axes if axis not in axes], "rooms": min(map(len, cells.values())), **data},
-        {"profiles": draw_radar(profiles, axes), "axes": draw_axes(cells, axes, names, searcher)},
+        {"profiles": draw_radar({name: own for name, own in profiles.items() if len(own) == len(axes)}, axes),
+         "profiles-axes": draw_axes(cells, axes, names, searcher)},
         [headline, *sentences])
 
 
