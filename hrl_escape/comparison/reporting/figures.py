@@ -192,9 +192,9 @@ def draw_radar(profiles: Mapping[str, Mapping[str, AxisScore]], axes: Sequence[A
             colour = next(shades if is_grey else colours)
             panel.plot([*angles, angles[0]], [*values, values[0]], color=colour, label=agent, marker="o",
                        linewidth=1.0 if is_grey else 1.8, markersize=3 if is_grey else 4)
-        panel.set(ylim=(0, 1), yticks=(0.25, 0.5, 0.75, 1.0), theta_direction=-1, theta_offset=math.pi / 2)
+        panel.set(ylim=(0, 1), yticks=(0.25, 0.5, 0.75, 1.0), theta_direction=-1, theta_offset=math.pi / 2,
+                  rlabel_position=180.0 / len(names))  # between two spokes
         panel.set_xticks(angles, names, color=palette.INK)
-        panel.set_rlabel_position(180.0 / len(names))  # between two spokes
         panel.tick_params(axis="x", pad=9)
         panel.tick_params(axis="y", labelcolor=palette.MUTED, labelsize=7)
         panel.grid(color="#e5dfd2", linewidth=0.8)
