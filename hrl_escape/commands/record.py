@@ -26,7 +26,7 @@ from hrl_escape.figures import VIDEO_FORMATS
 from hrl_escape.names import make_console_text
 from hrl_escape.viewer.play.saved_episode import load_episode
 from hrl_escape.viewer.recording import Recording, record_driver, record_saved
-from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, find_run_room, open_driver
+from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, open_driver
 
 PAGE_ENDING = ".html"
 
@@ -71,8 +71,8 @@ def run(args: RecordArgs) -> None:
 def _record(args: RecordArgs) -> Recording:
     if args.driver.endswith(".json"):
         return record_saved(load_episode(args.driver), Path(args.driver).stem)
-    text = find_driver(args.driver)
-    instance = (None if args.load else find_run_room(text)) or args.make_instance()
+    text, own = find_driver(args.driver)
+    instance = (None if args.load else own) or args.make_instance()
     driver = open_driver(text, instance, trust=args.trust)
     try:
         return record_driver(driver, args.episode_seed)

@@ -25,7 +25,7 @@ from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.commands.serving import PageAddress
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
-from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, find_run_room, open_driver
+from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, open_driver
 from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
@@ -48,8 +48,8 @@ class WatchArgs(PageAddress, AgentChoice, RoomChoice):
 def run(args: WatchArgs) -> None:
     """Open the page in the browser and let the driver act until interrupted."""
     torch.set_num_threads(1)
-    text = find_driver(args.driver)
-    instance = (None if args.load else find_run_room(text)) or args.make_instance()
+    text, own = find_driver(args.driver)
+    instance = (None if args.load else own) or args.make_instance()
     driver = open_driver(args.make_spec(text), instance, observation=args.observation, seed=args.episode_seed,
                          trust=args.trust)
     gate = Gate(args.pace or None, args.paused)

@@ -37,7 +37,6 @@ from studies.ladder.baselines import (
     collect_lines,
     list_missing,
     run_baselines,
-    ship_agents,
 )
 from studies.ladder.calibration import KNOWN, average_rooms, tell_calibration
 from studies.page import make_table
@@ -61,9 +60,6 @@ def measure(study: Study, args: BaselineArgs, store: Store) -> None:
     found = run_baselines(load_benchmark(study.data["benchmark"]), args)
     store.add(collect_lines(found))
     console = Console(highlight=False, soft_wrap=True)
-    if args.ship is not None:
-        for rung, agent in ship_agents(found, args.ship).items():
-            console.print(f"{rung}: {agent}", markup=False)
     failures = [failure for comparison in found.values() for failure in comparison.failures]
     for message, count in Counter(failure.message for failure in failures).items():
         console.print(f"{count} runs failed: {message}", markup=False)

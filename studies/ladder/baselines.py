@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import shutil
 import time
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from hrl_escape.agents.training.checkpoint import drop_experience, load_checkpoint, save_checkpoint
 from hrl_escape.comparison.comparison import Comparison, read_comparison, run_grid
-from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
+from hrl_escape.comparison.grid import AgentSpec, Grid
 from hrl_escape.comparison.launching.local import Failure, LocalLauncher
 from hrl_escape.comparison.protocols import (
     TOWER,
@@ -23,15 +21,13 @@ from hrl_escape.comparison.protocols import (
     make_protocol_grid,
     make_tower_grid,
 )
-from hrl_escape.comparison.runs import RunResult, get_training_folder
 from hrl_escape.files import read_toml
 from hrl_escape.ladder.benchmark import Benchmark
-from hrl_escape.ladder.trained import CHECKPOINT
 from studies.baseline import BaselineRun, collect_baselines
-from studies.running import NO_TRAINING, GridArgs, claim_folder
+from studies.running import NO_TRAINING, GridArgs
 
 __all__ = ["CLIMBERS", "GENERALISTS", "LEARNERS", "BaselineArgs", "collect_lines", "list_missing",
-           "make_baseline_grids", "run_baselines", "ship_agents"]
+           "make_baseline_grids", "run_baselines"]
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
 LEARNERS = (*_DATA["references"], *_DATA["agents"]["per-instance"])
@@ -70,8 +66,6 @@ class BaselineArgs(GridArgs):
     """Episodes in an evaluation with per-instance."""
     minutes: float = 240.0
     """Begin no run after so long."""
-    ship: Path | None = None
-    """Folder to copy the best agent of each rung to."""
 
 
 def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[BaselinePlace, Grid]]:
@@ -122,41 +116,6 @@ def collect_lines(found: dict[BaselinePlace, Comparison]) -> list[BaselineRun]:
     """Lines of all finished runs."""
     return [line for place, comparison in found.items()
             for line in collect_baselines(comparison, place.protocol, place.rung)]
-
-
-def ship_agents(found: dict[BaselinePlace, Comparison], folder: Path) -> dict[str, str]:
-    """Copy the best agent that learned in the first test room of each rung, as of its best evaluation.
-
-    Of several that are equally efficient the smallest is taken.
-
-    Args:
-        found: comparisons by their places.
-        folder: takes a folder a rung, with the run's description and its checkpoint.
-
-    Returns:
-        Label of the agent of each rung.
-    """
-    shipped = {}
-    for (protocol, rung, kind), comparison in found.items():
-        if protocol != "per-instance" or kind != "learners" or not comparison.runs:
-            continue
-        first = comparison.grid.rooms[0].label
-        own = [each for each in comparison.runs if each[0].room == first]
-        if not own:
-            continue
-        run, _ = max(own, key=lambda each: _rate(comparison, *each))
-        source = get_training_folder(comparison.out, run)
-        claim_folder(folder / rung)
-        shutil.copyfile(source / "run.json", folder / rung / "run.json")
-        save_checkpoint(folder / rung / CHECKPOINT, drop_experience(load_checkpoint(source / "best.npz")))
-        shipped[rung] = run.agent.label
-    return shipped
-
-
-def _rate(comparison: Comparison, run: GridRun, result: RunResult) -> tuple[float, int]:
-    """Best efficiency of an evaluation, and how small the checkpoint is."""
-    size = (get_training_folder(comparison.out, run) / "best.npz").stat().st_size
-    return float(result.get_curve("efficiency").max()), -size
 
 
 def list_missing(found: dict[BaselinePlace, Comparison]) -> int:

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from hrl_escape.agents.training.checkpoint import drop_experience, load_checkpoint, save_checkpoint
-from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts
+from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, name_room_sets
 from hrl_escape.agents.training.run_folder import BEST, LAST, check_run, read_run
 from hrl_escape.errors import (
     CheckpointError,
@@ -46,6 +46,7 @@ from hrl_escape.files import (
     make_folder,
     open_plain,
     parse_json,
+    read_json,
     write_json,
 )
 from hrl_escape.processes import take_lock
@@ -257,8 +258,9 @@ def _check_part(part: Part, found: Part, where: str | os.PathLike[str]) -> None:
 
 
 DESCRIBED = "run.json"
-RUN_FILES = (DESCRIBED, "log.jsonl", LAST, BEST, "result.json")
-FROZEN = (DESCRIBED, LAST, "result.json")
+RESULT = "result.json"
+RUN_FILES = (DESCRIBED, "log.jsonl", LAST, BEST, RESULT)
+FROZEN = (DESCRIBED, LAST, RESULT)
 """Files of an agent that only acts."""
 """Files of a run that an archive holds; locks and TensorBoard's files stay behind."""
 RUN_ARCHIVE = ArchiveKind("a run", re.compile("|".join(map(re.escape, RUN_FILES))),
@@ -280,7 +282,7 @@ class RunSummary:
     @property
     def is_finished(self) -> bool:
         """True where the run has a result."""
-        return any(part.name == "result.json" for part in self.parts)
+        return any(part.name == RESULT for part in self.parts)
 
     @property
     def digest(self) -> str:
@@ -294,8 +296,8 @@ def pack_run(folder: str | os.PathLike[str], path: str | os.PathLike[str], is_fr
     Args:
         folder: folder of a run that no process is training.
         path: the archive, by custom ending in `.zip`.
-        is_frozen: take only what acting needs: the result, the last checkpoint without the experience that is still
-            to be learned from, and the description, in which the ids of rooms stand for them.
+        is_frozen: take only what acting needs: the description, in which ids stand for sets of rooms, the last
+            checkpoint without the experience that is still to be learned from, and the result without its episodes.
 
     Raises:
         FileReadError: the folder holds no run, or a link in place of a file.
@@ -306,12 +308,13 @@ def pack_run(folder: str | os.PathLike[str], path: str | os.PathLike[str], is_fr
     with _keeping_others_out(folder), tempfile.TemporaryDirectory() as made:
         described, files = read_run(folder), _list_files(folder)
         if is_frozen:
-            described = hash_large_parts(described)
-            files = {name: Path(made) / name if name in (DESCRIBED, LAST) else path for name, path in files.items()
-                     if name in FROZEN}
+            described = name_room_sets(described)
+            files = {name: Path(made) / name for name, path in files.items() if name in FROZEN}
             write_json(files[DESCRIBED], described)
             if LAST in files:
                 save_checkpoint(files[LAST], drop_experience(load_checkpoint(folder / LAST)))
+            if RESULT in files:
+                write_json(files[RESULT], {**read_json(folder / RESULT, "result of a run"), "episodes": []})
         return RunSummary(described, pack_parts(path, {**files}, RUN_ARCHIVE))
 
 

@@ -169,6 +169,15 @@ def hash_large_parts(value: Any) -> Any:
     return [hash_large_parts(part) for part in value] if isinstance(value, list) else value
 
 
+def name_room_sets(value: Any) -> Any:
+    """Copy of a JSON value in which the id of a set of rooms stands for the rooms; a single room stays."""
+    if isinstance(value, Mapping):
+        if value.keys() == {"id", "content"} and isinstance(value["content"], list):
+            return value["id"]
+        return {name: name_room_sets(part) for name, part in value.items()}
+    return [name_room_sets(part) for part in value] if isinstance(value, list) else value
+
+
 def compute_digest(value: Any) -> str:
     """Short hash of a JSON value: 8 hexadecimal digits of SHA-256 over its canonical form."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"))

@@ -18,6 +18,7 @@ from hrl_escape.comparison.board.board import describe_score
 from hrl_escape.comparison.board.play import CheckedCell, make_view_env, verify_cells
 from hrl_escape.comparison.board.submission import RUN, Card, Submission, find_rung, read_submission, score_cells
 from hrl_escape.comparison.inference import Estimate
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.ladder.rung import Rung
 
@@ -84,16 +85,36 @@ def load_pretrained(rung: str, agent: str = "") -> Pretrained:
     Raises:
         UnknownNameError: there is none; the message names those that there are.
     """
+    path = _find_pretrained(rung, agent)
+    with tempfile.TemporaryDirectory() as made:
+        submission, run = _unpack(path, Path(made))
+        found = find_rung(submission.entry)
+        with closing(make_view_env(submission.entry.card.view, found.test)[0]) as env:
+            loaded = load_agent(run, env)
+        return Pretrained(loaded, load_result(run), submission, found, path)
+
+
+def unpack_pretrained(rung: str, folder: Path, agent: str = "") -> tuple[Path, RoomInstance]:
+    """Write the run of a pretrained agent to an empty folder; returns the run's folder and the rung's first test room.
+
+    Raises:
+        UnknownNameError: see `load_pretrained`.
+    """
+    submission, run = _unpack(_find_pretrained(rung, agent), folder)
+    return run, find_rung(submission.entry).test[0]
+
+
+def _find_pretrained(rung: str, agent: str) -> Path:
     known = list_pretrained()
     if rung not in known:
         raise UnknownNameError("rung with a pretrained agent", rung, known)
     if agent not in ("", *known[rung]):
         raise UnknownNameError(f"pretrained agent on {rung}", agent, known[rung])
-    path = _FOLDER / rung / f"{agent or known[rung][0]}.zip"
-    with tempfile.TemporaryDirectory() as made:
-        submission = read_submission(path, Path(made))
-        unpack_run(Path(made) / RUN, Path(made) / "run")
-        found = find_rung(submission.entry)
-        with closing(make_view_env(submission.entry.card.view, found.test)[0]) as env:
-            loaded = load_agent(Path(made) / "run", env)
-        return Pretrained(loaded, load_result(Path(made) / "run"), submission, found, path)
+    return _FOLDER / rung / f"{agent or known[rung][0]}.zip"
+
+
+def _unpack(path: Path, folder: Path) -> tuple[Submission, Path]:
+    """Submission of a file, and the folder of its run."""
+    submission = read_submission(path, folder)
+    unpack_run(folder / RUN, folder / "run")
+    return submission, folder / "run"

@@ -8,7 +8,10 @@ foresees the whole escape: there it takes the next goal of the cheapest order.
 
 from __future__ import annotations
 
+import atexit
 import dataclasses
+import shutil
+import tempfile
 from collections.abc import Hashable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,19 +23,21 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, make_agent, read_structure
-from hrl_escape.agents.training.env_description import make_described_env
+from hrl_escape.agents.training.env_description import make_described_env, name_part
 from hrl_escape.agents.training.run import refusing_damage
 from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
+from hrl_escape.comparison.board.pretrained import list_pretrained, unpack_pretrained
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.places import RoomSchedule
 from hrl_escape.comparison.references.registry import SEARCHERS
 from hrl_escape.comparison.runs import make_env, make_player
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import FileReadError, RunMismatchError, UnknownNameError, UnsupportedError
-from hrl_escape.ladder.trained import find_trained_agent
+from hrl_escape.ladder.instance_set import InstanceSetEnv
 from hrl_escape.options.meta_actions import PlannedOption, list_goals, make_meta_options
 from hrl_escape.options.option import Option
 from hrl_escape.options.options_env import OptionsEnv
@@ -212,11 +217,22 @@ def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: 
     return _make_driver(f"{name}, learning", learner, env, flavour, trains=True)
 
 
-def find_driver(text: str) -> str:
-    """Folder of the trained agent that comes with the package where `text` names its rung; else the text itself."""
-    if (Path(text) / "run.json").is_file():
-        return text
-    return str(find_trained_agent(text) or text)
+def find_driver(text: str) -> tuple[str, RoomInstance | None]:
+    """A driver as `open_driver` takes it, and its own room; None where it has none, or many.
+
+    Where `text` names a rung with a pretrained agent, such as `lattice`, that agent is unpacked until the process ends,
+    and the room is the rung's first test room.
+
+    Raises:
+        CheckpointError: the run is damaged.
+    """
+    rung = next((rung for rung in list_pretrained() if text in (rung, rung.rpartition("/")[2])), None)
+    if rung is None or (Path(text) / "run.json").is_file():
+        return text, find_run_room(text)
+    folder = tempfile.mkdtemp(prefix="hrl_escape-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    run, room = unpack_pretrained(rung, Path(folder))
+    return str(run), room
 
 
 def find_run_room(text: str) -> RoomInstance | None:
@@ -243,9 +259,12 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
         flavour = next((part["arguments"]["flavour"] for part in kept["wrappers"] if "flavour" in part["arguments"]),
                        "press")
         room = _make_room(instance, (kept["arguments"] or {}).get("observation", "features"))
-        arguments = room.unwrapped.describe()
+        kept = {**kept, "arguments": room.unwrapped.describe()}
         room.close()
-    env = make_described_env({**kept, "arguments": arguments}, StateRecorder, trust=trust)
+        if kept["class"] == name_part(InstanceSetEnv):  # the room stands for a set, which no schedule goes round
+            wrappers = [part for part in kept["wrappers"] if part["class"] != name_part(RoomSchedule)]
+            kept |= {"class": name_part(EscapeRoomEnv), "wrappers": wrappers}
+    env = make_described_env(kept, StateRecorder, trust=trust)
     if (repr(env.observation_space), repr(env.action_space)) != spaces:
         env.close()
         raise RunMismatchError(f"{folder} was trained with the spaces {spaces[0]} and {spaces[1]}, which room "

@@ -15,6 +15,7 @@ import pytest
 
 from hrl_escape.agents import load_agent, pack_run, read_summary, train, unpack_run
 from hrl_escape.agents.training.checkpoint import load_checkpoint
+from hrl_escape.agents.training.results import load_result
 from hrl_escape.agents.training.run_folder import RunFolder, read_run
 from hrl_escape.cli import main
 from hrl_escape.errors import CheckpointError, EscapeError, FileReadError, FileWriteError, RunBusyError
@@ -65,6 +66,7 @@ def test_a_frozen_run_acts_as_the_whole_one_and_holds_no_experience(agent, tmp_p
     state = load_checkpoint(tmp_path / "frozen" / "checkpoint.npz")["agent"]
     assert not state.get("rollout") and not state.get("replay", {}).get("added")
     assert (tmp_path / "frozen.zip").stat().st_size < (tmp_path / "whole.zip").stat().st_size
+    assert load_result(tmp_path / "whole").episodes and not load_result(tmp_path / "frozen").episodes
     assert act(tmp_path / "frozen") == act(tmp_path / "whole")
 
 
