@@ -36,7 +36,7 @@ LEARNED = {
     **dict.fromkeys(("code", "freight", "switchboard"), (MODEL, 10_000)),
     **dict.fromkeys(("chain-4", "chain", "clutter", "drift", "lattice-5", "lattice-6", "lattice-7", "lattice",
                      "reach"), (STRUCTURE, 4_000)),
-    "lattice-8": (THREE, 4_000), "house": (THREE, 20_000)}
+    "lattice-8": (THREE, 4_000), "house": (THREE, 10_000)}
 """Rungs of `ladder-1`: who learns the first test room, and primitives; models keep all that they have met."""
 FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/pretrained"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.pretrained import LEARNED, READ_RUNGS
+from benchmarks.pretrained import LEARNED, READ, READ_RUNGS
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.comparison.board.board import read_records
 from hrl_escape.comparison.board.pretrained import list_pretrained, load_pretrained
@@ -34,13 +34,13 @@ def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent
     env.close()
 
 
-def test_the_agent_that_reads_marks_has_the_score_that_the_study_of_marks_published():
+@pytest.mark.parametrize(("rung", "primitives"), [("marks-1/told", 24_000), *((rung, READ) for rung in READ_RUNGS)])
+def test_an_agent_that_reads_marks_has_the_score_that_the_study_of_marks_published(rung: str, primitives: int):
     """The study trained with the same seed, rooms and budget, and counted efficiency in the same 64 rooms by itself."""
     lines = [json.loads(line) for line in (BOARD.parents[1] / "studies/marks/raw.jsonl").read_text().splitlines()]
-    subject = ("marks-1/told", 1000, 0, 24_000)
-    (published,) = [line["efficiency"] for line in lines
-                    if (line["rung"], line["rooms"], line["seed"], line["primitives"]) == subject]
-    found = load_pretrained("marks-1/told")
+    (published,) = [line["efficiency"] for line in lines if (line["rung"], line["rooms"], line["seed"],
+                                                             line["primitives"]) == (rung, 1000, 0, primitives)]
+    found = load_pretrained(rung)
     assert round(found.score.value, 4) == published and found.result.seed == 0
 
 
