@@ -33,7 +33,7 @@ class ExploringSettings(DQNSettings):
     """Settings of `ExploringDQN`, beside those of `dqn`."""
 
     explores_by: Literal["options", "repeats"] = "options"
-    """What a random choice is."""
+    """Kind of a random choice."""
     lengths: tuple[int, ...] = (1,)
     """Primitives of options in this room, of which a repeat's length is drawn."""
     primitives: int = 1

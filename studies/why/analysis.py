@@ -1,4 +1,4 @@
-"""Why options help a learner: exploration with them, the credit of their lengths, both, and all that they give."""
+"""Parts of what options give a learner: exploration with them, the credit of their lengths, both, and all."""
 
 from __future__ import annotations
 
@@ -66,12 +66,12 @@ def measure(study: Study, args: Args, store: Store) -> None:
 
 
 def list_questions(study: Study) -> tuple[Pair, ...]:
-    """What is asked, as one family: exploration by options, what they give beyond it, and where they lead."""
+    """Questions, as one family: exploration by options, what they give beyond it, and where they lead."""
     return Pair(study.data["flat"], EXPLORES), Pair(EXPLORES, study.data["whole"]), Pair(REPEATS, EXPLORES)
 
 
 def list_pairs(study: Study) -> tuple[Pair, ...]:
-    """What the table compares: the questions, then the other parts and whole options with the flat learner."""
+    """Pairs of the table: the questions, then the other parts and whole options with the flat learner."""
     asked = list_questions(study)
     labels = [*(learner["label"] for learner in study.data["learners"]), study.data["whole"]]
     pairs = (Pair(study.data["flat"], label) for label in labels)
@@ -98,7 +98,7 @@ def list_gains(found: Found, one: str, other: str, cost: str) -> str:
 
 
 def tell_headline(study: Study, found: Found) -> str:
-    """What exploration by options brings alone, and what is left."""
+    """The finding: what exploration by options brings alone, and what is left."""
     flat, whole = study.data["flat"], study.data["whole"]
 
     def tell(cost: str, event: str) -> str:
