@@ -37,8 +37,8 @@ from studies.store import Store
 from studies.study import Page, Study, find_study
 
 __all__ = ["LINES", "Args", "Attempt", "SearcherRun", "advise", "analyse", "choose_candidate", "choose_course",
-           "measure", "read_flat", "read_price", "tell_arrivals", "tell_cheapest", "tell_privileged", "tell_quickest",
-           "tell_searcher"]
+           "find_longer", "measure", "read_flat", "read_price", "tell_arrivals", "tell_cheapest", "tell_longer",
+           "tell_privileged", "tell_quickest", "tell_searcher"]
 
 FIELDS = {field.name for field in dataclasses.fields(FlatLearner)}
 ESCAPE = 0.0
@@ -55,6 +55,8 @@ class Args(FlatArgs):
     """Numbers of buttons; those of `study.toml` by default."""
     trials: bool = False
     """Run the trials of all candidate settings instead of the league; it takes its settings from them."""
+    longer: bool = False
+    """Run learners ten times as long instead of the league, once that is whole for them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,6 +102,13 @@ def measure(study: Study, args: Args, store: Store) -> None:
         return
     end = math.inf if args.minutes is None else time.monotonic() + 60 * args.minutes
     seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
+    if args.longer:
+        measure_flat_runs(store, [
+            FlatJob(choose_candidate(study, store.load(), label), sample_replicate_room(size, seed), seed,
+                    data["longer"]["budget"], data["longer"]["eval_every"], data["efficient"][-1])
+            for label, size in find_longer(study, gather(study, store.load())).items()
+            if not args.agents or label in args.agents for seed in seeds], args.minutes)
+        return
     chosen = [choose_candidate(study, store.load(), learner.label) for learner in list_learners(study, args)]
     for size in args.sizes or data["sizes"]:
         rooms = {seed: sample_replicate_room(size, seed) for seed in seeds}
@@ -110,7 +119,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
         courses: dict[str, Course] = {}
         for learner in chosen:
             if find_source(study, learner) is None:
-                own = [run for run in store.load() if isinstance(run, FlatRun) and run.agent == learner.label]
+                own = list_own(study, store.load(), learner.label)
                 courses[learner.label] = choose_course(data, [read_flat(run, data["efficient"]) for run in own], size)
                 if courses[learner.label] != "whole":
                     print(f"{learner.label}, {count_nouns(size, 'button')}: {courses[learner.label]}")
@@ -120,6 +129,20 @@ def measure(study: Study, args: Args, store: Store) -> None:
             for seed, room in rooms.items() for learner in chosen
             if courses.get(learner.label) in ("whole", "first escape")],
             None if math.isinf(end) else max(0.0, end - time.monotonic()) / 60)
+
+
+def list_own(study: Study, lines: Sequence[Any], label: str, budget: int | None = None) -> list[FlatRun]:
+    """Runs of a learner with a budget, by default that of the league."""
+    return [run for run in lines if isinstance(run, FlatRun) and run.agent == label
+            and run.budget == (budget or study.data["budget"])]
+
+
+def find_longer(study: Study, cells: Cells) -> dict[str, int]:
+    """Learners that are run longer, and the fewest buttons with which less than half of their runs are efficient."""
+    data, level = study.data, study.data["efficient"][-1]
+    short = {label: [size for size in data["sizes"] if len(runs := cells.get((label, size), ())) >= data["runs"]
+                     and 2 * count_arrived(runs, level) < len(runs)] for label in data["longer"]["agents"]}
+    return {label: sizes[0] for label, sizes in short.items() if sizes}
 
 
 def list_candidates(study: Study, label: str) -> Iterator[FlatLearner]:
@@ -344,6 +367,22 @@ def tell_searcher(ratios: Mapping[str, CostRatio], searcher: str) -> str:
             f"({tell_number(middle.low)} to {tell_number(middle.high)}) times its primitives, over {rooms} rooms.")
 
 
+def tell_longer(before: Mapping[str, Sequence[Attempt]], after: Mapping[str, Sequence[Attempt]], level: float,
+                budget: int) -> str:
+    """A sentence: how many runs are efficient with more primitives, of learners that were not.
+
+    Args:
+        before: runs of each learner within the league's budget, with some number of buttons.
+        after: runs in the same rooms with `budget`; too few of a learner are left out.
+        level: efficiency.
+        budget: primitives.
+    """
+    told = [f"`{label}` in {count_arrived(runs, level)} of {len(runs)} with "
+            f"{count_nouns(runs[0].buttons, 'button')} ({count_arrived(before[label], level)} before)"
+            for label, runs in after.items() if len(runs) >= LEAST_RUNS]
+    return f"Within {budget:,} primitives, efficient are {join_words(told)}." if told else ""
+
+
 def advise(cells: Cells, sizes: Sequence[int], levels: Sequence[float], budget: int) -> str:
     """Advice to a user, by how far flat learners got."""
     by_size = {size: list_arrived(cells, size, levels[-1]) for size in sizes
@@ -376,7 +415,7 @@ def gather(study: Study, lines: Sequence[Any]) -> dict[tuple[str, int], list[Att
     data, cells, price = study.data, {}, open_store(find_study("price"), None).load()
     for table in data["learners"]:
         label = table["label"]
-        own = [read_flat(run, data["efficient"]) for run in lines if isinstance(run, FlatRun) and run.agent == label]
+        own = [read_flat(run, data["efficient"]) for run in list_own(study, lines, label)]
         try:
             source = find_source(study, choose_candidate(study, lines, label))
         except ComparisonError:
@@ -411,9 +450,13 @@ def analyse(study: Study, lines: Sequence[Any]) -> Page:
     headline = tell_arrivals(plain, sizes, levels[-1], budget)
     trials = [run for run in lines if isinstance(run, FlatRun) and run.agent not in labels]
     events = {ESCAPE: "the first escape", **{level: f"an efficiency of {level:g}" for level in levels}}
+    longer = {label: (size, [read_flat(run, levels) for run in list_own(study, lines, label, data["longer"]["budget"])])
+              for label, size in find_longer(study, cells).items()}
     sentences = list(filter(None, [
         tell_quickest(quickest), tell_privileged(cells, privileged, sizes, levels[-1]),
-        tell_searcher({label: ratio for label, ratio in ratios.items() if label not in privileged}, searcher)]))
+        tell_searcher({label: ratio for label, ratio in ratios.items() if label not in privileged}, searcher),
+        tell_longer({label: cells[label, size] for label, (size, _) in longer.items()},
+                    {label: runs for label, (_, runs) in longer.items()}, levels[-1], data["longer"]["budget"])]))
     return Page({
         "headline": headline, "sentences": sentences, "advice": advise(plain, sizes, levels, budget),
         "tables": [make_table([f"primitives to {event}", *(count_nouns(size, "button") for size in sizes)], [

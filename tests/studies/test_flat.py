@@ -26,12 +26,14 @@ from studies.league.analysis import (
     choose_candidate,
     choose_course,
     compare,
+    find_longer,
     find_source,
     list_candidates,
     read_flat,
     read_price,
     tell_arrivals,
     tell_cheapest,
+    tell_longer,
     tell_privileged,
     tell_quickest,
     tell_searcher,
@@ -309,6 +311,19 @@ def test_hopeless_cells_are_not_run():
     assert choose_course(data, [*LOST["c", 1], *make_cells("c", 2, 300, None, None)["c", 2]], 3) == "first escape"
 
 
+def test_runs_that_are_longer_are_of_the_fewest_buttons_that_were_too_many():
+    label, other, _ = LEAGUE.data["longer"]["agents"]
+    done, half = make_cells(label, 1, 1, 2, 3), make_cells(label, 2, 1, 2, None)
+    cells = {**done, **half, **make_cells(label, 3, 1, None, None), **make_cells(other, 1, 1, 2, 3),
+             **make_cells(other, 2, 1, 2, None, runs=9)}
+    assert find_longer(LEAGUE, cells) == {label: 2}, "the other has run too few"
+    after = make_cells(label, 2, 1, 2, 3)[label, 2]
+    after[:3] = half[label, 2][:3]
+    assert tell_longer({label: half[label, 2]}, {label: after}, 0.9, 10_000_000) == (
+        f"Within 10,000,000 primitives, efficient are `{label}` in 7 of 10 with 2 buttons (0 before).")
+    assert tell_longer({label: half[label, 2]}, {label: after[:9]}, 0.9, 10_000_000) == ""
+
+
 def test_settings_are_those_of_the_best_trials(tmp_path: Path):
     label = LEAGUE.data["learners"][0]["label"]
     assert {len(table["candidates"]) for table in LEAGUE.data["learners"]} == {3}, "all are tuned alike"
@@ -333,7 +348,8 @@ def test_trials_and_runs_resume_and_make_the_page(tmp_path: Path, monkeypatch: p
     (table,) = [{name: value for name, value in table.items() if name != "price"}
                 for table in LEAGUE.data["learners"] if table["label"] == "q-learning, counts"]
     small = {**LEAGUE.data, "learners": [table], "budget": 400, "eval_every": 100, "runs": 1, "sizes": [1, 2],
-             "trials": {"seeds": [100], "buttons": 1, "budget": 300, "eval_every": 100}}
+             "trials": {"seeds": [100], "buttons": 1, "budget": 300, "eval_every": 100},
+             "longer": {"budget": 800, "eval_every": 400, "agents": ["q-learning, counts"]}}
     monkeypatch.setattr("studies.study.read_toml", lambda *_: small)
     assert main(["league", "--trials", "--docs", str(tmp_path)]) == 0
     assert len(load("league", tmp_path)) == 3
@@ -346,6 +362,9 @@ def test_trials_and_runs_resume_and_make_the_page(tmp_path: Path, monkeypatch: p
     page = (tmp_path / "league.md").read_text()
     assert "q-learning, counts / 3" in page and "Nothing is concluded, as no learner has 10 runs" in page
     assert "not run, as no run escaped with fewer: `q-learning, counts` with 2 buttons" in page
+    assert main(["league", "--longer", "--docs", str(tmp_path)]) == 0
+    longer = [line for line in load("league", tmp_path) if isinstance(line, FlatRun) and line.budget == 800]
+    assert [(line.agent, line.buttons, line.seed) for line in longer] == [("q-learning, counts", 1, 0)]
     small["runs"] = 10
     save("league", [dataclasses.replace(run, curve=((0, 0.95), (100, 0.95)), first_escape=90, seed=seed, key=str(seed))
                     for run in runs if run.seed == 0 for seed in range(10)], tmp_path)
