@@ -315,6 +315,13 @@ MUTATIONS = [
         "if False:",
         "agents/training/test_run_archive.py",
     ),
+    Mutation(
+        "a frozen agent keeps its open rollout",
+        "agents/training/checkpoint.py",
+        'if "rollout" in agent:',
+        'if "rollout" in state:',
+        "agents/training/test_run_archive.py::test_a_frozen_run_acts_as_the_whole_one_and_holds_no_experience",
+    ),
     *(Mutation(bug, "agents/algorithms/rainbow.py", old, new, f"agents/algorithms/test_rainbow.py::test_{test}")
       for bug, old, new, test in (
         ("rainbow's support is that of clipped games", "low = -1 / max(1 - self.gamma, 1e-12) if", "low = -1.0 if",
