@@ -5,7 +5,7 @@
     python -m benchmarks.classic_control --quick               # seconds: shows that everything runs
 
 Agents run at their default settings, `dqn-tuned` at those that were chosen for the task on seeds 500 to 504, `sb3-dqn`
-(Stable-Baselines3) at those that RL Baselines3 Zoo tuned for it, all for the same number of primitives. `final` is the
+and `sb3-ppo` (Stable-Baselines3) at those of RL Baselines3 Zoo, all for the same number of primitives. `final` is the
 mean return of the greedy policy when the budget ends, `best` that of its best evaluation on the way: reaching a
 threshold is not holding it. Comparisons are paired by seed. Finished runs are kept, a line each, in the file `--out`;
 the command goes on where it was stopped.
@@ -41,19 +41,25 @@ EVALUATIONS = 8
 
 @dataclass(frozen=True)
 class Task:
-    """An environment, a budget, and what `dqn` and Stable-Baselines3's DQN were tuned to for it.
+    """An environment, a budget, and what `dqn` and Stable-Baselines3's agents were tuned to for it.
 
     Attributes:
         primitives: budget of a run.
         threshold: mean return from which the task counts as solved.
         tuned: arguments of `stable_baselines3.DQN`, from RL Baselines3 Zoo's `hyperparams/dqn.yml`.
         settings: of `dqn-tuned`, where they are not the defaults.
+        ppo: arguments of `stable_baselines3.PPO`, from the Zoo's `hyperparams/ppo.yml`; rates and clips fall to 0.
+        environments: that PPO steps at once.
+        normalises: PPO sees observations and rewards normalised by their running moments.
     """
 
     primitives: int
     threshold: float
     tuned: dict[str, Any]
     settings: dict[str, Any] = field(default_factory=dict)
+    ppo: dict[str, Any] = field(default_factory=dict)
+    environments: int = 1
+    normalises: bool = False
 
 
 _WIDE = {"policy_kwargs": {"net_arch": [256, 256]}, "gamma": 0.99}
@@ -66,8 +72,10 @@ TASKS = {
         "learning_rate": 2.3e-3, "batch_size": 64, "buffer_size": 100_000, "learning_starts": 1_000,
         "target_update_interval": 10, "train_freq": 256, "gradient_steps": 128, "exploration_fraction": 0.16,
         "exploration_final_eps": 0.04, **_WIDE,
-    }),
-    "Acrobot-v1": Task(30_000, -100.0, _LONG, _RAW),
+    }, ppo={"n_steps": 32, "batch_size": 256, "gae_lambda": 0.8, "gamma": 0.98, "n_epochs": 20,
+            "learning_rate": lambda left: 1e-3 * left, "clip_range": lambda left: 0.2 * left}, environments=8),
+    "Acrobot-v1": Task(30_000, -100.0, _LONG, _RAW, ppo={"n_steps": 256, "gae_lambda": 0.94, "n_epochs": 4},
+                       environments=16, normalises=True),
     "LunarLander-v3": Task(25_000, 200.0, _LONG, _RAW),
 }
 Trainer = Callable[[str, Task, int, int], Iterator[tuple[int, float]]]
@@ -81,10 +89,11 @@ class Peer(FixedPolicy):
 
     def __init__(self, model: Any) -> None:
         self._model = model
+        self._normalise = getattr(getattr(model, "env", None), "normalize_obs", lambda observation: observation)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """The likeliest action."""
-        return int(self._model.predict(observation, deterministic=True)[0])
+        return int(self._model.predict(self._normalise(observation), deterministic=True)[0])
 
 
 def measure(agent: Any, env: gymnasium.Env) -> float:
@@ -114,28 +123,39 @@ def train_agent(name: str, is_tuned: bool = False) -> Trainer:
     return run
 
 
-def train_peer(task_id: str, task: Task, seed: int, budget: int) -> Iterator[tuple[int, float]]:
-    """Train Stable-Baselines3's DQN at the settings tuned for the task."""
-    from stable_baselines3 import DQN
-    from stable_baselines3.common.callbacks import BaseCallback
+def train_peer(name: str) -> Trainer:
+    """A trainer of Stable-Baselines3's DQN or PPO at the settings tuned for the task."""
 
-    eval_env = gymnasium.make(task_id)
-    scores: list[tuple[int, float]] = []
+    def run(task_id: str, task: Task, seed: int, budget: int) -> Iterator[tuple[int, float]]:
+        import stable_baselines3
+        from stable_baselines3.common.callbacks import BaseCallback
+        from stable_baselines3.common.env_util import make_vec_env
+        from stable_baselines3.common.vec_env import VecNormalize
 
-    class Evaluate(BaseCallback):
-        def _on_step(self) -> bool:
-            if self.num_timesteps % (budget // EVALUATIONS) == 0:
-                scores.append((self.num_timesteps, measure(Peer(self.model), eval_env)))
-            return True
+        eval_env, scores = gymnasium.make(task_id), list[tuple[int, float]]()
 
-    model = DQN("MlpPolicy", gymnasium.make(task_id), seed=seed, device="cpu", **task.tuned)
-    model.learn(budget, callback=Evaluate())
-    yield from scores
+        class Evaluate(BaseCallback):
+            def _on_step(self) -> bool:
+                if self.num_timesteps >= (len(scores) + 1) * (budget // EVALUATIONS):
+                    scores.append((self.num_timesteps, measure(Peer(self.model), eval_env)))
+                return len(scores) < EVALUATIONS
+
+        if name == "dqn":
+            env, settings = gymnasium.make(task_id), task.tuned
+        else:
+            env, settings = make_vec_env(task_id, task.environments, seed=seed), task.ppo
+            env = VecNormalize(env) if task.normalises else env
+        model = getattr(stable_baselines3, name.upper())("MlpPolicy", env, seed=seed, device="cpu", **settings)
+        model.learn(budget, callback=Evaluate())
+        yield from scores
+
+    return run
 
 
 CONTENDERS: dict[str, Trainer] = {name: train_agent(name) for name in ("dqn", "rainbow", "ppo", "dac", "ppoc")} | {
-    "dqn-tuned": train_agent("dqn", is_tuned=True), "sb3-dqn": train_peer}
-PAIRS = (("dqn", "sb3-dqn"), ("rainbow", "sb3-dqn"), ("rainbow", "dqn"), ("dqn-tuned", "sb3-dqn"), ("dqn-tuned", "dqn"))
+    "dqn-tuned": train_agent("dqn", is_tuned=True), "sb3-dqn": train_peer("dqn"), "sb3-ppo": train_peer("ppo")}
+PAIRS = (("dqn", "sb3-dqn"), ("rainbow", "sb3-dqn"), ("rainbow", "dqn"), ("dqn-tuned", "sb3-dqn"), ("dqn-tuned", "dqn"),
+         ("ppo", "sb3-ppo"))
 """Contenders that are compared seed by seed."""
 
 
