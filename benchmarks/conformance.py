@@ -15,6 +15,7 @@ import dataclasses
 import sys
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,6 +27,7 @@ from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Transition
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.velocities import Velocities
 from hrl_escape.files import write_json
 
 TOLERANCE = 1e-4
@@ -55,17 +57,19 @@ class Agreement:
         return not self.disagreements and self.close_calls <= max(1, MOST_CLOSE_CALLS * self.primitives)
 
 
-def compare(instances: Sequence[RoomInstance], primitives: int, *, copies: int = 1, seed: int = 0) -> Agreement:
-    """Step instances in both engines with the same random primitives.
+def compare(instances: Sequence[RoomInstance], primitives: int, *, copies: int = 1, seed: int = 0,
+            velocities: Velocities | None = None) -> Agreement:
+    """Step instances in both engines with the same random primitives, or velocities.
 
     Args:
         instances: rooms of one schematic.
         primitives: primitives in each instance, shared by its copies.
         copies: rooms that each instance is stepped in at once.
         seed: of the primitives and of the episodes.
+        velocities: what actions mean, if they are no primitives.
     """
     rooms = len(instances) * copies
-    batch = TensorRoom(Rooms(rooms, instance=instances), autoreset="disabled")
+    batch = TensorRoom(Rooms(rooms, instance=instances), autoreset="disabled", velocities=velocities)
     scalar = [Kinematics(instances[i % len(instances)]) for i in range(rooms)]
     batch.reset(torch.arange(rooms) + seed)
     rng = np.random.default_rng(seed)
@@ -74,9 +78,9 @@ def compare(instances: Sequence[RoomInstance], primitives: int, *, copies: int =
     for room in range(rooms):
         _check_start(found, scalar[room], states[room])
     for _ in range(primitives // copies):
-        actions = rng.integers(batch.actions, size=rooms)
+        actions = draw_actions(batch, rng)
         outcome = batch.step(torch.from_numpy(actions))
-        transitions = [k.step(s, a) for k, s, a in zip(scalar, states, actions.tolist(), strict=True)]
+        transitions = [move(k, s, a, velocities) for k, s, a in zip(scalar, states, actions.tolist(), strict=True)]
         _compare_step(found, batch, outcome, scalar, states, actions, transitions)
         states = [t.state for t in transitions]
         ended = np.array([t.terminated or t.truncated for t in transitions])
@@ -86,6 +90,26 @@ def compare(instances: Sequence[RoomInstance], primitives: int, *, copies: int =
                 states[room] = batch.get_room_state(room)
                 _check_start(found, scalar[room], states[room])
     return found
+
+
+def draw_actions(batch: TensorRoom, rng: np.random.Generator) -> np.ndarray:
+    """Primitives (rooms,); or velocities (rooms, numbers), each at a bound or beyond, 0, or between the bounds."""
+    if batch.layout.velocities is None:
+        return rng.integers(batch.actions, size=batch.count)
+    top = np.array(batch.layout.velocities.list_bounds(batch.layout.robot))
+    drawn = rng.uniform(-1.0, 1.0, (batch.count, len(top)))
+    kind = rng.integers(4, size=drawn.shape)
+    return top * np.select([kind == 0, kind == 1], [np.sign(drawn) * 1.5, 0.0 * drawn], drawn)
+
+
+def move(rules: Kinematics, state: RoomState, action: Any, velocities: Velocities | None) -> Transition:
+    """The outcome by the scalar rules."""
+    if velocities is None:
+        return rules.step(state, action)
+    top = velocities.list_bounds(rules.instance.robot)
+    rates = tuple(min(max(rate, -bound), bound) for rate, bound in zip(action, top, strict=True))
+    done = rules.glide(state, velocities.make_glide(rules, state, rates))
+    return velocities.judge(done, rules.instance)
 
 
 def _check_start(found: Agreement, scalar: Kinematics, state: RoomState) -> None:
@@ -124,11 +148,12 @@ def _compare_step(found: Agreement, batch: TensorRoom, outcome: Outcome, scalar:
     found.primitives += len(transitions)
     found.worst = max(found.worst, float(off[~wrong].max(initial=0.0)))
     for room in np.flatnonzero(wrong).tolist():
-        if is_close_call(scalar[room], states[room], int(actions[room]), transitions[room]):
+        action = actions[room].tolist()
+        if is_close_call(scalar[room], states[room], action, transitions[room], batch.layout.velocities):
             found.close_calls += 1
         else:
             found.disagreements.append(
-                f"instance {scalar[room].instance.id}, action {actions[room]} in {states[room]}: batched engine "
+                f"instance {scalar[room].instance.id}, action {action} in {states[room]}: batched engine "
                 f"{batch.get_room_state(room)}, scalar rules {transitions[room]}"
             )
         batch.set_room_state(room, transitions[room].state)
@@ -140,11 +165,12 @@ def _list_lit(scalar: Kinematics, state: RoomState, targets: int) -> tuple[bool,
     return lit + (False,) * (targets - len(lit))
 
 
-def is_close_call(scalar: Kinematics, state: RoomState, action: int, done: Transition) -> bool:
-    """True if a primitive that starts a millimetre away has another outcome."""
+def is_close_call(scalar: Kinematics, state: RoomState, action: Any, done: Transition,
+                  velocities: Velocities | None) -> bool:
+    """True if an action that starts a millimetre away has another outcome."""
     moved = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)]) * THRESHOLD
     for dx, dy in moved.tolist():
-        other = scalar.step(state._replace(x=state.x + dx, y=state.y + dy), action)
+        other = move(scalar, state._replace(x=state.x + dx, y=state.y + dy), action, velocities)
         if (other.pressed, other.terminated, other.state.touching, other.state.heading_steps) != (
                 done.pressed, done.terminated, done.state.touching, done.state.heading_steps):
             return True

@@ -12,6 +12,7 @@ from .config import (
     Wall,
 )
 from .continuous import EscapeRoomContinuousEnv
+from .continuous_vector_env import EscapeRoomContinuousVectorEnv
 from .escape_room import EscapeRoomEnv
 from .instance import PlacedProp, Rectangle, RoomInstance, Start, Target
 from .kinematics import Kinematics, RoomState, Rules
@@ -46,6 +47,7 @@ __all__ = [
     "Contacts",
     "DynamicsConfig",
     "EscapeRoomContinuousEnv",
+    "EscapeRoomContinuousVectorEnv",
     "EscapeRoomEnv",
     "EscapeRoomTorchRLEnv",
     "EscapeRoomVectorEnv",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Glide
-from hrl_escape.env.puzzles.traits import Pushing
 from hrl_escape.env.sampling.sources import SchematicForm
-from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.env.velocities import Velocities, check_gliding
+from hrl_escape.errors import ConfigError
 
 
 class EscapeRoomContinuousEnv(EscapeRoomEnv):
@@ -54,38 +53,36 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
         time_limit: s; None for as many seconds as the room's horizon has primitives.
 
     Attributes:
-        speeds: `speed`, `turn_speed` and `joint_speed`.
-        time_step: s.
+        velocities: bounds, time step and time limit.
     """
 
     def __init__(self, config: SchematicForm = "paper-two-button", *, time_step: float = 0.1, speed: float = 1.0,
                  turn_speed: float = 1.5, joint_speed: float = 1.0, time_limit: float | None = None, **settings: Any
                  ) -> None:
-        self.speeds = {"speed": speed, "turn_speed": turn_speed, "joint_speed": joint_speed}
-        self.time_step, self._time_limit = time_step, time_limit
-        for name, value in (self.speeds | {"time_step": time_step, "time_limit": time_limit}).items():
-            is_number = isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 < value < math.inf
-            if not is_number and (name != "time_limit" or value is not None):
-                raise ConfigError(name, value, "a finite number above 0")
+        self.velocities = Velocities(time_step, speed, turn_speed, joint_speed, time_limit)
         super().__init__(config, **settings)
-        EzPickle.__init__(self, config, **self.speeds, time_step=time_step, time_limit=time_limit, **settings)
+        EzPickle.__init__(self, config, **dataclasses.asdict(self.velocities), **settings)
+
+    @property
+    def speeds(self) -> dict[str, float]:
+        """`speed`, `turn_speed` and `joint_speed`."""
+        return self.velocities.speeds
+
+    @property
+    def time_step(self) -> float:
+        """Duration of a step, s."""
+        return self.velocities.time_step
 
     def _enter(self, instance: RoomInstance) -> None:
-        if instance.robot.actions.gripper or (isinstance(instance.puzzle, Pushing)
-                                              and instance.dynamics.kind == "kinematic"):
-            raise UnsupportedError(f"{instance.name!r} is a room of things to grip or push from cell to cell, which "
-                                   "takes primitives: hrl_escape/EscapeRoom-v1")
+        check_gliding(instance)
         super()._enter(instance)
-        speed, turn_speed, joint_speed = self.speeds.values()
-        self._strafes = instance.robot.drive == "strafing"
-        self._seconds = self._time_limit or instance.horizon
-        joints = [min(joint_speed, top) for top in self.rules.robot.speeds]
-        self._top = np.array([*[speed] * (1 + self._strafes), turn_speed, *joints], dtype=np.float64)
+        self._top = np.array(self.velocities.list_bounds(instance.robot))
         self.action_space = spaces.Box(-self._top.astype(np.float32), self._top.astype(np.float32))  # type: ignore[assignment]
 
     def describe(self) -> dict[str, Any]:
         """As in `EscapeRoomEnv`, and the numbers of this one."""
-        return super().describe() | self.speeds | {"time_step": self.time_step, "time_limit": self._time_limit}
+        kind = self.velocities
+        return super().describe() | kind.speeds | {"time_step": kind.time_step, "time_limit": kind.time_limit}
 
     def step(self, action: NDArray[Any]) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:  # type: ignore[override]
         """Move for one step of time; returns Gymnasium's five values.
@@ -100,18 +97,9 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
             rates = np.zeros(0)
         if rates.shape != self._top.shape or not np.isfinite(rates).all():
             raise ConfigError("action", action, f"{len(self._top)} finite numbers")
-        forward, *others = (np.clip(rates, -self._top, self._top) * self.time_step).tolist()
-        left = others.pop(0) if self._strafes else 0.0
-        turn, *joints = others
-        cos, sin = self.rules.get_rotation(state.heading_steps, state.heading_offset)
-        if turn:
-            middle = self.rules.get_heading(state) + turn / 2.0
-            cos, sin = math.cos(middle), math.sin(middle)
-        motion = Glide(forward * cos - left * sin, forward * sin + left * cos, turn, tuple(joints), self.time_step)
-        moved, reward, terminated, _, pressed = room.glide(motion)
-        reward -= self.instance.reward.step * (1.0 - self.time_step)
-        is_late = moved.primitives * self.time_step >= self._seconds - 1e-9
-        return self._finish(moved, reward, terminated, is_late and not terminated, pressed)
+        rates = np.clip(rates, -self._top, self._top).tolist()
+        done = room.glide(self.velocities.make_glide(self.rules, state, rates))
+        return self._finish(*self.velocities.judge(done, self.instance))
 
     def _inform(self, pressed: tuple[int, ...], success: bool) -> dict[str, Any]:
         info = super()._inform(pressed, success)

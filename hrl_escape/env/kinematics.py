@@ -24,7 +24,7 @@ from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
 __all__ = ["Glide", "Kinematics", "RoomState", "Rules", "Transition"]
 
 _AHEAD = (1.0, 0.0)
-_ROUNDING = 1e-12
+ROUNDING = 1e-12
 """Angle from a whole step that sums of small motions may leave by rounding, rad."""
 
 
@@ -217,7 +217,7 @@ class Kinematics(Rules):
                 x, y = x + fraction * dx, y + fraction * dy
         if turn:
             to = self.split_heading(steps * self.turn_step + offset + turn)
-            to = to if abs(to[1]) > _ROUNDING else (to[0], 0.0)
+            to = to if abs(to[1]) > ROUNDING else (to[0], 0.0)
             if self.can_turn(state._replace(x=x, y=y), self.get_rotation(*to), turn):
                 steps, offset = to
         joint_steps, joint_offsets = state.joint_steps, state.joint_offsets
@@ -225,7 +225,7 @@ class Kinematics(Rules):
             pairs = zip(self.get_angles(state), motion.joints, self.robot.limits, strict=True)
             joint_steps, joint_offsets = self.split_angles(
                 min(max(angle + scale * change, low), high) for angle, change, (low, high) in pairs)
-            joint_offsets = joint_offsets if max(map(abs, joint_offsets)) > _ROUNDING else ()
+            joint_offsets = joint_offsets if max(map(abs, joint_offsets)) > ROUNDING else ()
         touching = self.compute_touching(x, y, steps, offset, joint_steps, joint_offsets)
         return self.judge(state, state._replace(x=x, y=y, heading_steps=steps, heading_offset=offset, touching=touching,
                                                 joint_steps=joint_steps, joint_offsets=joint_offsets))

@@ -151,7 +151,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         if not isinstance(render_size, (tuple, list)) or len(render_size) != 2:
             raise ConfigError("render_size", render_size, "a pair of width and height")
         self.rooms = Rooms(num_envs, config, observation=observation, **rooms)
-        self.room = TensorRoom(self.rooms, autoreset=_AUTORESETS[self.autoreset_mode])
+        self.room = self._make_room(_AUTORESETS[self.autoreset_mode])
         self.instances = self.room.instances
         self.render_mode = render_mode
         self._cameras: dict[tuple[str, int, int], BatchedCamera] = {}
@@ -160,11 +160,17 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
             self._get_camera(*self._view)
         room = self.room
         self.single_observation_space = make_vector_space(room.low, room.high, room.rows, room.words)
-        self.single_action_space = spaces.Discrete(self.room.actions)
+        self.single_action_space = self._make_action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ids = np.array([one.id for one in self.instances], dtype=object)
         self._every: Any = self._give(torch.ones(num_envs, dtype=torch.bool, device=self.room.device))
+
+    def _make_room(self, autoreset: Autoreset) -> TensorRoom:
+        return TensorRoom(self.rooms, autoreset=autoreset)
+
+    def _make_action_space(self) -> spaces.Space:
+        return spaces.Discrete(self.room.actions)
 
     # --- Gymnasium ---------------------------------------------------------------------
 
@@ -257,7 +263,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
 
     def _make_infos(self, info: RoomInfo, which: Any = None) -> dict[str, Any]:
         """Information of some rooms (all by default), with Gymnasium's masks."""
-        values = {"primitives": info.primitives, "success": info.success != 0, "pressed": info.pressed,
+        values = {**self._tell_time(info), "success": info.success != 0, "pressed": info.pressed,
                   "buttons_on": info.buttons_on, "instance_index": info.instance}
         infos: dict[str, Any] = {name: self._give(value) for name, value in values.items()}
         if self._is_numpy:
@@ -266,6 +272,10 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
             for array in infos.values():
                 array.setflags(write=False)  # it may share memory with the rooms
         return infos | {f"_{name}": self._every if which is None else which for name in infos}
+
+    def _tell_time(self, info: RoomInfo) -> dict[str, Tensor]:
+        """Time that the episodes have taken so far."""
+        return {"primitives": info.primitives}
 
     def _make_seeds(self, seed: int | Sequence[int | None] | None) -> Tensor | None:
         if seed is None and self._is_seeded:

@@ -1,4 +1,4 @@
-"""The continuous door: Gymnasium's contract, exact contact, plans played as velocities, and Stable-Baselines3's SAC."""
+"""The continuous door: Gymnasium's contract, exact contact, plans played as velocities, and others' SAC and TD3."""
 
 from __future__ import annotations
 
@@ -172,3 +172,42 @@ def test_stable_baselines3_trains_on_it_unmodified(algorithm):
     assert any((a != b).any() for a, b in zip(before, model.actor.parameters(), strict=True))
     action, _ = model.predict(env.reset(seed=0)[0], deterministic=True)
     assert env.action_space.contains(action)
+
+
+@pytest.mark.slow
+def test_torchrls_sac_trains_on_it_unmodified():
+    import torch
+    from tensordict.nn import NormalParamExtractor, TensorDictModule
+    from torchrl.collectors import Collector
+    from torchrl.data import LazyTensorStorage, ReplayBuffer
+    from torchrl.envs import GymEnv, check_env_specs
+    from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
+    from torchrl.objectives import SACLoss, SoftUpdate
+
+    env = GymEnv("hrl_escape/EscapeRoomContinuous-v1", config="paper-one-button", observation="features",
+                 time_limit=30.0)
+    check_env_specs(env)
+    torch.manual_seed(0)
+    space, size = env.action_spec, env.observation_spec["observation"].shape[-1]
+    count = space.shape[-1]
+    body = torch.nn.Sequential(MLP(size, 2 * count, num_cells=[32, 32]), NormalParamExtractor())
+    actor = ProbabilisticActor(TensorDictModule(body, ["observation"], ["loc", "scale"]), ["loc", "scale"], spec=space,
+                               distribution_class=TanhNormal,
+                               distribution_kwargs={"low": space.space.low, "high": space.space.high},
+                               return_log_prob=True)
+    loss = SACLoss(actor, ValueOperator(MLP(size + count, 1, num_cells=[32, 32]), ["action", "observation"]))
+    loss.make_value_estimator(gamma=0.99)
+    target, optimiser = SoftUpdate(loss, tau=0.005), torch.optim.Adam(loss.parameters(), 3e-4)
+    replay = ReplayBuffer(storage=LazyTensorStorage(1_000), batch_size=32)
+    before = [weights.detach().clone() for weights in actor.parameters()]
+    for batch in Collector(env, actor, frames_per_batch=50, total_frames=400, init_random_frames=50):
+        assert space.is_in(batch["action"]) and (batch["next", "reward"] <= 0.0).any()
+        replay.extend(batch.reshape(-1))
+        for _ in range(10):
+            found = loss(replay.sample())
+            optimiser.zero_grad()
+            (found["loss_actor"] + found["loss_qvalue"] + found["loss_alpha"]).backward()
+            optimiser.step()
+            target.step()
+    assert all(torch.isfinite(weights).all() for weights in actor.parameters())
+    assert any((a != b).any() for a, b in zip(before, actor.parameters(), strict=True))

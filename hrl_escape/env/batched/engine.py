@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.compilation import CompiledStep, check_compiler
+from hrl_escape.env.batched.glide import glide
 from hrl_escape.env.batched.observations import compute_bounds, load_observation, observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
@@ -34,6 +35,7 @@ from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchObservation, make_observer
 from hrl_escape.env.state_checks import check_state
 from hrl_escape.env.tensor_geometry import store
+from hrl_escape.env.velocities import Velocities
 from hrl_escape.errors import (
     ActionError,
     BatchError,
@@ -78,7 +80,8 @@ def advance(layout: Layout, observation: BatchObservation, autoreset: Autoreset,
     with `same-step`, it begins anew as soon as its episode ends; with `disabled`, it moves on.
     """
     had_ended = state.has_ended.to(torch.int64) != 0  # as wide as the values it chooses between
-    state, reward, terminated, truncated, pressed, escaped = step(layout, tables, state, action)
+    move = step if layout.velocities is None else glide
+    state, reward, terminated, truncated, pressed, escaped = move(layout, tables, state, action)
     if autoreset == "next-step":
         state = restart(layout, tables, state, had_ended)
         reward, pressed = torch.where(had_ended, 0.0, reward), torch.where(had_ended, 0, pressed)
@@ -119,20 +122,22 @@ class TensorRoom:
         tables: their numbers, on the device.
         count: number of rooms.
         device: device of all tensors.
-        actions: number of primitives.
+        actions: number of primitives, or of velocities.
         low: smallest value of each number that a room shows, in any instance, float32.
         high: largest value of each.
         rows: names of the objects to which the observation's first rows belong, if any.
         words: names of the numbers in such a row.
     """
 
-    def __init__(self, rooms: Rooms, *, autoreset: Autoreset = "next-step") -> None:
+    def __init__(self, rooms: Rooms, *, autoreset: Autoreset = "next-step", velocities: Velocities | None = None
+                 ) -> None:
         """Stack instances and lay out the batch; the first episodes begin with `reset`.
 
         Args:
             rooms: which rooms, what they show and where they run; their instances share robot, dynamics, and kind and
                 size of puzzle.
             autoreset: start of the next episode after one ends: in the next step, in the same step, or by `reset` only.
+            velocities: what actions mean where they are no primitives.
 
         Raises:
             UnsupportedError: these rooms need the Bullet engine, or there is no compiler.
@@ -142,9 +147,11 @@ class TensorRoom:
         if autoreset not in AUTORESETS:
             raise ConfigError("autoreset", autoreset, f"one of {', '.join(AUTORESETS)}")
         self.instances, self.device = rooms.instances, find_device(rooms.device)
-        self.layout = make_layout(self.instances, rooms.resample_instance)
+        self.layout = make_layout(self.instances, rooms.resample_instance, velocities)
         self.tables = stack_instances(self.instances, self.layout, self.device)
-        self.count, self.actions = rooms.num_envs, len(self.layout.actions)
+        robot = self.layout.robot
+        self.count = rooms.num_envs
+        self.actions = len(velocities.list_bounds(robot) if velocities else robot.actions)
         self._observation, self.is_compiled = load_observation(rooms.observation), rooms.compile
         self.low, self.high = compute_bounds(self.instances, rooms.observation)
         observer = make_observer(rooms.observation, Rules(self.instances[0]))
@@ -204,14 +211,15 @@ class TensorRoom:
             return self.observe()
 
     def step(self, action: Tensor) -> Outcome:
-        """Run one primitive in every room.
+        """Run one primitive, or one step of velocities, in every room.
 
         Args:
-            action: integers (rooms,) on the batch's device.
+            action: integers (rooms,) on the batch's device; of velocities, float (rooms, numbers), clipped to their
+                bounds.
 
         Raises:
             ActionError: an action outside the table. On an accelerator, where looking would
-                stall it, such an action does nothing instead.
+                stall it, such an action does nothing instead; and so does a velocity that is no number.
             BatchError: another shape, dtype or device.
             ResetNeededError: no episode has begun, or an ended one is stepped without automatic reset.
         """
@@ -309,6 +317,8 @@ class TensorRoom:
             raise BatchError(name, value, f"a tensor of shape ({self.count},), {dtype}, on {self.device}")
 
     def _check_action(self, action: Tensor) -> Tensor:
+        if self.layout.velocities is not None:
+            return self._check_velocities(action)
         if isinstance(action, Tensor) and action.dtype in (torch.int32, torch.int16, torch.int8, torch.uint8):
             action = action.to(torch.int64)
         self._check("action", action, torch.int64)
@@ -317,9 +327,23 @@ class TensorRoom:
             for extreme in (int(low), int(high)):
                 if not 0 <= extreme < self.actions:
                     raise ActionError(extreme, self.actions)
-            if self._autoreset == "disabled" and bool(self.state.has_ended.any()):
-                raise ResetNeededError("some rooms' episodes have ended and autoreset is disabled: reset those first")
+            self._check_running()
         return action
+
+    def _check_velocities(self, rates: Tensor) -> Tensor:
+        shape = (self.count, self.actions)
+        if not isinstance(rates, Tensor) or rates.shape != shape or not rates.is_floating_point() \
+                or rates.device != self.device:
+            raise BatchError("action", rates, f"a tensor of shape {shape}, of floating point, on {self.device}")
+        if self.device.type == "cpu":
+            if not bool(torch.isfinite(rates).all()):
+                raise BatchError("action", rates, "finite numbers")
+            self._check_running()
+        return rates.to(torch.float64)
+
+    def _check_running(self) -> None:
+        if self._autoreset == "disabled" and bool(self.state.has_ended.any()):
+            raise ResetNeededError("some rooms' episodes have ended and autoreset is disabled: reset those first")
 
 
 def draw_seed() -> int:

@@ -46,7 +46,7 @@ def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> 
         action = _slide(layout, tables, state, action, scale, uniform) if layout.dynamics.slip else action
     moved = _translate(layout, tables, state, action, scale)
     moved = _move_joints(layout, _turn(layout, tables, moved, action, scale), action, scale)
-    return _judge(layout, tables, state, moved, _find_grip(layout, action))
+    return complete_motion(layout, tables, state, moved, _find_grip(layout, action))
 
 
 def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor, uniform: Tensor
@@ -97,7 +97,7 @@ def _translate(layout: Layout, tables: Tables, state: TensorState, action: Tenso
                scale: Tensor | None) -> TensorState:
     dx, dy = _compute_displacement(layout, tables, state, action, scale)
     pushed = _push(layout, tables, state, dx, dy) if layout.can_push else state
-    free = _find_free_fraction(layout, tables, pushed, dx, dy)
+    free = find_free_fraction(layout, tables, pushed, dx, dy)
     if layout.dynamics.blocked == "stay":
         free = (free >= 1.0).to(torch.float64)
     puzzle = torch.where(free > 0.0, pushed.puzzle, state.puzzle) if layout.can_push else state.puzzle
@@ -128,14 +128,20 @@ def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, ac
 def _is_free(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor) -> Tensor:
     """Return true where nothing blocks a translation, bool (rooms,)."""
     dx, dy = _compute_displacement(layout, tables, state, action, scale)
-    return _find_free_fraction(layout, tables, state, dx, dy) >= 1.0
+    return find_free_fraction(layout, tables, state, dx, dy) >= 1.0
 
 
-def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
-    """Share in [0, 1] of displacements until the first contact, float64 (rooms,)."""
+def find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
+    """Share in [0, 1] of displacements until the first contact, float64 (rooms,).
+
+    In any direction, as of velocities, a body may graze a solid: all contacts are found in double precision then.
+    """
     base = place_base(layout, tables, state, CONTACT_SKIN)
     solids = RoomSolids(tables.solids, tables.split_solids, None if layout.is_shared else state.instance)
-    free = base.find_free_fraction(dx, dy, solids)
+    if layout.velocities is None:
+        free = base.find_free_fraction(dx, dy, solids)
+    else:
+        free = base.compute_first_contact(dx, dy, solids.list_all()).amin(0)
     if layout.inner_doors:
         inner: Shapes = pick(layout, tables.inner_doors, state.instance)
         is_shut = find_shut(layout, tables, state) & ~base.stands_in(inner)
@@ -156,12 +162,16 @@ def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorB
 
 def _turn(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
     """Turn the base where nothing blocks the turn."""
-    turned = _turn_freely(layout, state, action, scale)
+    angle = math.tau / layout.headings * (state.x.new_ones(()) if scale is None else scale)
+    return take_turn(layout, tables, state, _turn_freely(layout, state, action, scale),
+                     _find_effects(layout, action, "turn", angle))
+
+
+def take_turn(layout: Layout, tables: Tables, state: TensorState, turned: TensorState, angle: Tensor) -> TensorState:
+    """States in which the base has turned by an angle in rad, float64 (rooms,), where nothing blocks the turn."""
     if layout.robot.base.turns_anywhere:
         return turned
-    base = place_base(layout, tables, state, CONTACT_SKIN)
-    angle = math.tau / layout.headings * (state.x.new_ones(()) if scale is None else scale)
-    to, angle = compute_rotation(layout, tables, turned), _find_effects(layout, action, "turn", angle)
+    base, to = place_base(layout, tables, state, CONTACT_SKIN), compute_rotation(layout, tables, turned)
     is_blocked = base.is_turn_blocked(*to, angle, pick(layout, tables.solids, state.instance)).any(0)
     if layout.has_door:
         doors, is_shut = _find_door(layout, tables, state, base)
@@ -206,7 +216,8 @@ def _move_joints(layout: Layout, state: TensorState, action: Tensor, scale: Tens
                           joint_offsets=torch.where(is_allowed, offsets, state.joint_offsets))
 
 
-def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorState, grip: Tensor) -> TensorTransition:
+def complete_motion(layout: Layout, tables: Tables, before: TensorState, moved: TensorState, grip: Tensor
+                    ) -> TensorTransition:
     """Complete a motion: presses, puzzle, reward, exit and horizon."""
     form, columns = pick_rules(layout, tables, before.instance)
     touching = compute_touching(layout, tables, moved)

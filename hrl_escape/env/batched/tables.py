@@ -24,6 +24,7 @@ from hrl_escape.env.puzzles.traits import Mapped, Marked, Pushing, get_trait
 from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.env.sight import list_hiders
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, stack_shapes
+from hrl_escape.env.velocities import Velocities, check_gliding
 from hrl_escape.errors import UnsupportedError
 
 INSTEAD = "use the Bullet engine: gymnasium.make(...), or make_vec(..., vectorization_mode='sync')"
@@ -41,13 +42,14 @@ class Layout:
     has_door: bool  # True if any exit has a door
     inner_doors: int  # number of inner doors, that of the instance with most
     has_cells: bool  # True if targets are cells of a map
-    has_offsets: bool  # True if headings can leave the lattice of turn steps (noise, or a start off it)
+    has_offsets: bool  # True if headings can leave the lattice of turn steps (noise, velocities, or a start off it)
     is_shared: bool  # True for a single instance, so that tables need no look-up
     is_watching: bool  # True if puzzles are updated after every primitive
     can_push: bool  # True if moves push things
     is_puzzle_random: bool  # True if something is random in the puzzle of any room
     draws: bool  # True if anything is random in an episode
     resample: bool  # True if a new episode draws another instance
+    velocities: Velocities | None = None  # what actions mean, where they are no primitives
 
     @property
     def arm(self) -> Robot:
@@ -61,8 +63,8 @@ class Layout:
 
     @property
     def has_joint_offsets(self) -> bool:
-        """True if joints can leave the lattice of joint steps, which takes noise."""
-        return bool(self.dynamics.noise)
+        """True if joints can leave the lattice of joint steps, which takes noise or velocities."""
+        return bool(self.dynamics.noise) or self.velocities is not None
 
     @property
     def is_random(self) -> bool:
@@ -92,8 +94,8 @@ class Tables(NamedTuple):
     marks: Tensor  # numbers of the targets' marks, float32 (targets, `MARK_WORDS`, instances), of width 0 without marks
     exits: Tensor  # x_min, x_max, y_min, y_max, (4, instances)
     half_sizes: Tensor  # largest |x| and |y| of the floor in the frame of observations, (2, instances)
-    rewards: Tensor  # of a primitive, and of one that exits, (2, instances)
-    horizons: Tensor  # primitives until truncation, int32 (1, instances)
+    rewards: Tensor  # of a primitive or a step of velocities, and of one that exits, (2, instances)
+    horizons: Tensor  # primitives or steps until truncation, int32 (1, instances)
     starts: Tensor  # x, y, heading offset, (3, starts, instances)
     start_headings: Tensor  # turn steps, int32 (starts, instances)
     start_touching: Tensor  # bits of the targets touched there, int64 (starts, instances)
@@ -140,11 +142,12 @@ def pick_rules(layout: Layout, tables: Tables, instance: Tensor) -> tuple[Tensor
                   for name, table in tables.puzzle.items()}
 
 
-def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
+def make_layout(instances: Sequence[RoomInstance], resample: bool, velocities: Velocities | None = None) -> Layout:
     """Derive the layout that instances share.
 
     Raises:
-        UnsupportedError: physics dynamics, or instances that differ in robot, dynamics, or kind or size of puzzle.
+        UnsupportedError: physics dynamics, instances that differ in robot, dynamics, or kind or size of puzzle, or
+            rooms that velocities do not move.
     """
     first = instances[0]
     if first.dynamics.kind != "kinematic":
@@ -160,6 +163,8 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
             if mine != theirs:
                 raise UnsupportedError(f"instance {index} of a batch differs from instance 0 in {what} ({theirs} "
                                        f"and not {mine}): make one batch for each")
+    if velocities is not None:
+        check_gliding(first)
     noise = first.dynamics.noise
     is_puzzle_random = any(instance.puzzle.is_random for instance in instances)
     return Layout(
@@ -171,7 +176,8 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
         has_door=any(instance.door for instance in instances),
         inner_doors=max(len(instance.inner_doors) for instance in instances),
         has_cells=isinstance(first.puzzle, Mapped),
-        has_offsets=bool(noise) or any(start.heading_offset for instance in instances for start in instance.starts),
+        has_offsets=(bool(noise) or velocities is not None
+                     or any(start.heading_offset for instance in instances for start in instance.starts)),
         is_shared=len(instances) == 1,
         is_watching=first.puzzle.is_watching,
         can_push=isinstance(first.puzzle, Pushing),
@@ -179,6 +185,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
         draws=(resample or is_puzzle_random or bool(noise or first.dynamics.slip)
                or any(len(i.starts) > 1 or len(i.puzzle.list_starts()) > 1 for i in instances)),
         resample=resample,
+        velocities=velocities,
     )
 
 
@@ -201,6 +208,8 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
     def columns(rows: Sequence[Sequence[float]]) -> np.ndarray:
         return np.array(rows, dtype=np.float64).T
 
+    kind = layout.velocities
+    surplus = [kind.compute_surplus(i) if kind else 0.0 for i in instances]
     rules = [Rules(instance) for instance in instances]
     solids = shapes([[solid.footprint for solid in i.solids] for i in instances])
     targets = shapes([[target.footprint for target in i.targets] for i in instances], layout.targets)
@@ -237,8 +246,9 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         marks=floats(_stack_marks(instances, layout.targets), torch.float32),
         exits=floats(columns([(i.exit.x_min, i.exit.x_max, i.exit.y_min, i.exit.y_max) for i in instances])),
         half_sizes=floats(columns([(i.frame.reach_x, i.frame.reach_y) for i in instances]), torch.float32),
-        rewards=floats(columns([(i.reward.step, i.reward.on_exit) for i in instances]), torch.float32),
-        horizons=integers([[i.horizon for i in instances]], torch.int32),
+        rewards=floats(columns([(i.reward.step - more, i.reward.on_exit - more)
+                                for i, more in zip(instances, surplus, strict=True)]), torch.float32),
+        horizons=integers([[kind.count_steps(i.horizon) if kind else i.horizon for i in instances]], torch.int32),
         starts=floats([[[getattr(row[k], name) for row in begins] for k in range(most)]
                        for name in ("x", "y", "heading_offset")]),
         start_headings=integers([[row[k].heading_steps for row in begins] for k in range(most)], torch.int32),

@@ -1,0 +1,96 @@
+"""Velocities as actions: their bounds, the motion that a step of time makes of them, and what the step is worth."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+from hrl_escape.env.kinematics import Glide, RoomState, Rules, Transition
+from hrl_escape.env.puzzles.traits import Pushing
+from hrl_escape.env.robot import make_robot
+from hrl_escape.errors import ConfigError, UnsupportedError
+
+if TYPE_CHECKING:
+    from hrl_escape.env.config import RobotConfig
+    from hrl_escape.env.instance import RoomInstance
+
+__all__ = ["Velocities", "check_gliding"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Velocities:
+    """Velocities of base and joints, held for a step of time.
+
+    Attributes:
+        time_step: s.
+        speed: largest speed of the base along each of its axes, m/s.
+        turn_speed: rad/s.
+        joint_speed: rad/s; a joint whose URDF allows less has that.
+        time_limit: s; None for as many seconds as a room's horizon has primitives.
+
+    Raises:
+        ConfigError: a number that is not finite and above 0.
+    """
+
+    time_step: float = 0.1
+    speed: float = 1.0
+    turn_speed: float = 1.5
+    joint_speed: float = 1.0
+    time_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in dataclasses.asdict(self).items():
+            is_number = isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 < value < math.inf
+            if not is_number and (name != "time_limit" or value is not None):
+                raise ConfigError(name, value, "a finite number above 0")
+
+    @property
+    def speeds(self) -> dict[str, float]:
+        """`speed`, `turn_speed` and `joint_speed`."""
+        return {"speed": self.speed, "turn_speed": self.turn_speed, "joint_speed": self.joint_speed}
+
+    def list_bounds(self, robot: RobotConfig) -> tuple[float, ...]:
+        """Largest velocity forward, to the left where the base strafes, of the turn, and of each joint."""
+        axes = 2 if robot.drive == "strafing" else 1
+        joints = (min(self.joint_speed, top) for top in make_robot(robot).speeds)
+        return (*[self.speed] * axes, self.turn_speed, *joints)
+
+    def count_steps(self, horizon: int) -> int:
+        """Steps until the time is up, in a room of some horizon."""
+        seconds = (self.time_limit or horizon) - 1e-9
+        count = math.ceil(seconds / self.time_step)
+        return count + (count * self.time_step < seconds)
+
+    def make_glide(self, rules: Rules, state: RoomState, rates: tuple[float, ...]) -> Glide:
+        """The motion of a step, along the heading in the middle of the turn, from velocities within their bounds."""
+        forward, *others = (rate * self.time_step for rate in rates)
+        left = others.pop(0) if rules.instance.robot.drive == "strafing" else 0.0
+        turn, *joints = others
+        cos, sin = rules.get_rotation(state.heading_steps, state.heading_offset)
+        if turn:
+            middle = rules.get_heading(state) + turn / 2.0
+            cos, sin = math.cos(middle), math.sin(middle)
+        return Glide(forward * cos - left * sin, forward * sin + left * cos, turn, tuple(joints), self.time_step)
+
+    def judge(self, done: Transition, instance: RoomInstance) -> Transition:
+        """The outcome of a step, from that of its motion as a primitive: its share of -1, and the limit of time."""
+        is_late = done.state.primitives >= self.count_steps(instance.horizon)
+        return done._replace(reward=done.reward - self.compute_surplus(instance),
+                             truncated=is_late and not done.terminated)
+
+    def compute_surplus(self, instance: RoomInstance) -> float:
+        """Reward of a primitive beyond that of a step, which is shorter."""
+        return instance.reward.step * (1.0 - self.time_step)
+
+
+def check_gliding(instance: RoomInstance) -> None:
+    """Refuse a room whose things are moved from cell to cell.
+
+    Raises:
+        UnsupportedError: it has a gripper, or things to push without physics.
+    """
+    pushes = isinstance(instance.puzzle, Pushing) and instance.dynamics.kind == "kinematic"
+    if instance.robot.actions.gripper or pushes:
+        raise UnsupportedError(f"{instance.name!r} is a room of things to grip or push from cell to cell, which takes "
+                               "primitives: hrl_escape/EscapeRoom-v1")
