@@ -76,6 +76,13 @@ def test_minari_reads_both_sets_recovers_their_environments_and_normalises_score
     assert minari.get_normalized_score(options, returns) == pytest.approx([0, 1])
 
 
+def test_decisions_of_primitives_alone_are_a_set_over_primitives(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    pytest.importorskip("minari")
+    for made in to_minari(load_data(make_tape("explore"), observation="features")):
+        assert made.recover_environment().action_space.n == made.action_space.n == 6
+
+
 def test_d3rlpy_learns_from_the_exported_decisions(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     minari, d3rlpy = pytest.importorskip("minari"), pytest.importorskip("d3rlpy")

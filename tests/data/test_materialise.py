@@ -87,6 +87,18 @@ def test_pictures_are_replayed_by_the_engine_that_took_them():
     assert np.array_equal(seen, data.next_observation[0])
 
 
+def test_one_is_tested_with_the_actions_that_the_tape_was_recorded_with():
+    for kind, count in (("play", 3), ("explore", 6)):
+        env = load_data(make_tape(kind), observation="features").make_env(True, 0.99)
+        assert env.action_space.n == count
+        env.close()
+
+
+def test_the_length_of_a_data_set_is_that_of_its_level():
+    tape = make_tape()
+    assert len(load_data(tape)) == len(tape.option) < len(load_data(tape, level="primitives")) == len(tape.action)
+
+
 def test_tensors_hold_the_same_numbers():
     data = load_data(make_tape(), observation="features").read()
     tensors = to_torch(data)

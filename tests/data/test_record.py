@@ -31,7 +31,7 @@ def keep_first(tape, episodes):
     return Tape({**tape.about, "scores": {}}, **arrays)
 
 
-@pytest.mark.parametrize("episodes", [1, 12])
+@pytest.mark.parametrize("episodes", [1, 12, 26])  # the third when the second room has begun
 def test_a_killed_recording_goes_on_to_the_same_bytes(tmp_path, episodes):
     path = tmp_path / "again.npz"
     save_tape(path.with_suffix(".part"), keep_first(make_tape(), episodes))
@@ -68,6 +68,14 @@ def test_medium_learns_as_it_is_recorded_exploring_a_tenth_of_the_time(tmp_path,
     monkeypatch.setitem(train_medium.__globals__, "MEDIUM_PRIMITIVES", 40)
     agent = train_medium(load_benchmark("ladder-1")["pair"].train[:2], tmp_path / "run")
     assert agent.settings.epsilon_start == agent.settings.epsilon_end == 0.1
+
+
+def test_a_card_counts_the_whole_episodes_and_those_that_escape():
+    for kind, escapes in (("play", 1.0), ("explore", 0.0)):  # an escape each, but where a room's share ends; none
+        tape, scores = make_tape(kind), make_tape(kind).about["scores"]
+        assert scores["whole_episodes"] == len(tape.end) - np.sum(tape.end == 0) > 0 and scores["escapes"] == escapes
+    cut = make_tape("explore", primitives=200).about["scores"]  # below the horizon
+    assert (cut["whole_episodes"], cut["escapes"]) == (0, 0.0)
 
 
 @pytest.mark.slow

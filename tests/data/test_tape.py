@@ -55,6 +55,7 @@ def empty_one(counts: np.ndarray) -> np.ndarray:
     (lambda: change(about={**make_tape().about, "dynamics": "EscapeRoom-v0"}), "EscapeRoom-v0.*EscapeRoom-v1"),
     (lambda: change(about={**make_tape().about, "format": 2}), "its format is 2"),
     (lambda: change(action=make_tape().action[:-1]), "durations stand for"),
+    (lambda: change(action=np.append(make_tape().action, np.int8(0))), "durations stand for"),
     (lambda: change(option=make_tape().option[:-1]), "different lengths"),
     (lambda: change(option=make_tape().option + np.int16(9)), "option has numbers outside 0 to 2"),
     (lambda: change(decisions=make_tape().decisions + np.int32(1)), "decisions stand for"),
