@@ -190,8 +190,10 @@ def main() -> int:
     survivors = 0
     with tempfile.TemporaryDirectory() as folder:
         trial = Trial(Path(folder), arguments.seconds)
-        for place in chosen:
-            if not trial.find_witness(place):
+        for number, place in enumerate(chosen, 1):
+            witness = trial.find_witness(place)
+            print(f"{number} of {len(chosen)}: {place.file}, {witness or 'left'}", file=sys.stderr, flush=True)
+            if not witness:
                 survivors += 1
                 print(show(place), flush=True)
     print(f"{len(chosen)} mutants drawn with seed {arguments.seed}: {len(chosen) - survivors} seen, {survivors} left")
