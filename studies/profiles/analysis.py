@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import itertools
+import math
 import warnings
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import matplotlib
 import numpy as np
@@ -29,13 +31,15 @@ from studies.page import make_table
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["Args", "Cells", "Gain", "analyse", "compare_everyone", "measure", "tell_falls", "tell_leads",
-           "tell_searching", "tell_tops"]
+__all__ = ["Args", "Cells", "Gain", "analyse", "compare_everyone", "find_falls", "measure", "tell_falls",
+           "tell_leads", "tell_others", "tell_searching", "tell_tops"]
 
 Cells: TypeAlias = Mapping[tuple[str, str], NDArray[np.float64]]
 """(agent, rung) -> efficiency (rooms,), in the order of the rooms."""
 EASY = 0.9
 """Efficiency from which on a rung asks nothing more of a learner."""
+SEVERAL = 3
+"""Learners that have to fall on an axis before its order of rungs is theirs and not one learner's weakness."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,19 +53,28 @@ class Args(BaselineArgs):
 
 
 def measure(study: Study, args: Args, store: Store) -> None:
-    """Run what is missing, agent by agent, and keep the lines."""
+    """Run what is missing, agent by agent, and keep the lines; each group of others runs on its own axes."""
     bench, data = load_benchmark(study.data["benchmark"]), study.data
     known = {axis.name: axis.rungs for axis in bench.manifest.axes}
     if unknown := [name for name in args.axes if name not in known]:
         raise UnknownNameError(f"axis of {bench.name}", unknown[0], known)
-    rungs = tuple(itertools.chain.from_iterable(known[name] for name in args.axes or known))
-    chosen = dataclasses.replace(
-        args, rung=args.rung or rungs, protocol=("per-instance",),
-        agents=args.agents or (*data["searchers"], *data["agents"]), primitives=args.primitives or data["primitives"],
-        eval_episodes=data["eval_episodes"])
-    found = run_baselines(bench, chosen)
-    store.add(collect_lines(found))
-    print(f"{list_missing(found)} runs are left for another time")
+    groups = [(tuple(known), (*data["searchers"], *data["agents"])),
+              *((other["axes"], tuple(other["agents"])) for other in data["others"])]
+    everyone = [agent for _, agents in groups for agent in agents]
+    if unknown := [name for name in args.agents if name not in everyone]:
+        raise UnknownNameError("agent of this study", unknown[0], everyone)
+    left = 0
+    for axes, agents in groups:
+        agents = tuple(agent for agent in agents if agent in (args.agents or agents))
+        rungs = tuple(rung for axis in axes if axis in (args.axes or known) for rung in known[axis]
+                      if rung in (args.rung or known[axis]))
+        if agents and rungs:
+            found = run_baselines(bench, dataclasses.replace(
+                args, rung=rungs, protocol=("per-instance",), agents=agents,
+                primitives=args.primitives or data["primitives"], eval_episodes=data["eval_episodes"]))
+            store.add(collect_lines(found))
+            left += list_missing(found)
+    print(f"{left} runs are left for another time")
 
 
 # --- comparisons -----------------------------------------------------------------------------
@@ -154,24 +167,59 @@ def tell_searching(gains: Mapping[tuple[str, str, str], Gain], axes: Sequence[st
     return f"{told}{f'; on {join_words(lost)} all learners are below it' if lost else ''}."
 
 
-def tell_falls(cells: Cells, axes: Sequence[AxisRecord], names: Mapping[str, str]) -> str:
-    """A sentence: the axes on which each learner falls, from the first rung to the last and never up."""
-    falls = {learner: [axis.name for axis in axes if _falls([cells[learner, rung] for rung in axis.rungs])]
-             for learner in names}
-    told = [f"{names[learner]} falls on {join_words(own)}" for learner, own in falls.items() if own]
-    if not told:
+def find_falls(cells: Cells, axes: Sequence[AxisRecord], learners: Iterable[str]) -> set[tuple[str, str]]:
+    """(learner, axis) where efficiency is shown to fall over the rungs, and is nowhere shown to rise.
+
+    A fall is a rank correlation of rung and efficiency (Kendall's tau, as in the trend test of Jonckheere) below 0, one
+    family of tests over all learners and axes (Holm). Rises are Welch's tests from each rung to the next; those of a
+    learner on an axis share Bonferroni's level.
+    """
+    levels = {(learner, axis.name): [cells[learner, rung] for rung in axis.rungs]
+              for learner, axis in itertools.product(learners, axes) if (learner, axis.rungs[0]) in cells}
+    p = correct_by_holm([_test_fall(own) for own in levels.values()])
+    return {place for (place, own), each in zip(levels.items(), p, strict=True) if each < ALPHA
+            and not any(_shift(before, after, len(own) - 1)[0] > 0 for before, after in itertools.pairwise(own))}
+
+
+def _test_fall(levels: Sequence[NDArray[np.float64]]) -> float:
+    """One-sided p-value of a fall over levels; 1 where all efficiencies are equal."""
+    rungs, values = np.repeat(np.arange(len(levels)), list(map(len, levels))), np.concatenate(levels)
+    found: Any = stats.kendalltau(rungs, values, alternative="less")
+    return float(found.pvalue) if np.ptp(values) else 1.0
+
+
+def tell_falls(falls: Iterable[tuple[str, str]], axes: Sequence[AxisRecord]) -> str:
+    """A sentence: the axes on which several learners fall, and others."""
+    counts = collections.Counter(axis for _, axis in falls)
+    several, few, none = ([axis.name for axis in axes if low <= counts[axis.name] <= high]
+                          for low, high in ((SEVERAL, math.inf), (1, SEVERAL - 1), (0, 0)))
+    if len(none) == len(axes):
         return "No learner is shown to fall as rungs grow harder, on any axis."
-    none = [axis.name for axis in axes if not any(axis.name in own for own in falls.values())]
+    told = [f"{count} fall on {join_words(own)}" for count, own in (
+        ("three learners or more", several), ("one or two learners", few)) if own]
     return f"As rungs grow harder {'; '.join(told)}{f'; none does on {join_words(none)}' if none else ''}."
 
 
-def _falls(levels: Sequence[NDArray[np.float64]]) -> bool:
-    """Return whether efficiency is shown to fall from the first rung to the last, and is nowhere shown to rise.
+def tell_others(cells: Cells, axes: Sequence[AxisRecord], learners: Iterable[str], others: Iterable[str], words: str
+                ) -> str:
+    """A sentence: the axes on which each learner of another kind is shown to be below each of planned options alone.
 
-    Rungs have rooms of their own, so these are Welch's tests; rises share Bonferroni's level.
+    Args:
+        cells: efficiencies.
+        axes: those on which the others ran.
+        learners: names of those that choose among planned options.
+        others: names of the others.
+        words: what the others choose among, "of single moves".
     """
-    rises = [_shift(before, after, len(levels) - 1)[0] > 0 for before, after in itertools.pairwise(levels)]
-    return _shift(levels[0], levels[-1], 1)[1] < 0 and not any(rises)
+    pairs = [(axis.name, compare_pairs([cells[learner, rung] - cells[other, rung] for rung in axis.rungs]))
+             for axis in axes for learner, other in itertools.product(learners, others)]
+    level = {axis for (axis, test), p in zip(pairs, correct_by_holm([test.p for _, test in pairs]), strict=True)
+             if p >= ALPHA or test.difference < 0}
+    below, rest = ([axis.name for axis in axes if (axis.name in level) == is_level] for is_level in (False, True))
+    if not below:
+        return f"On {join_words(rest)} some learner {words} keeps up with some of planned options alone."
+    told = f"On {join_words(below)} every learner {words} is below every one of planned options alone"
+    return f"{told}{f'; on {join_words(rest)} some keep up' if rest else ''}."
 
 
 def _shift(before: NDArray[np.float64], after: NDArray[np.float64], tests: int) -> tuple[float, float]:
@@ -205,29 +253,42 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     data, bench = study.data, load_benchmark(study.data["benchmark"])
     names, searchers = data["agents"], data["searchers"]
     cells = collect_cells(lines)
-    everyone = (*names, *searchers)
+
+    def list_agents(axis: str) -> list[str]:
+        return [*names, *searchers, *(agent for other in data["others"] if axis in other["axes"]
+                                      for agent in other["agents"])]
+
     axes = [axis for axis in bench.manifest.axes if all(len(cells.get((agent, rung), ())) >= LEAST_RUNS
-                                                        for agent in everyone for rung in axis.rungs)]
+                                                        for rung in axis.rungs for agent in list_agents(axis.name))]
     if not axes:
         raise ComparisonError(f"no axis of {bench.name} has every agent in {LEAST_RUNS} rooms of each rung")
+    others = [(other, own) for other in data["others"]
+              if (own := [axis for axis in axes if axis.name in other["axes"]])]
+    everyone: dict[str, str] = names | {agent: name for other, _ in others for agent, name in other["agents"].items()}
     rungs = [rung for axis in axes for rung in axis.rungs]
     searcher = "best searcher"
     best = {rung: max((cells[agent, rung] for agent in searchers), key=np.mean) for rung in rungs}
     cells |= {(searcher, rung): values for rung, values in best.items()}
     gains, order = compare_everyone(cells, axes, list(names), searcher), [axis.name for axis in axes]
-    efficiencies = {name: {rung: float(cells[agent, rung].mean()) for rung in rungs} for agent, name in names.items()}
+    efficiencies = {name: {rung: float(cells[agent, rung].mean()) for rung in rungs if (agent, rung) in cells}
+                    for agent, name in everyone.items()}
     efficiencies[searcher] = {rung: float(values.mean()) for rung, values in best.items()}
     efficiencies["smdp-bayes"] = list_references(load_references(bench.name)).get("smdp-bayes", {})
-    profiles = make_profiles(axes, efficiencies)
+    profiles, falls = make_profiles(axes, efficiencies), find_falls(cells, axes, everyone)
     headline = tell_leads(gains, order, names)
-    sentences = [tell_searching(gains, order, names, searcher), tell_falls(cells, axes, names),
+    sentences = [tell_searching(gains, order, names, searcher), tell_falls(falls, axes),
+                 *(tell_others(cells, own, names, other["agents"], other["words"]) for other, own in others),
                  tell_tops(cells, axes, list(names))]
-    table = make_table(["axis", *efficiencies], [[axis.name, *(str(profile.get(axis.name, "-")) for profile in
-                                                               profiles.values())] for axis in axes])
-    return Page({"headline": headline, "sentences": sentences, "table": table, "left": [
+    marks = {(everyone[agent], axis): " ↓" for agent, axis in falls}
+    columns = [([*names.values(), searcher, "smdp-bayes"], axes),
+               *((list(other["agents"].values()), own) for other, own in others)]
+    tables = [make_table(["axis", *shown], [[axis.name, *(
+        f"{profiles[name].get(axis.name, '-')}{marks.get((name, axis.name), '')}" for name in shown)] for axis in rows])
+        for shown, rows in columns]
+    return Page({"headline": headline, "sentences": sentences, "tables": tables, "everyone": everyone, "left": [
         axis.name for axis in bench.manifest.axes if axis not in axes], "rooms": min(map(len, cells.values())), **data},
-        {"profiles": draw_radar({name: own for name, own in profiles.items() if len(own) == len(axes)}, axes),
-         "profiles-axes": draw_axes(cells, axes, names, searcher)},
+        {"profiles": draw_radar({name: profiles[name] for name in [*names.values(), searcher]}, axes),
+         "profiles-axes": draw_axes(cells, axes, names, [other["agents"] for other, _ in others], searcher)},
         [headline, *sentences])
 
 
@@ -239,8 +300,14 @@ def collect_cells(lines: Sequence[BaselineRun]) -> dict[tuple[str, str], NDArray
     return {place: np.array([np.mean(rooms[room]) for room in sorted(rooms)]) for place, rooms in found.items()}
 
 
-def draw_axes(cells: Cells, axes: Sequence[AxisRecord], names: Mapping[str, str], searcher: str) -> Figure:
-    """Efficiency rung by rung, a panel an axis."""
+def draw_axes(cells: Cells, axes: Sequence[AxisRecord], names: Mapping[str, str],
+              others: Sequence[Mapping[str, str]], searcher: str) -> Figure:
+    """Efficiency rung by rung, a panel an axis; "a table of moves" has the colour of "a table", in another style."""
+    colours = dict(zip(names.values(), palette.LINES, strict=False))
+    looks = {agent: (name, colours[next(known for known in colours if name.startswith(known))], style)
+             for group, style in zip((names, *others), ("o-", "o--", "o:"), strict=False)
+             for agent, name in group.items()}
+    looks[searcher] = searcher, palette.INK, "o-"
     columns = 4
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(9.2, 2.1 * -(-len(axes) // columns)), facecolor=palette.BACKGROUND,
@@ -248,9 +315,10 @@ def draw_axes(cells: Cells, axes: Sequence[AxisRecord], names: Mapping[str, str]
         panels = figure.subplots(-(-len(axes) // columns), columns, sharey=True, squeeze=False).ravel()
         for panel, axis in zip(panels, axes, strict=False):
             numbers = range(1, len(axis.rungs) + 1)
-            for agent, colour in zip((*names, searcher), (*palette.LINES[:len(names)], palette.INK), strict=True):
-                panel.plot(numbers, [cells[agent, rung].mean() for rung in axis.rungs], "o-", markersize=3.5,
-                           linewidth=1.4, color=colour, label=names.get(agent, agent))
+            for agent, (label, colour, style) in looks.items():
+                if (agent, axis.rungs[0]) in cells:
+                    panel.plot(numbers, [cells[agent, rung].mean() for rung in axis.rungs], style, markersize=3.5,
+                               linewidth=1.4, color=colour, label=label)
             panel.set(ylim=(-0.03, 1.03), xticks=numbers)
             panel.set_title(axis.name, fontsize=9, color=palette.INK)
             panel.grid(axis="y", color="#e5dfd2", linewidth=0.8)
@@ -258,6 +326,8 @@ def draw_axes(cells: Cells, axes: Sequence[AxisRecord], names: Mapping[str, str]
             panel.spines[["top", "right"]].set_visible(False)
         for panel in panels[len(axes):]:
             panel.set_axis_off()
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="lower right", frameon=False)
+        keys = {label: line for panel in panels[:len(axes)] for line, label in zip(*panel.get_legend_handles_labels(),
+                                                                                   strict=True)}
+        figure.legend(keys.values(), keys.keys(), loc="lower right", frameon=False, fontsize=8)
         figure.supylabel("efficiency", color=palette.INK, fontsize=9)
     return figure

@@ -160,9 +160,23 @@ MUTATIONS = [
     Mutation(
         "an axis on which a learner rises in between counts as a fall",
         "studies/profiles/analysis.py",
-        "return _shift(levels[0], levels[-1], 1)[1] < 0 and not any(rises)",
-        "return _shift(levels[0], levels[-1], 1)[1] < 0",
+        "and not any(_shift(before, after, len(own) - 1)[0] > 0 for before, after in itertools.pairwise(own))}",
+        "and len(own) > 1}",
         "studies/test_profiles.py::test_an_axis_that_gets_easier_is_no_fall",
+    ),
+    Mutation(
+        "each fall is tested as if it were the only one",
+        "studies/profiles/analysis.py",
+        "p = correct_by_holm([_test_fall(own) for own in levels.values()])",
+        "p = [_test_fall(own) for own in levels.values()]",
+        "studies/test_profiles.py::test_nobody_falls_where_rungs_are_alike",
+    ),
+    Mutation(
+        "a learner of another kind that keeps up is passed over",
+        "studies/profiles/analysis.py",
+        "if p >= ALPHA or test.difference < 0}",
+        "if p < ALPHA and test.difference < 0}",
+        "studies/test_profiles.py::test_others_are_below_planned_options_where_each_of_them_is",
     ),
     Mutation(
         "a lead that is shared with another learner counts",

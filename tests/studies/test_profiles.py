@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hrl_escape.errors import ComparisonError
+from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.manifest import AxisRecord
 from studies.baseline import BaselineRun
+from studies.running import run_study
 from studies.study import find_study
 from tests.studies.pages import load
 from tests.studies.pages import tell as write_page
 
 STUDY = find_study("profiles")
 AXES = load_benchmark("ladder-2").manifest.axes
-TABLE, MODEL, NETWORK = STUDY.data["agents"]
+TABLE, MODEL, NETWORK, POLICY = LEARNERS = tuple(STUDY.data["agents"])
+OTHERS = {axis: tuple(other["agents"]) for other in STUDY.data["others"] for axis in other["axes"]}
+MOVERS, BOTH = OTHERS["motion"], OTHERS["branching"]
+MOTION = next(axis for axis in AXES if axis.name == "motion")
 SEARCHERS = STUDY.data["searchers"]
 
 
-def make_lines(changes: dict[tuple[str, str], tuple[float, ...]], searcher: float = 0.5) -> list[BaselineRun]:
+def make_lines(changes: dict[tuple[str, str], tuple[float, ...]], searcher: float = 0.5, axes: Sequence[AxisRecord] =
+               AXES[:3]) -> list[BaselineRun]:
     """Ten rooms a rung around these efficiencies by learner and axis, rung by rung; 0.6 falling to 0.3 elsewhere."""
     rng, lines = np.random.default_rng(0), []
-    for axis in AXES[:3]:
-        for agent in (TABLE, MODEL, NETWORK, *SEARCHERS):
+    for axis in axes:
+        for agent in (*LEARNERS, *SEARCHERS, *OTHERS.get(axis.name, ())):
             usual = (searcher,) * 4 if agent in SEARCHERS else (0.6, 0.5, 0.4, 0.3)
             for rung, mean in zip(axis.rungs, changes.get((agent, axis.name), usual), strict=True):
                 lines += [BaselineRun("per-instance", rung, f"{rung}/test[{room}]", agent, 0, 10_000,
@@ -73,12 +81,33 @@ def test_searching_is_beaten_where_some_learner_is_shown_to(tmp_path: Path):
 def test_an_axis_that_gets_easier_is_no_fall(tmp_path: Path):
     rising = {(agent, "depth"): (0.6, 0.3, 0.6, 0.2) for agent in (TABLE, MODEL)}
     page = read(rising, tmp_path)
-    assert ("As rungs grow harder a table falls on branching and violations; a learned model falls on branching and "
-            "violations; a network falls on depth, branching and violations.") in page
+    assert ("As rungs grow harder three learners or more fall on branching and violations; one or two learners fall on "
+            "depth.") in page
+    depth, branching = (next(line for line in page.splitlines() if line.startswith(f"| {axis} |"))
+                        for axis in ("depth", "branching"))
+    assert (depth.count("↓"), branching.count("↓")) == (2, 4)
+
+
+def test_three_falls_are_several_whoever_falls(tmp_path: Path):
+    level = {(agent, axis.name): (0.6,) * 4 for agent in LEARNERS for axis in (MOTION, AXES[0])}
+    page = write_page("profiles", make_lines(level, axes=(MOTION, AXES[0])), tmp_path)
+    assert "As rungs grow harder three learners or more fall on motion; none does on depth." in page
+
+
+def test_others_are_below_planned_options_where_each_of_them_is(tmp_path: Path):
+    axes = (MOTION, AXES[1])
+    good = {(agent, axis.name): (0.9,) * 4 for agent in LEARNERS for axis in axes}
+    page = write_page("profiles", make_lines(good, axes=axes), tmp_path)
+    assert "- On motion every learner of single moves is below every one of planned options alone." in page
+    assert ("- On branching every learner of planned options and single moves is below every one of planned options "
+            "alone.") in page
+    assert page.count("| motion |") == page.count("| branching |") == 2  # a table for each kind
+    one = write_page("profiles", make_lines(good | {(MOVERS[2], "motion"): (0.9,) * 4}, axes=axes), tmp_path)
+    assert "- On motion some learner of single moves keeps up with some of planned options alone." in one
 
 
 def test_nobody_falls_where_rungs_are_alike(tmp_path: Path):
-    level = {(agent, axis.name): (0.6, 0.6, 0.6, 0.6) for agent in (TABLE, MODEL, NETWORK) for axis in AXES[:3]}
+    level = {(agent, axis.name): (0.6, 0.6, 0.6, 0.6) for agent in (*LEARNERS, *BOTH) for axis in AXES[:3]}
     assert "No learner is shown to fall as rungs grow harder, on any axis." in read(level, tmp_path)
     steep = {place: means for place, means in level.items() if place[1] != "depth"}
     assert "none does on branching and violations." in read(steep, tmp_path)
@@ -96,15 +125,19 @@ def test_axes_with_too_few_rooms_are_left_out_and_named(tmp_path: Path):
     assert "Not enough was run for branching" in page and "| branching |" not in page
     with pytest.raises(ComparisonError, match="every agent in 10 rooms"):
         write_page("profiles", [line for line in lines if line.agent != TABLE], tmp_path)
+    with pytest.raises(ComparisonError, match="every agent in 10 rooms"):
+        write_page("profiles", [line for line in make_lines({}, axes=(MOTION,)) if line.agent != MOVERS[0]], tmp_path)
 
 
 def test_a_real_rung_gives_lines_of_both_kinds(tmp_path: Path):
-    args = STUDY.analysis.Args(docs=tmp_path, out=tmp_path / "runs", rung=("memory-1",), rooms=1, workers=1,
-                               agents=(SEARCHERS[0], TABLE), primitives=300)
-    from studies.running import run_study
-
+    args = STUDY.analysis.Args(docs=tmp_path, out=tmp_path / "runs", rung=("memory-1", "motion-1"), rooms=1, workers=1,
+                               agents=(SEARCHERS[0], TABLE, MOVERS[0]), primitives=300)
     with pytest.raises(ComparisonError, match="every agent in 10 rooms"):  # the lines are kept
         run_study(STUDY, args)
-    searcher, learner = sorted(load("profiles", tmp_path), key=lambda line: line.primitives)
-    assert (searcher.agent, searcher.primitives, learner.agent, learner.primitives) == (SEARCHERS[0], 0, TABLE, 300)
-    assert searcher.escapes == 1.0 and searcher.rooms == learner.rooms
+    found = {(line.rung, line.agent): line for line in load("profiles", tmp_path)}
+    assert {place: line.primitives for place, line in found.items()} == {
+        ("memory-1", SEARCHERS[0]): 0, ("memory-1", TABLE): 300, ("motion-1", SEARCHERS[0]): 0,
+        ("motion-1", TABLE): 300, ("motion-1", MOVERS[0]): 300}  # moves on their axes only
+    assert found["memory-1", SEARCHERS[0]].escapes == 1.0
+    with pytest.raises(UnknownNameError, match="agent of this study"):
+        run_study(STUDY, dataclasses.replace(args, agents=("sarsa",)))
