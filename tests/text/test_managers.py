@@ -10,9 +10,9 @@ import pytest
 
 from hrl_escape.env.puzzles.graphs import find_ancestors
 from hrl_escape.errors import PlanningFailed, PluginError, UnknownNameError
-from hrl_escape.text import MANAGERS, ToolCall, Turn, make_model
+from hrl_escape.text import MANAGERS, ToolCall, ToolsAgent, Turn, make_model
 from hrl_escape.text.told_env import ToldEnv
-from tests.text.rooms import get_room, make_session, play_manager
+from tests.text.rooms import get_room, make_env, make_session, play_manager
 
 TOOLS = [{"name": "run_option", "inputSchema": {"properties": {"option": {"enum": [
     "press a", "press b", "press c", "leave"]}}}}]
@@ -48,6 +48,25 @@ def test_where_all_was_tried_in_vain_everything_is_tried_once_more():
     assert choose("untried-nearest", *walk) == "press a"  # the round begins anew, where one stands
     assert choose("untried-nearest", *walk, walk[-1]) == "press c"
     assert choose("untried-nearest", *walk, walk[-1], walk[1]) == "press b"
+
+
+def test_options_of_any_name_are_tried_once_in_a_round():
+    tools = [{"name": "run_option", "inputSchema": {"properties": {"option": {"enum": [
+        "carry a", "carry b", "carry c", "leave"]}}}}]  # before `leave` in the alphabet
+    talk = [Turn(None, BEGUN), *(Turn(ToolCall("run_option", {"option": f"carry {name}"}), "Took 1 primitive, 1 of 9.")
+                                 for name in "ab")]
+    for seed in range(10):
+        model = make_model("untried")
+        vars(model)["rng"] = np.random.default_rng(seed)
+        assert model(talk, tools).arguments["option"] == "carry c"
+
+
+def test_an_agent_names_the_action_that_its_call_means():
+    env = ToldEnv(make_env(get_room("pair", 3))[0])
+    observation, info = env.reset(seed=0)
+    agent = ToolsAgent(env, lambda transcript, tools: ToolCall("run_option", {"option": "press button-2"}))
+    mask = info["action_mask"] != 0
+    assert agent.act(observation, mask) == env._actions["press button-2"] != int(np.flatnonzero(mask)[0])
 
 
 @pytest.mark.parametrize("name", ["uniform", "untried", "untried-nearest"])

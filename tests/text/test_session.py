@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.errors import ResetNeededError, UnknownNameError, UnsupportedError
 from hrl_escape.ladder.sequence import SequenceEnv
 from hrl_escape.options.option import FunctionOption
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known
-from hrl_escape.text import RoomSession, ToldEnv, ToolCall, record_game, replay_game
+from hrl_escape.text import RoomSession, ToldEnv, ToolCall, make_model, record_game, replay_game
+from hrl_escape.text.words import tell_changes
 from tests.text.rooms import get_room, make_env, make_session, play_manager
 
 WRONG = [("fly", {}), ("run_option", {}), ("run_option", {"option": 3}), ("run_option", {"option": "press button-9"}),
@@ -121,6 +123,36 @@ def test_places_and_headings_are_told_to_half_a_metre_and_a_degree():
         for target in session.env.instance.targets:
             at = re.search(rf'"{target.name}" at \((.+?), (.+?)\)', text)
             assert at is not None and math.dist(map(float, at.groups()), (target.x, target.y)) <= 0.36
+
+
+def test_every_door_is_told_as_it_is_and_when_it_opens():
+    """In `doors` each has a state of its own; one after another they open."""
+    room = get_room("doors")
+    session = make_session(room)
+    barring = get_trait(room.puzzle, Barring)
+    seen, manager = set(), make_model("untried")
+    for _ in range(60):
+        before = barring.get_shut(session.env.state.puzzle)
+        told = re.findall(r"door (\d) at \(.+?\), (shut|open)", session.call("look").text)
+        assert [(int(number), word == "shut") for number, word in told] == [
+            (number + 1, bool(before >> number & 1)) for number in range(len(room.inner_doors))]
+        if session.env.is_over or not before:
+            break
+        action = manager(session.transcript, session.tools())
+        text = session.call(*action).text
+        after = barring.get_shut(session.env.state.puzzle)
+        opened = [number for number in range(len(room.inner_doors)) if (before & ~after) >> number & 1]
+        assert [int(number) - 1 for number in re.findall(r"door (\d) opened", text)] == opened
+        assert "door 0" not in text and not re.search(r"door \d shut", text)
+        seen.update(opened)
+    assert seen == set(range(len(room.inner_doors)))
+
+
+def test_a_change_that_nobody_pressed_is_a_sentence_of_its_own():
+    room = get_room("pair", 3)
+    state = make_session(room).env.state
+    assert tell_changes(room, [state, state._replace(puzzle=1), state]) == [
+        '"button-1" came on.', '"button-1" went out.']
 
 
 def test_what_is_no_room_is_refused():
