@@ -24,7 +24,7 @@ from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.motion.limits import MotionLimits, compute_rest_to_rest
 from hrl_escape.planning.planner import RoomPlanner
-from hrl_escape.planning.requests import PlanningRequest, compute_lacking_clearance, compute_plan_cost
+from hrl_escape.planning.requests import PlanningRequest, bound_cost, compute_lacking_clearance, compute_plan_cost
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +87,21 @@ def test_each_objective_improves_on_the_fewest_primitives_and_keeps_its_bound(pl
     plain = compute_plan_cost(planner.plan(start, "button-3"), result.request)
     assert result.plan is not None and result.cost == compute_plan_cost(result.plan, result.request)
     assert result.lower_bound <= result.cost <= plain and (result.cost < plain or not wins)
+
+
+def test_the_way_to_the_farthest_goal_as_the_crow_flies_bounds_length_and_time(planner, start):
+    """In a room without solids, of goals in any order, and none for clearance."""
+    goals, limits = (PressGoal(0), PressGoal(2)), MotionLimits(speed=0.5)
+    room = planner.instance
+    areas = [compute_goal_area(goal, room) for goal in goals]
+    far = max(compute_distance(start.x, start.y, shape) - reach for shape, reach in areas)
+    assert far > 1.0
+    for order in (goals, goals[::-1]):
+        bounds = {objective: bound_cost(room, start, order, PlanningRequest(start, order, objective=objective,
+                                                                            limits=limits), 3.0)
+                  for objective in ("primitives", "length", "time", "clearance")}
+        assert bounds == {"primitives": 3.0, "length": pytest.approx(far), "clearance": 0.0, "time": pytest.approx(
+            compute_rest_to_rest(far, limits.speed, limits.acceleration, limits.jerk))}
 
 
 def test_lacking_clearance_is_the_integral_of_what_a_metre_lacks():

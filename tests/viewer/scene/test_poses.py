@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.config import RobotConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts
@@ -108,6 +110,31 @@ def test_on_an_upright_screen_the_whole_floor_is_seen_above_the_panel(name: str)
             sight = np.array((x, y, 0.0)) - place
             across, high = sight[0] / (sight @ ahead) / lens / aspect, sight @ up / (sight @ ahead) / lens
             assert abs(across) < 1.0 and 0.2 < high < 1.0, "the panel covers the lower 60 %"
+
+
+@pytest.mark.parametrize(("width", "depth"), [(8.0, 8.0), (40.0, 5.0), (5.0, 40.0)])
+def test_the_whole_floor_is_seen_on_a_wide_screen(width: float, depth: float):
+    config = dataclasses.replace(get_preset("paper-one-button"), room=ShapeConfig(width=width, depth=depth))
+    instance, aspect = generate(config, 0), 1.6
+    place, target = map(np.array, compute_overview(instance, aspect))
+    ahead = (target - place) / np.linalg.norm(target - place)
+    up, lens = np.cross((1.0, 0.0, 0.0), ahead), np.tan(np.radians(OVERVIEW_FIELD / 2))
+    for x in (-instance.reach_x, instance.reach_x):
+        for y in (-instance.reach_y, instance.reach_y):
+            sight = np.array((x, y, 0.0)) - place
+            assert sight @ ahead > 0
+            across, high = sight[0] / (sight @ ahead) / lens / aspect, sight @ up / (sight @ ahead) / lens
+            assert max(abs(across), abs(high)) < 1.0
+
+
+def test_links_of_our_own_arms_are_drawn_slim_and_others_as_they_are():
+    generated = RobotConfig(joints=3, link_length=0.5)
+    robot = make_robot(generated)
+    given = dataclasses.replace(generated, kind="urdf", urdf=robot.urdf)
+    radius = float(ElementTree.fromstring(robot.urdf).findall("link[@name='arm-1']//cylinder")[0].get("radius", 0))
+    for config, share in ((generated, 0.7), (given, 1.0)):
+        link = next(shape for shape in make_arm_shapes(robot, config) if shape.link == "arm-1")
+        assert np.ptp(link.vertices, axis=0).min() == pytest.approx(2 * share * radius, rel=0.01)
 
 
 def test_names_over_targets_tell_what_these_show(server):
