@@ -34,6 +34,8 @@ PRESETS = ("paper-two-button", "paper-random", "clutter", "ten-button", "twenty-
            "puddle-world", "key-chest", "pin-pad", "arm-two-button")
 SLACK = 1e-6
 """Share by which rounding may exceed a limit."""
+CLOCK_ROUNDING = 1e-12
+"""Error of a time at a knot, which is a sum, s."""
 
 
 def list_schematics() -> dict[str, RoomConfig]:
@@ -120,9 +122,9 @@ def measure_peaks(trajectory: TimedTrajectory, limits: MotionLimits) -> dict[str
         tops = np.column_stack([-square / (3.0 * cubic), plane])
     tops = np.clip(np.nan_to_num(tops), 0.0, spans[:, None])
     moments = np.concatenate([times, *(starts + top for top in tops.T), starts + spans])
-    long = spans > 3e-3  # third derivatives of shorter phases are rounding errors of positions
-    found = {"speed": trajectory.evaluate(moments, 1), "acceleration": trajectory.evaluate(moments, 2),
-             "jerk": 6.0 * cubic[long]}
+    rounding = 12.0 * rates[:, 0] * CLOCK_ROUNDING / spans[:, None] ** 3  # of a third derivative, from that of times
+    jerk = np.maximum(np.abs(6.0 * cubic) - rounding, 0.0)
+    found = {"speed": trajectory.evaluate(moments, 1), "acceleration": trajectory.evaluate(moments, 2), "jerk": jerk}
     is_base = trajectory.names[:2] == ("x", "y")
     peaks = {}
     for column, (kind, values) in enumerate(found.items()):
