@@ -101,8 +101,14 @@ def test_rooms_that_look_like_known_ones_are_skipped_and_listed():
 def test_a_schematic_that_cannot_vary_is_refused():
     fixed = get_preset("paper-one-button")
     known = {compute_keys(generate(fixed, 0)).layout}
-    with pytest.raises(EscapeError, match="more room to vary"):
+    with pytest.raises(EscapeError, match="more room to vary") as refused:
         choose_seeds(fixed, ((i, i) for i in range(100)), 2, known)
+    assert "of the first 21 rooms, 21 look like" in str(refused.value)
+
+
+def test_one_task_in_ten_is_held_out_by_the_first_32_bits_of_its_key():
+    keys = [f"{number:08x}{'f' * 24}" for number in (0, 9, 10, 160, 161, 2**32 - 6)]
+    assert [is_held_out(key) for key in keys] == [True, False, True, True, False, True]
 
 
 def test_every_frozen_set_avoids_the_layouts_of_all_before_it():

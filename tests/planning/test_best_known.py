@@ -255,5 +255,7 @@ def test_luck_is_no_record():
     config = get_preset("paper-one-button")
     noisy = generate(dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, noise=0.1)), 0)
     assert not record_return(noisy, make_start(noisy), 99.0, "luck")
+    moved = generate(dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, kind="physics")), 0)
+    assert not record_return(moved, make_start(moved), 99.0, "luck")
 
 
