@@ -54,6 +54,18 @@ def test_where_presses_can_be_undone_no_task_undoes_them(kind):
     assert best - 10 <= result.evaluations[0].mean_return <= best, "before training"
 
 
+@pytest.mark.parametrize(("preset", "differs"), [("paper-two-button", False), ("clutter", True)])
+def test_a_pose_tells_of_the_open_exit_only_where_it_has_a_door(preset, differs):
+    room = generate(get_preset(preset), 0)
+    assert bool(room.door) == differs
+    rooms = Situations(room)
+    state = rooms.planner.rules.make_state(room.starts[0])
+    solved = state._replace(puzzle=rooms.planner.orders.solved_puzzle)
+    shut, opened = (Seen(None, np.ones(0, np.bool_), rooms.read(rooms.pack(each))) for each in (state, solved))
+    assert opened.state.is_open and not shut.state.is_open
+    assert (rooms.see_pose(shut) != rooms.see_pose(opened)) == differs
+
+
 @pytest.mark.parametrize("leaves", LEAVES)
 @pytest.mark.parametrize("abstract", [True, False])
 def test_a_synthesised_task_graph_keeps_every_promise(leaves, abstract):

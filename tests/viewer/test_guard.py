@@ -229,6 +229,8 @@ def test_a_slider_takes_numbers_of_its_range_only(server: Server):
     assert not any(may(slider, value) for value in (0, 61, True, "5", float("nan"), 1e300))
     assert [may(box, value) for value in (True, False, 1, "x")] == [True, True, False, False]
     assert not may(hidden, True)
+    others = (server.gui.add_text("name", "x"), server.gui.add_number("count", 1), server.gui.add_rgb("ink", (0, 0, 0)))
+    assert not any(may(other, value) for other in others for value in ("y", 2, True)), "kinds that no page of ours has"
 
 
 def test_a_disabled_control_takes_nothing(server: Server):

@@ -148,6 +148,21 @@ def test_names_over_targets_tell_what_these_show(server):
         assert labels[0] == ("wood: 3" if stored else "wood") and "diamond \N{BLACK STAR}" in labels
 
 
+def test_each_goal_has_its_label_where_it_is_and_loses_it(server, clutter):
+    def list_labels() -> dict[str, str]:
+        nodes = server.scene._handle_from_node_name.items()
+        return {name.rpartition("goals/")[2]: handle.text for name, handle in nodes
+                if "/goals/" in name and hasattr(handle, "text")}
+
+    scene = RoomScene(server, clutter)
+    scene.draw_goals([("leave", 1.0, 2.0), ("press", -3.0, 2.0), ("go", 1.0, 2.0)])
+    assert list_labels() == {"1/2": "leave, go", "-3/2": "press"}
+    scene.draw_goals([("press", -3.0, 2.0), ("go", 1.0, 2.0)])
+    assert list_labels() == {"1/2": "go", "-3/2": "press"}
+    scene.draw_goals([])
+    assert not list_labels()
+
+
 def test_an_obstacle_between_camera_and_robot_turns_to_glass_and_back(server, clutter):
     scene = RoomScene(server, clutter)
     pose = make_pose(scene.rules, scene.rules.make_state(clutter.starts[0]))
