@@ -233,6 +233,24 @@ def test_a_slider_takes_numbers_of_its_range_only(server: Server):
     assert not any(may(other, value) for other in others for value in ("y", 2, True)), "kinds that no page of ours has"
 
 
+def test_a_page_may_set_the_controls_of_all_and_its_own_and_no_other_page_s(server: Server):
+    with open_socket(server) as page:
+        page.recv(timeout=600)
+        page.send(msgspec.msgpack.encode(CAMERA))
+        assert wait_until(server.get_clients)
+        (number, client), = server.get_clients().items()
+        message = {"type": "GuiUpdateMessage", "updates": {"value": True}}
+        own = msgspec.msgpack.encode(message | {"uuid": client.gui.add_checkbox("mine", False)._impl.uuid})
+        shared = msgspec.msgpack.encode(message | {"uuid": server.gui.add_checkbox("ours", False)._impl.uuid})
+        assert [is_expected(server, who, own) for who in (number, number + 1, None)] == [True, False, False]
+        assert [is_expected(server, who, shared) for who in (number, number + 1, None)] == [True, True, True]
+
+
+def test_a_message_with_a_field_more_than_it_has_is_none(server: Server):
+    assert is_expected(server, None, msgspec.msgpack.encode(CAMERA))
+    assert not is_expected(server, None, msgspec.msgpack.encode(CAMERA | {"zoom": 2}))
+
+
 def test_a_disabled_control_takes_nothing(server: Server):
     for handle, value in ((server.gui.add_checkbox("fast", False, disabled=True), True),
                           (server.gui.add_slider("speed", 1, 60, 1, 5, disabled=True), 30)):
