@@ -53,6 +53,7 @@ def test_several_goals_are_reached_in_the_order_given(planner, start):
     result = planner.answer(PlanningRequest(start, ("button-1", "0,-5", PressGoal(0))))
     assert result.plan is not None and [part.name for part in result.plan.parts] == ["press-button-1", "0,-5",
                                                                                      "press-button-1"]
+    assert result.plan.name == "press-button-1, 0,-5, press-button-1"
     env = EscapeRoomEnv(instance=planner.instance)
     env.reset(options={"state": start})
     assert result.plan.execute(env).as_predicted

@@ -15,10 +15,11 @@ from hrl_escape.checks import check_hierarchy
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import AgentSettingsError, UnknownNameError, UnsupportedError
+from hrl_escape.env.vector_env import EscapeRoomVectorEnv
+from hrl_escape.errors import AgentSettingsError, ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.planning import best_known_return
 from hrl_escape.planning.goals import PressGoal
-from hrl_escape.synthesis import HierarchyEnv, synthesise
+from hrl_escape.synthesis import HierarchyEnv, HierarchyVectorEnv, synthesise
 from hrl_escape.synthesis.kinds import LEAVES, list_privileges
 from hrl_escape.synthesis.situation import Situations
 from studies.optima import compute_price
@@ -82,6 +83,22 @@ def test_goals_and_cells_keep_every_promise(kind, leaves):
     assert agent.hierarchy.source == "synthesised"
     assert set(agent.privileges) <= set(list_privileges(AGENTS[kind], leaves))
     check_hierarchy(agent.hierarchy, env, primitives=200)
+
+
+def test_a_task_graph_has_the_planner_s_privilege_where_its_leaves_are_planned():
+    graphs = {leaves: synthesise(generate(TINY, 0), "maxq", leaves) for leaves in LEAVES}
+    assert {leaves: "planner" in graph.privileges for leaves, graph in graphs.items()} == {
+        "planned": True, "learned": False}
+
+
+@pytest.mark.parametrize(("mode", "fits"), [("NextStep", True), ("Disabled", True), ("SameStep", False)])
+def test_many_rooms_begin_anew_in_a_step_of_their_own(mode, fits):
+    rooms = EscapeRoomVectorEnv(2, TINY, autoreset_mode=mode)
+    if fits:
+        assert HierarchyVectorEnv(rooms).num_envs == 2
+    else:
+        with pytest.raises(ConfigError, match="autoreset_mode"):
+            HierarchyVectorEnv(rooms)
 
 
 def test_landmarks_open_in_the_order_that_the_puzzle_forces():
