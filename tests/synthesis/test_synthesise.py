@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.hierarchy.machine import Do, MachineRun
+from hrl_escape.agents.hierarchy.regions import DIRECTIONS
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.agents.training.evaluation import evaluate
@@ -99,6 +100,8 @@ def test_many_rooms_begin_anew_in_a_step_of_their_own(mode, fits):
     else:
         with pytest.raises(ConfigError, match="autoreset_mode"):
             HierarchyVectorEnv(rooms)
+    with pytest.raises(UnsupportedError, match="one room, and these are 2"):
+        HierarchyVectorEnv(EscapeRoomVectorEnv(2, TINY, num_instances=2, autoreset_mode=mode))
 
 
 def test_landmarks_open_in_the_order_that_the_puzzle_forces():
@@ -131,6 +134,27 @@ def test_feudal_managers_are_paid_for_pressing_and_find_their_way_by_regions():
             observation, *_ = env.step(action)
         assert tree.has_found(before, observation), target.name
         assert not tree.has_found(observation, observation)
+
+
+def test_a_planned_order_leads_into_the_cell_that_it_names():
+    """From quarter to quarter, wherever there is one: north is a row less, east a column more."""
+    env = make_env("paper-two-button", "feudal", "planned")
+    tree, seen = env.structure["tree"], set()
+    observation, _ = env.reset(seed=0)
+    for order in (0, 2, 1, 3, 0, 3, 1, 2):
+        cell = tree.find_cell(observation, tree.depth)
+        if not tree.has_neighbour(cell, tree.depth, order):
+            continue
+        for _ in range(40):
+            observation, _, terminated, *_ = env.step(tree.policy(observation, cell, order))
+            if terminated or tree.find_cell(observation, tree.depth) != cell:
+                break
+        there = tree.find_cell(observation, tree.depth)
+        assert there == tuple(np.add(cell, DIRECTIONS[order]))
+        seen.add((cell, order))
+    assert {order for _, order in seen} == {0, 1, 2, 3}
+    state = env.unwrapped.get_state()
+    assert tree.find_cell(observation, 1) == (int(state.y <= 0), int(state.x >= 0)), "rows from the north"
 
 
 @pytest.mark.parametrize("leaves", LEAVES)

@@ -11,11 +11,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hrl_escape.env.config import RobotConfig, ShapeConfig
+from hrl_escape.env.drawing import palette
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.viewer.scene.robot_shapes import ArmPose, make_arm_shapes, make_base_shapes, to_quaternion
 from hrl_escape.viewer.scene.room_meshes import is_hidden_by, make_confetti, make_fixtures
 from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, blend, compute_overview, make_pose
@@ -146,6 +148,16 @@ def test_names_over_targets_tell_what_these_show(server):
         labels = [handle.text for name, handle in server.scene._handle_from_node_name.items() if name.endswith("/name")
                   and "/targets/" in name]
         assert labels[0] == ("wood: 3" if stored else "wood") and "diamond \N{BLACK STAR}" in labels
+
+
+def test_the_exit_has_the_colour_of_its_lock(server, clutter):
+    scene = RoomScene(server, clutter)
+    state = scene.rules.make_state(clutter.starts[0])
+    solved = state._replace(puzzle=RoomPlanner(clutter).orders.solved_puzzle)
+    for each, colour in ((state, palette.EXIT_LOCKED), (solved, palette.EXIT_OPEN), (state, palette.EXIT_LOCKED)):
+        scene.light(each)
+        red, green, blue = (int(colour[place : place + 2], 16) for place in (1, 3, 5))
+        assert {tuple(part.color) for part in scene._exit} == {(red, green, blue)}
 
 
 def test_each_goal_has_its_label_where_it_is_and_loses_it(server, clutter):
