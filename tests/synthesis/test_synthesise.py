@@ -86,6 +86,14 @@ def test_goals_and_cells_keep_every_promise(kind, leaves):
     check_hierarchy(agent.hierarchy, env, primitives=200)
 
 
+def test_what_is_observed_lies_in_the_space_for_one_room_and_for_many():
+    for env in (make_env(TINY), HierarchyVectorEnv(EscapeRoomVectorEnv(2, TINY))):
+        observation, _ = env.reset(seed=0)
+        assert env.observation_space.contains(observation)
+        observation, *_ = env.step(env.action_space.sample())
+        assert env.observation_space.contains(observation)
+
+
 def test_a_task_graph_has_the_planner_s_privilege_where_its_leaves_are_planned():
     graphs = {leaves: synthesise(generate(TINY, 0), "maxq", leaves) for leaves in LEAVES}
     assert {leaves: "planner" in graph.privileges for leaves, graph in graphs.items()} == {
