@@ -86,6 +86,14 @@ def test_goals_and_cells_keep_every_promise(kind, leaves):
     check_hierarchy(agent.hierarchy, env, primitives=200)
 
 
+def test_a_pose_that_is_packed_is_read_again():
+    rooms = Situations(generate(get_preset("arm-two-button"), 0))
+    state = rooms.planner.rules.make_state(rooms.instance.starts[0])._replace(
+        heading_steps=3, heading_offset=0.05, joint_steps=(1, -2, 3), joint_offsets=(0.0, 0.02, -0.01), touching=2)
+    read = rooms.read(rooms.pack(state)).state
+    assert read == state._replace(puzzle=read.puzzle) and (read.primitives, read.noise_key) == (0, 0)
+
+
 def test_what_is_observed_lies_in_the_space_for_one_room_and_for_many():
     for env in (make_env(TINY), HierarchyVectorEnv(EscapeRoomVectorEnv(2, TINY))):
         observation, _ = env.reset(seed=0)

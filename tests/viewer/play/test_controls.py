@@ -33,6 +33,8 @@ def test_digits_choose_the_joint_that_u_and_j_move():
     assert name(Controls(make_action_table(3), 3), "2u", joints=3) == "joint-2-increment"
     assert name(Controls(make_action_table(3), 3), "3j", joints=3) == "joint-3-decrement"
     assert name(Controls(make_action_table(3), 3), "34u", joints=3) == "joint-3-increment", "there is no joint 4"
+    assert name(Controls(make_action_table(3), 3), "301u", joints=3) == "joint-1-increment", "nor 0, and 1 is one"
+    assert Controls(make_action_table(3), 3).press("0") is None
 
 
 def test_m_and_a_digit_run_a_meta_action_and_zero_is_the_exit():

@@ -39,6 +39,7 @@ def list_choices(name: str, room) -> list[ObservedChoice]:
     watch.on_change = note
     watch.run(1)
     assert watch.events[-1].endswith(f"escaped, return {watch.total:g}")
+    assert watch.events[-1].startswith(f"1.{watch.primitives}  "), "episode and primitive"
     return choices
 
 
