@@ -122,7 +122,8 @@ def test_a_mesh_that_is_not_there_is_refused_before_a_room_is_sampled(capsys, tm
 def test_tables_are_for_people(capsys):
     code, out, _ = call(capsys, "room", "--preset", "four-button-chain", "--check")
     assert code == 0
-    assert all(word in out for word in ("four-button-chain", " before button-", "solvable", "20 x 20 m"))
+    words = ("four-button-chain", " before button-", ", goal button-", "solvable", "20 x 20 m")
+    assert all(word in out for word in words)
 
 
 def test_a_killed_drawing_leaves_the_old_file(tmp_path):

@@ -1,13 +1,16 @@
 """`hrl-escape train` through the command line."""
 
 import json
+import re
 import signal
 import subprocess
 import time
 
+import numpy as np
 import pytest
 
 from hrl_escape.agents.training.checkpoint import load_checkpoint
+from hrl_escape.commands.train import SHOWN_EVALUATIONS
 from tests.command_line import PROGRAM, assert_refused, call, run_program
 
 
@@ -17,6 +20,13 @@ def test_a_run_leaves_its_description_log_and_checkpoint_and_reports_them(capsys
     report = json.loads(out)
     assert code == 0 and report["folder"] == str(tmp_path / "run")
     assert report["best_known"] == 66
+    first, *_, last = (np.mean(evaluation["returns"]) for evaluation in report["evaluations"])
+    code, out, _ = call(capsys, "train", "smdp-q-learning", "--primitives", "300", "--eval-episodes", "1",
+                        "--out", tmp_path / "run")  # finished, so it is told and not trained
+    assert code == 0 and f"return {last:.1f} at the end" in out and first != last
+    shown = [line.split() for line in out.splitlines() if re.match(r" *[\d,]+ +[\d,]+ +-?[\d.]+ ", line)]
+    assert [float(row[2]) for row in shown][:: len(shown) - 1] == [round(first, 1), round(last, 1)]
+    assert 2 <= len(shown) <= SHOWN_EVALUATIONS + 1
     assert {"run.json", "log.jsonl", "checkpoint.npz"} <= {path.name for path in (tmp_path / "run").iterdir()}
 
 
@@ -97,6 +107,9 @@ def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(cap
     settings = json.loads(out)
     assert code == 0 and settings["gamma"]["value"] == 0.5
     assert all(setting["about"] for setting in settings.values())
+    code, out, _ = call(capsys, "train", "smdp-dqn", "--settings", "gamma=0.5", "--list-settings")
+    first, *rest = (line.split() for line in out.splitlines() if line.strip())
+    assert first == ["setting", "value"] and ["gamma", "0.5"] in [line[:2] for line in rest]
     assert list(tmp_path.iterdir()) == []
 
 
