@@ -299,9 +299,9 @@ MUTATIONS = [
     ),
     Mutation(
         "a step of velocities goes along the heading before its turn",
-        "env/continuous.py",
-        "middle = self.rules.get_heading(state) + turn / 2.0",
-        "middle = self.rules.get_heading(state)",
+        "env/velocities.py",
+        "middle = rules.get_heading(state) + turn / 2.0",
+        "middle = rules.get_heading(state)",
         "env/test_continuous.py::test_the_rules_of_a_step",
     ),
     Mutation(
@@ -319,10 +319,10 @@ MUTATIONS = [
         "env/test_continuous.py::test_the_rules_of_a_step",
     ),
     Mutation(
-        "the last step of an episode of velocities is left out where it does not fit the limit",
+        "a limit of time is passed over for the room's horizon",
         "env/velocities.py",
-        "count = math.ceil(seconds / self.time_step)",
-        "count = math.floor(seconds / self.time_step)",
+        "seconds = (self.time_limit or horizon) - 1e-9",
+        "seconds = horizon - 1e-9",
         "env/test_continuous.py::test_time_runs_out_in_seconds",
     ),
     Mutation(

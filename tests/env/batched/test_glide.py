@@ -40,7 +40,8 @@ def list_families():
 FAMILIES = list_families()
 
 
-@pytest.mark.parametrize("name", thin(sorted(FAMILIES), 3))
+@pytest.mark.parametrize("name", [*thin([name for name in sorted(FAMILIES) if "rectangle" not in name], 3),
+                                  *(name for name in sorted(FAMILIES) if "rectangle" in name)])
 def test_velocities_move_the_batch_as_the_scalar_rules(name):
     found = compare([generate(FAMILIES[name], 0)], 300, copies=10, velocities=FAST)
     assert not found.disagreements, found.disagreements[0]
