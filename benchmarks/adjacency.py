@@ -26,7 +26,7 @@ SHIFTS = np.array([(down, right) for down in range(-4, 5) for right in range(-4,
 SPACE = GoalSpace(lambda cell: CELLS[cell], SHIFTS, is_relative=True)
 DISTANCES = {(*CELLS[start].tolist(), *CELLS[end].tolist()): steps for end in range(len(GRID))
              for start, steps in enumerate(find_fewest_primitives(FourRooms(end, "none").make_tables()))}
-HORIZON = 200
+HORIZON = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,12 +54,13 @@ def make_agent(kind: str, env: FourRooms, seed: int, primitives: int) -> Hiro:
 
 
 def run(kind: str, seed: int, primitives: int) -> tuple[float, float]:
-    """Share of all cells that the greedy policy gets out from, and the fewest primitives over those it takes."""
+    """Share of every fourth cell that the greedy policy leaves from, and the fewest primitives over those it takes."""
     env = FourRooms(EAST_HALLWAY, "none", horizon=HORIZON)
     agent = make_agent(kind, env, seed, primitives)
     train(agent, env, primitives=primitives, seed=seed, eval_episodes=0, progress=False)
-    shortest, steps, arrived = find_fewest_primitives(env.make_tables())[env.first], 0, 0
-    for start in env.first:
+    starts, steps, arrived = env.first[::4], 0, 0
+    shortest = find_fewest_primitives(env.make_tables())[starts]
+    for start in starts:
         env.reset(seed=0)
         env.set_state(State(start))
         cell, rng, over, terminated = start, np.random.default_rng(start), False, False
@@ -67,7 +68,7 @@ def run(kind: str, seed: int, primitives: int) -> tuple[float, float]:
             cell, _, terminated, truncated, _ = env.step(agent.act_greedy(cell, np.ones(4, np.bool_), rng))
             steps, over = steps + 1, terminated or truncated
         arrived += terminated
-    return arrived / len(env.first), float(shortest.sum() / steps)
+    return arrived / len(starts), float(shortest.sum() / steps)
 
 
 def main(args: Args) -> None:
