@@ -81,8 +81,7 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
 
     def describe(self) -> dict[str, Any]:
         """As in `EscapeRoomEnv`, and the numbers of this one."""
-        kind = self.velocities
-        return super().describe() | kind.speeds | {"time_step": kind.time_step, "time_limit": kind.time_limit}
+        return super().describe() | dataclasses.asdict(self.velocities)
 
     def step(self, action: NDArray[Any]) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:  # type: ignore[override]
         """Move for one step of time; returns Gymnasium's five values.

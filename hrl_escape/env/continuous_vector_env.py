@@ -14,7 +14,6 @@ from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom
 from hrl_escape.env.sampling.sources import SchematicForm
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.env.velocities import Velocities
-from hrl_escape.errors import BatchError
 
 if TYPE_CHECKING:
     from hrl_escape.env.continuous import EscapeRoomContinuousEnv
@@ -54,7 +53,7 @@ class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
         top = np.array(self.velocities.list_bounds(self.room.layout.robot), dtype=np.float32)
         return spaces.Box(-top, top)
 
-    def make_single_env(self) -> EscapeRoomContinuousEnv:  # type: ignore[override]
+    def make_single_env(self) -> EscapeRoomContinuousEnv:
         """Make an `EscapeRoomContinuousEnv` with the same rooms, observation and velocities."""
         from hrl_escape.env.continuous import EscapeRoomContinuousEnv  # brings Bullet in
 
@@ -63,14 +62,6 @@ class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
     def describe(self) -> dict[str, Any]:
         """As in `EscapeRoomVectorEnv`, and the numbers of this one."""
         return super().describe() | dataclasses.asdict(self.velocities)
-
-    def _take(self, actions: Any) -> Tensor:
-        if isinstance(actions, Tensor):
-            return actions
-        array = np.asarray(actions)
-        if array.dtype.kind not in "iuf":
-            raise BatchError("action", array, f"numbers of shape ({self.num_envs}, {self.room.actions})")
-        return torch.from_numpy(array.astype(np.float64)).to(self.device)
 
     def _tell_time(self, info: RoomInfo) -> dict[str, Tensor]:
         seconds = info.primitives.to(torch.float64) * self.velocities.time_step

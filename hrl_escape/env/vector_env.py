@@ -77,13 +77,14 @@ class BatchVectorEnv(VectorEnv):
         return where
 
     def _take(self, actions: Any) -> Tensor:
-        """Actions as int64 on the device; a tensor is taken as it is, and checked by the engine."""
+        """Actions on the device, int64 or float64; a tensor is taken as it is, and checked by the engine."""
         if isinstance(actions, Tensor):
             return actions
-        array = np.asarray(actions)
-        if array.dtype.kind not in "iu":
-            raise BatchError("action", array, f"whole numbers of shape ({self.num_envs},)")
-        return torch.from_numpy(array.astype(np.int64, copy=False)).to(self.device)
+        array, is_whole = np.asarray(actions), self.action_space.dtype == np.int64
+        if array.dtype.kind not in ("iu" if is_whole else "iuf"):
+            numbers = "whole numbers" if is_whole else "numbers"
+            raise BatchError("action", array, f"{numbers} of shape {self.action_space.shape}")
+        return torch.from_numpy(array.astype(np.int64 if is_whole else np.float64, copy=False)).to(self.device)
 
     def _give(self, tensor: Tensor | None) -> Any:
         return tensor if tensor is None or not self._is_numpy else tensor.cpu().numpy()

@@ -7,13 +7,14 @@ architecture, whose text and published program differ. Their optima differ too, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from functools import cache
+from typing import Any, Literal
 
 import numpy as np
 
-from tests.classic.exact import Array, Mask, TabularOption, make_subgoal_option
+from tests.classic.exact import Array, Mask, TabularOption, find_fewest_primitives, make_subgoal_option
 from tests.classic.grid import Grid
-from tests.classic.tabular import Outcome, Tables, TabularEnv, make_uniform
+from tests.classic.tabular import Outcome, State, Tables, TabularEnv, make_uniform
 
 GRID = Grid(
     [
@@ -111,6 +112,29 @@ class FourRooms(TabularEnv):
 
     def make_starts(self) -> Array:
         return make_uniform(self.first, len(GRID))
+
+
+@cache
+def _count_primitives() -> dict[tuple[float, ...], float]:
+    """(row, column, row, column) -> fewest primitives from the first cell to the second, without slips."""
+    return {(*GRID.cells[start], *GRID.cells[end]): steps for end in range(len(GRID))
+            for start, steps in enumerate(find_fewest_primitives(FourRooms(end, "none").make_tables()))}
+
+
+def count_primitives_between(start: Array, ends: Array) -> Array:
+    """Fewest primitives from a cell (row, column) to others (cells, 2), without slips; inf to walls."""
+    return np.array([_count_primitives().get((*start.tolist(), *end), np.inf) for end in np.asarray(ends).tolist()])
+
+
+def walk_greedily(agent: Any, env: FourRooms, start: int) -> tuple[int, bool]:
+    """Primitives of an agent's greedy policy from a cell, and whether it arrived within the horizon."""
+    env.reset(seed=0)
+    env.set_state(State(start))
+    cell, rng, over, arrived = start, np.random.default_rng(start), False, False
+    while not over:
+        cell, _, arrived, truncated, _ = env.step(agent.act_greedy(cell, np.ones(4, np.bool_), rng))
+        over = arrived or truncated
+    return env.state.elapsed, arrived
 
 
 def make_room_mask(room: str) -> Mask:

@@ -91,7 +91,7 @@ def test_each_objective_improves_on_the_fewest_primitives_and_keeps_its_bound(pl
 
 
 def test_the_way_to_the_farthest_goal_as_the_crow_flies_bounds_length_and_time(planner, start):
-    """In a room without solids, of goals in any order, and none for clearance."""
+    """In whatever order the goals stand; nothing bounds clearance."""
     goals, limits = (PressGoal(0), PressGoal(2)), MotionLimits(speed=0.5)
     room = planner.instance
     areas = [compute_goal_area(goal, room) for goal in goals]

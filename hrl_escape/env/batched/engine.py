@@ -149,9 +149,8 @@ class TensorRoom:
         self.instances, self.device = rooms.instances, find_device(rooms.device)
         self.layout = make_layout(self.instances, rooms.resample_instance, velocities)
         self.tables = stack_instances(self.instances, self.layout, self.device)
-        robot = self.layout.robot
         self.count = rooms.num_envs
-        self.actions = len(velocities.list_bounds(robot) if velocities else robot.actions)
+        self.actions = len(velocities.list_bounds(self.layout.robot) if velocities else self.layout.actions)
         self._observation, self.is_compiled = load_observation(rooms.observation), rooms.compile
         self.low, self.high = compute_bounds(self.instances, rooms.observation)
         observer = make_observer(rooms.observation, Rules(self.instances[0]))

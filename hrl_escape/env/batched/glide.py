@@ -8,7 +8,13 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.noise import compute_noise
-from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_heading, compute_rotation
+from hrl_escape.env.batched.poses import (
+    TensorState,
+    compute_angles,
+    compute_heading,
+    compute_rotation,
+    make_joint_column,
+)
 from hrl_escape.env.batched.rules import TensorTransition, complete_motion, find_free_fraction, take_turn
 from hrl_escape.env.batched.tables import Layout, Tables
 from hrl_escape.env.kinematics import ROUNDING
@@ -24,12 +30,12 @@ def glide(layout: Layout, tables: Tables, state: TensorState, rates: Tensor) -> 
         layout: of the batch; its `velocities` say what the rates mean.
         tables: of the batch.
         state: of the rooms.
-        rates: velocities, float (rooms, numbers), clipped to their bounds; what is no number is 0.
+        rates: velocities, float64 (rooms, numbers), clipped to their bounds; what is no number is 0.
     """
     kind = layout.velocities
     assert kind is not None
-    bounds = torch.tensor(kind.list_bounds(layout.robot), dtype=torch.float64, device=rates.device)
-    rates = torch.nan_to_num(rates.to(torch.float64), 0.0)
+    bounds = torch.tensor(kind.list_bounds(layout.robot), dtype=rates.dtype, device=rates.device)
+    rates = torch.nan_to_num(rates, 0.0)
     change = (torch.minimum(torch.maximum(rates, -bounds), bounds) * kind.time_step).unbind(1)
     forward, turn, joints = change[0], change[-1 - layout.robot.joints], change[len(change) - layout.robot.joints :]
     cos, sin = compute_rotation(layout, tables, state)
@@ -67,19 +73,15 @@ def _turn(layout: Layout, state: TensorState, turn: Tensor) -> TensorState:
 
 def _bend(layout: Layout, state: TensorState, change: tuple[Tensor, ...], scale: Tensor | None) -> TensorState:
     """States whose joints have moved by angles in rad, float64 (rooms,) each, as far as their limits."""
-    arm, device = layout.arm, state.x.device
-
-    def column(values: tuple[float, ...]) -> Tensor:
-        return torch.tensor(values, dtype=torch.float64, device=device).unsqueeze(1)
-
-    by = torch.stack(change)
+    arm, by = layout.arm, torch.stack(change)
     is_still = (by == 0.0).all(0)
-    low, high = (column(ends) for ends in zip(*arm.limits, strict=True))
+    low, high = (make_joint_column(ends, by) for ends in zip(*arm.limits, strict=True))
     angles = compute_angles(layout, state) + (by if scale is None else scale * by)
     angles = torch.minimum(torch.maximum(angles, low), high)
-    steps = torch.round((angles - column(arm.home)) / arm.step)
-    steps = torch.minimum(torch.maximum(steps, column(arm.step_low)), column(arm.step_high))
-    offsets = angles - (column(arm.home) + steps * arm.step)
+    home, lowest, highest = (make_joint_column(each, by) for each in (arm.home, arm.step_low, arm.step_high))
+    steps = torch.round((angles - home) / arm.step)
+    steps = torch.minimum(torch.maximum(steps, lowest), highest)
+    offsets = angles - (home + steps * arm.step)
     offsets = torch.where((offsets.abs() > ROUNDING).any(0), offsets, 0.0)
     return state._replace(joint_steps=torch.where(is_still, state.joint_steps, steps.to(torch.int32)),
                           joint_offsets=torch.where(is_still, state.joint_offsets, offsets))

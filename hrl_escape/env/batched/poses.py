@@ -7,6 +7,7 @@ are double precision, headings and joints whole steps, as in the scalar rules.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -55,11 +56,15 @@ def compute_rotation(layout: Layout, tables: Tables, state: TensorState) -> tupl
     return cos * more_cos - sin * more_sin, sin * more_cos + cos * more_sin
 
 
+def make_joint_column(values: Sequence[float], like: Tensor) -> Tensor:
+    """Numbers, one a joint, for all rooms: (joints, 1), of the dtype and on the device of another tensor."""
+    return torch.tensor(values, dtype=like.dtype, device=like.device).unsqueeze(1)
+
+
 def compute_angles(layout: Layout, state: TensorState) -> Tensor:
     """Joint angles in rad, float64 (joints, rooms)."""
     arm = layout.arm
-    home = torch.tensor(arm.home, dtype=torch.float64, device=state.x.device).unsqueeze(1)
-    angles = home + state.joint_steps.to(torch.float64) * arm.step
+    angles = make_joint_column(arm.home, state.x) + state.joint_steps.to(torch.float64) * arm.step
     return angles + state.joint_offsets if layout.has_joint_offsets else angles
 
 

@@ -14,7 +14,14 @@ from torch import Tensor
 
 from hrl_escape.env.bases import TensorBase
 from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
-from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching, place_base
+from hrl_escape.env.batched.poses import (
+    TensorState,
+    compute_angles,
+    compute_rotation,
+    compute_touching,
+    make_joint_column,
+    place_base,
+)
 from hrl_escape.env.batched.puzzles.base import TensorContacts
 from hrl_escape.env.batched.tables import Layout, Tables, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
@@ -197,20 +204,16 @@ def _move_joints(layout: Layout, state: TensorState, action: Tensor, scale: Tens
     if not joints:
         return state
     arm = layout.arm
-
-    def column(values: tuple[float, ...], dtype: torch.dtype) -> Tensor:
-        return torch.tensor(values, dtype=dtype, device=action.device).unsqueeze(1)
-
-    up, down = (column(numbers, torch.int64) for numbers in zip(*layout.actions.joints, strict=True))
+    up, down = (make_joint_column(numbers, action) for numbers in zip(*layout.actions.joints, strict=True))
     change = (action == up).to(torch.int32) - (action == down).to(torch.int32)  # (joints, rooms)
     steps = state.joint_steps + change
     if scale is None or not layout.has_joint_offsets:
-        low, high = column(arm.step_low, torch.int32), column(arm.step_high, torch.int32)
+        low, high = (make_joint_column(ends, steps) for ends in (arm.step_low, arm.step_high))
         return state._replace(joint_steps=store(torch.minimum(torch.maximum(steps, low), high)))
     offsets = state.joint_offsets + (scale - 1.0) * change * arm.step
     angles = compute_angles(layout, state._replace(joint_steps=steps, joint_offsets=offsets))
-    low = column(tuple(low - 1e-9 for low, _ in arm.limits), torch.float64)
-    high = column(tuple(high + 1e-9 for _, high in arm.limits), torch.float64)
+    low = make_joint_column([low - 1e-9 for low, _ in arm.limits], angles)
+    high = make_joint_column([high + 1e-9 for _, high in arm.limits], angles)
     is_allowed = (angles >= low) & (angles <= high)
     return state._replace(joint_steps=torch.where(is_allowed, steps, state.joint_steps),
                           joint_offsets=torch.where(is_allowed, offsets, state.joint_offsets))

@@ -12,8 +12,7 @@ from hrl_escape.agents.algorithms.given.hac import END, Hac
 from tests.agents.running import learn
 from tests.agents.small_envs import Outcome, SmdpEnv
 from tests.classic.exact import find_fewest_primitives
-from tests.classic.four_rooms import EAST_HALLWAY, FourRooms
-from tests.classic.tabular import State
+from tests.classic.four_rooms import EAST_HALLWAY, FourRooms, walk_greedily
 
 BOTH = np.ones(2, np.bool_)
 ROW = SmdpEnv(tuple(((Outcome(1.0, max(cell - 1, 0), (-1.0,)),), (Outcome(1.0, min(cell + 1, 8), (-1.0,)),))
@@ -85,16 +84,8 @@ def test_levels_below_a_test_do_not_explore():
 
 def measure(agent, env):
     """Primitives from every cell, by the greedy policy."""
-    steps = []
-    for start in env.first:
-        env.reset(seed=0)
-        env.set_state(State(start))
-        cell, rng, over = start, np.random.default_rng(start), False
-        while not over:
-            cell, _, terminated, truncated, _ = env.step(agent.act_greedy(cell, np.ones(4, np.bool_), rng))
-            over = terminated or truncated
-        steps.append(env.state.elapsed if terminated else np.inf)
-    return np.array(steps)
+    walks = [walk_greedily(agent, env, start) for start in env.first]
+    return np.array([steps if arrived else np.inf for steps, arrived in walks])
 
 
 @pytest.mark.parametrize(("seed", "primitives"), [

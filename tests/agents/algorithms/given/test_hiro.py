@@ -11,8 +11,7 @@ from hrl_escape.agents.algorithms.given.hrac import Hrac
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
 from hrl_escape.checks import check_agent
 from tests.agents.running import interact, learn
-from tests.classic.exact import find_fewest_primitives
-from tests.classic.four_rooms import GRID, FourRooms
+from tests.classic.four_rooms import GRID, FourRooms, count_primitives_between
 from tests.classic.goal_grid import GoalGrid
 from tests.classic.grid import Grid
 
@@ -118,16 +117,6 @@ def test_the_worker_of_an_oracle_goes_within_5_percent_of_the_shortest_way():
                 cell, steps, left = there, steps + 1, space.advance(left, cell, there)
             walked, shortest = walked + steps, shortest + int(np.abs(cells[goal] - cells[start]).sum())
     assert shortest <= walked <= 1.05 * shortest
-
-
-def count_primitives_between(start, ends):
-    rows = [DISTANCES.get((*start, *end), np.inf) for end in np.asarray(ends)]
-    return np.array(rows)
-
-
-DISTANCES = {(*map(float, GRID.cells[start]), *map(float, GRID.cells[end])): steps
-             for end in range(len(GRID))
-             for start, steps in enumerate(find_fewest_primitives(FourRooms(end, "none").make_tables()))}
 
 
 def test_adjacency_is_exact_where_it_is_given_and_never_more_than_that_where_it_is_learned():
