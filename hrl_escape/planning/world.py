@@ -1,8 +1,9 @@
-"""`World`: a place to plan in that is no puzzle, made of solids or of a map of ROS's map_server."""
+"""`World`: a place to plan in that is no puzzle, made of solids, of a mesh, or of a map of ROS's map_server."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -137,9 +138,47 @@ class World:
             raise ConfigError("map", (cell, yaw), "a resolution above 0 and an origin with yaw 0: turn the image")
         solid = occupancy > high if unknown_is_free else occupancy >= low
         rows, columns = solid.shape
-        boxes = [Solid("box", x + cell * (a + b) / 2, y + cell * (c + d) / 2, cell * (b - a) / 2, cell * (d - c) / 2,
-                       height=height) for a, b, c, d in merge_cells(solid)]
-        return cls.of(boxes, robot, start, floor=(x, x + cell * columns, y, y + cell * rows), wall_height=height)
+        return cls.of(make_columns(np.where(solid, height, 0.0), cell, (x, y)), robot, start,
+                      floor=(x, x + cell * columns, y, y + cell * rows), wall_height=height)
+
+    @classmethod
+    def of_mesh(cls, path: str | Path, robot: RobotConfig, start: Sequence[float], *, cell: float = 0.05,
+                below: float = 2.0) -> World:
+        """Make a world of a mesh (STL, OBJ or DAE), such as a scan of a room: metres, z up, its floor at z = 0.
+
+        Each cell of the floor becomes as high as the mesh is anywhere over it, rounded up to a multiple of `cell`, so
+        that a table is solid down to the floor and outlines grow by less than a cell. Your frame is the mesh's.
+
+        Args:
+            path: the mesh.
+            robot: the robot.
+            start: x and y of its axis, m, and its heading, rad, in the mesh's frame.
+            cell: side of a cell, m; what is lower than half of it is floor.
+            below: height, m, from which on things are left out: lintels, lamps, the ceiling.
+
+        Raises:
+            FileReadError: a file that is missing or is no mesh.
+            ConfigError: a cell that is none, nothing on the floor, or a start that is not free.
+        """
+        from hrl_escape.planning.arm.meshes import load_triangles
+
+        if not cell > 0.0:
+            raise ConfigError("cell", cell, "a length above 0 m")
+        corners = split_triangles(load_triangles(path), cell)
+        (x, y), (x_max, y_max) = corners.min(axis=(0, 1))[:2], corners.max(axis=(0, 1))[:2]
+        top = corners[..., 2].max(axis=1)
+        corners, top = (each[(top >= cell / 2) & (corners[..., 2].min(axis=1) < below)] for each in (corners, top))
+        if not len(corners):
+            raise ConfigError("mesh", str(path), f"something from {cell / 2:g} to {below:g} m above its floor, z = 0")
+        columns, rows = (max(1, math.ceil(length / cell)) for length in (x_max - x, y_max - y))
+        low, high = (np.clip(((edge - (x, y)) / cell).astype(int), 0, (columns - 1, rows - 1))
+                     for edge in (corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)))
+        heights = np.zeros((rows, columns))
+        for across, along in np.ndindex(*(high - low).max(axis=0) + 1):
+            column, row = np.minimum(low + (across, along), high).T
+            np.maximum.at(heights, (row, column), np.ceil(np.minimum(top, below) / cell - 1e-6) * cell)
+        return cls.of(make_columns(heights, cell, (x, y)), robot, start,
+                      floor=(x, x + cell * columns, y, y + cell * rows), wall_height=max(below, heights.max()))
 
     def make_state(self, x: float, y: float, heading: float = 0.0, angles: Sequence[float] | None = None) -> RoomState:
         """State of the robot at a pose of your frame, m and rad, with joint angles, rad; None for those of its home."""
@@ -164,6 +203,34 @@ class World:
         moved = np.array(points, dtype=np.float64)
         moved[..., :2] += sign * np.array(self.centre)
         return moved
+
+
+def split_triangles(corners: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
+    """Triangles that cover the same, with no edge longer than given; shapes (triangles, 3 corners, 3)."""
+    done = []
+    while len(corners):
+        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        is_small = edges.max(axis=1) <= longest
+        done.append(corners[is_small])
+        rest, first = corners[~is_small], edges[~is_small].argmax(axis=1)
+        a, b, c = (np.take_along_axis(rest, ((first + turn) % 3)[:, None, None], axis=1)[:, 0] for turn in range(3))
+        middle = (a + b) / 2
+        corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.concatenate([np.zeros((0, 3, 3)), *done])
+
+
+def make_columns(heights: NDArray[np.float64], cell: float, corner: tuple[float, float]) -> list[Solid]:
+    """Boxes that stand on the cells of a floor, cells side by side of one height one box.
+
+    Args:
+        heights: shape (rows, columns), m; 0 where nothing stands. Rows run along y, columns along x.
+        cell: side of a cell, m.
+        corner: lowest x and y of the floor, m.
+    """
+    x, y = corner
+    return [Solid("box", x + cell * (a + b) / 2, y + cell * (c + d) / 2, cell * (b - a) / 2, cell * (d - c) / 2,
+                  height=float(height)) for height in np.unique(heights[heights > 0.0])
+            for a, b, c, d in merge_cells(heights == height)]
 
 
 def merge_cells(solid: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:

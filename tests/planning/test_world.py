@@ -64,6 +64,62 @@ def test_what_the_map_does_not_know_is_solid_unless_it_is_said_to_be_free(tmp_pa
     assert World.read(path, ROBOT, (*unknown, 0.0), unknown_is_free=True).instance.starts
 
 
+def write_mesh(path, boxes):
+    """An OBJ file of boxes (x_min, x_max, y_min, y_max, z_min, z_max), each closed."""
+    lines = []
+    for number, (x_min, x_max, y_min, y_max, z_min, z_max) in enumerate(boxes):
+        lines += [f"v {x} {y} {z}" for x in (x_min, x_max) for y in (y_min, y_max) for z in (z_min, z_max)]
+        faces = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+        lines += ["f " + " ".join(str(8 * number + corner + 1) for corner in face) for face in faces]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+HALL = (-3.0, 7.0, 2.0, 10.0, -0.1, 0.0)  # its floor
+
+
+def test_a_mesh_is_as_high_as_it_is_over_each_cell_and_grows_by_less_than_a_cell(tmp_path):
+    rng, cell = np.random.default_rng(1), 0.1
+    boxes = [(x, x + rng.uniform(0.2, 1.5), y, y + rng.uniform(0.2, 1.5), 0.0, rng.uniform(0.1, 1.9))
+             for x, y in rng.uniform((-1.0, 3.5), (5.0, 8.0), (6, 2))]
+    world = World.of_mesh(write_mesh(tmp_path / "hall.obj", [HALL, *boxes]), ROBOT, (-2.5, 2.5, 0.0), cell=cell)
+    things = [solid for solid in world.instance.solids if solid.role == "obstacle"]
+    assert world.centre == pytest.approx((2.0, 6.0))
+    for x, y in rng.uniform((-2.9, 2.1), (6.9, 9.9), (3_000, 2)):
+        under = [box for box in boxes if box[0] < x < box[1] and box[2] < y < box[3]]
+        near = [box for box in boxes if box[0] - cell < x < box[1] + cell and box[2] - cell < y < box[3] + cell]
+        at = world.to_room([x, y]).tolist()
+        found = max((solid.height for solid in things if compute_distance(*at, solid.footprint) == 0.0), default=0.0)
+        assert found >= max((box[5] for box in under), default=0.0) - 1e-5
+        assert found <= max((box[5] for box in near), default=-cell) + cell + 1e-5
+
+
+def test_a_room_scanned_as_a_mesh_is_planned_in(tmp_path):
+    wall, table, lamp = (2.0, 2.2, 4.0, 8.0, 0.0, 1.5), (4.0, 5.0, 8.0, 9.0, 0.7, 0.75), (3.0, 4.0, 3.0, 4.0, 2.2, 2.4)
+    path = write_mesh(tmp_path / "hall.obj", [HALL, wall, table, lamp])
+    world = World.of_mesh(path, ROBOT, (-1.0, 4.0, 0.5))
+    heights = {round(solid.height, 2) for solid in world.instance.solids if solid.role == "obstacle"}
+    assert heights == {1.5, 0.75}  # the lamp hangs above two metres
+    start, goal = world.make_state(-1.0, 4.0, 0.5), PoseGoal(*world.to_room([5.0, 4.0]).tolist(), tolerance=0.2)
+    places = world.to_map(make_trajectory(RoomPlanner(world.instance).plan(start, goal)).sample(50)[1])
+    assert min(compute_distance(x, y, Solid("box", 2.1, 6.0, 0.1, 2.0).footprint) for x, y in places[:, :2]) >= 0.3
+    assert np.hypot(*(places[-1, :2] - (5.0, 4.0))) <= 0.2
+    with pytest.raises(ConfigError, match="starts"):
+        World.of_mesh(path, ROBOT, (4.5, 8.5, 0.0))
+
+
+def test_what_is_no_mesh_or_leaves_nothing_on_the_floor_is_refused(tmp_path):
+    (tmp_path / "text.obj").write_text("hello")
+    for name in ("text.obj", "missing.stl"):
+        with pytest.raises(FileReadError, match="is no mesh"):
+            World.of_mesh(tmp_path / name, ROBOT, (0.0, 0.0, 0.0))
+    bare = write_mesh(tmp_path / "bare.obj", [HALL])
+    with pytest.raises(ConfigError, match="above its floor"):
+        World.of_mesh(bare, ROBOT, (0.0, 4.0, 0.0))
+    with pytest.raises(ConfigError, match="cell"):
+        World.of_mesh(bare, ROBOT, (0.0, 4.0, 0.0), cell=0.0)
+
+
 def test_a_world_is_an_environment_and_an_arm_s_place_too():
     robot = RobotConfig(kind="franka-panda", joints=7, body_radius=0.4, body_height=0.5)
     world = World.of([Solid("cylinder", 12.0, 21.2, 0.1, 0.1, height=1.5)], robot, (10.0, 20.0, 0.0),
