@@ -1,4 +1,4 @@
-"""Names from rooms, grids and agents, made safe where a file or a line of a console is made of them, or listed.
+"""Names from rooms, grids and agents, made safe where a file or a line of a console is made of them; lists and times.
 
 Such names come from files that others may have written: `../x`, a line break, 300 letters or a
 terminal's escape codes are all possible.
@@ -52,3 +52,11 @@ def join_words(words: Iterable[str], last: str = "and") -> str:
 def count_nouns(number: int, noun: str) -> str:
     """Number and noun: `1 room`, `2 rooms`, `1,000 rooms`."""
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def tell_seconds(seconds: float) -> str:
+    """A duration in words: `3.2 s`, `45 s`, `15 min` or `2 h 5 min`."""
+    if seconds < 90:
+        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"

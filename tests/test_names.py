@@ -10,7 +10,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from hrl_escape.names import LONGEST_FILE_NAME, count_nouns, join_words, make_console_text, make_file_name, parse_whole
+from hrl_escape.names import (
+    LONGEST_FILE_NAME,
+    count_nouns,
+    join_words,
+    make_console_text,
+    make_file_name,
+    parse_whole,
+    tell_seconds,
+)
 
 HOSTILE = ["../../etc/passwd", "..", ".", "", "a/b", "a\\b", "nul\0", "line\nbreak", "x" * 300, "\N{SNOWMAN}" * 300,
            "[/bold]", "[bold", "\x1b[31mred", "\ud800", ".hidden", "C:\\x", "trailing\\"]
@@ -72,3 +80,10 @@ def test_words_are_listed_as_in_a_sentence(words: list[str], text: str):
 
 def test_nouns_are_counted_in_figures():
     assert [count_nouns(number, "room") for number in (0, 1, 1_000)] == ["0 rooms", "1 room", "1,000 rooms"]
+
+
+@pytest.mark.parametrize(("seconds", "text"), [
+    (3.21, "3.2 s"), (10.4, "10 s"), (89.4, "89 s"), (95.0, "2 min"), (5_340.0, "89 min"), (5_400.0, "1 h 30 min"),
+    (360_000.0, "100 h 0 min")])
+def test_durations_are_told_in_words(seconds: float, text: str):
+    assert tell_seconds(seconds) == text

@@ -76,6 +76,7 @@ class Stranger(RandomAgent):
 
 class Raiser(Stranger):
     def fall(self):
+        print("last words", flush=True)
         raise KeyError("what a stranger forgot")
 
 class Crasher(Stranger):

@@ -208,6 +208,8 @@ def test_failed_runs_are_told_with_their_error_and_stop_no_others(tmp_path: Path
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Some runs have no result and count nowhere" in page and "what a stranger forgot" in page
     assert 'in fall' in page, "the report shows where a stranger's error came from"
+    (printed,) = (tmp_path / "out" / "runs").glob("*raiser*/output.txt")
+    assert printed.read_text() == "last words\n" and "last words" not in output
     rows = (tmp_path / "out" / "results.csv").read_text().splitlines()[1:]
     assert sorted(row.split(",")[0] for row in rows) == ["q-learning", "random"]
 

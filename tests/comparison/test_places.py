@@ -13,7 +13,9 @@ from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.reporting.report import write_report
+from hrl_escape.comparison.reporting.tables import write_markdown
 from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.env.config import Between
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -68,6 +70,10 @@ def test_learners_are_tested_in_rooms_they_trained_in_too(finished: Comparison):
 def test_report_and_tables_show_seen_rooms_beside_unseen_ones_and_the_overlap(finished: Comparison):
     summary = write_report(finished, "hrl-escape compare")
     text = (finished.out / "summary.md").read_text()
+    assert f"{finished.grid.runs} runs in one set of rooms." in text
+    twice = dataclasses.replace(summary, rooms=summary.rooms * 2)
+    write_markdown(twice, write_verdict(summary), "hrl-escape compare", finished.out / "twice.md")
+    assert "runs in each of 2 sets of rooms." in (finished.out / "twice.md").read_text()
     assert "| in rooms trained in |" in text and "4 rooms to train in, 3 to be tested in, where 0% of the rooms" in text
     assert all(agent.seen is not None for agent in summary.agents if agent.spec.name == "smdp-random")
     rows = list(csv.DictReader((finished.out / "results.csv").open()))

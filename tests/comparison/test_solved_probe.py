@@ -51,3 +51,17 @@ def test_a_policy_near_the_best_counts_from_the_first_of_two_checks_after_an_esc
             probe.after_episode(agent, EpisodeRecord(at, at, 0.0, 10, success, "terminated", 0.0))
     assert [probe.solution.near_best for probe in probes] == [400, None]
     assert [probe.is_done for probe in probes] == [True, True]
+
+
+def test_a_graph_is_kept_once_until_the_agent_believes_another():
+    room = generate(get_preset("four-button-chain"), 0)
+    env = OptionsEnv(EscapeRoomEnv(instance=room, observation="features"), include_primitives=False)
+    known = ScoreRange(-200.0, ((0.0,),), (91.0,), (91.0,), (9.0,), (9.0,), "planner")
+    probe = SolvedProbe(SolvedRule(0.99, graph_every=10), env, room, AgentSpec("smdp-factored-r-max"), known)
+    agent = train("smdp-factored-r-max", env, primitives=3_000, eval_episodes=0).agent
+    for primitives in (0, 5, 10, 20, 30):
+        probe.after_decision(agent, primitives)
+    assert probe.solution.structure == ((0, 1.0, 1.0),)
+    before = train("smdp-factored-r-max", env, primitives=10, eval_episodes=0).agent
+    probe.after_decision(before, 41)
+    assert [at for at, *_ in probe.solution.structure] == [0, 41]

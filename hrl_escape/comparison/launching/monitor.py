@@ -18,6 +18,7 @@ from hrl_escape.comparison.grid import GridRun
 from hrl_escape.comparison.launching.local import Failure
 from hrl_escape.comparison.runs import RunResult
 from hrl_escape.comparison.statistics import compute_iqm
+from hrl_escape.names import tell_seconds
 
 
 @dataclass
@@ -118,7 +119,7 @@ class Monitor:
         bar = ProgressBar(len(self.runs), ended, width=40)
         left = self._estimate_seconds_left()
         return Group("", table, bar, Text(f"{ended} of {len(self.runs)} runs" + (
-            f", about {_format_seconds(left)} left" if left is not None else ""), style="dim"))
+            f", about {tell_seconds(left)} left" if left is not None else ""), style="dim"))
 
     def _estimate_seconds_left(self) -> float | None:
         """Estimate from the finished runs of the same agent, or of all agents before its first has finished."""
@@ -134,10 +135,3 @@ class Monitor:
         """Running runs, and the share of its budget that each has trained for."""
         runs = [(self.runs[folder], primitives) for folder, primitives in self._progress.items()]
         return [(run, min(1.0, primitives / run.grid.primitives)) for run, primitives in runs]
-
-
-def _format_seconds(seconds: float) -> str:
-    minutes = round(seconds / 60)
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"

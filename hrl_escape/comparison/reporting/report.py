@@ -24,6 +24,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from hrl_escape.comparison.comparison import Comparison
+from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.inference import ALPHA, Pair
 from hrl_escape.comparison.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
 from hrl_escape.comparison.reporting.tables import describe_place, format_first_escape, write_markdown, write_tables
@@ -35,6 +36,7 @@ from hrl_escape.env.drawing.maps import make_map
 from hrl_escape.env.drawing.moving_map import PLAYER, PLAYER_COLOURS, describe_room
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.files import write_text
+from hrl_escape.names import tell_seconds
 from hrl_escape.templates import embed_json, render_template
 
 PAGE = "report.html"
@@ -143,15 +145,15 @@ def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
     return [f"hrl-escape watch {arguments}", f"hrl-escape record {arguments} --out escape.html"]
 
 
-def _describe_kind(agent: AgentSummary) -> str:
-    spec = agent.spec
+def describe_kind(spec: AgentSpec) -> str:
+    """Describe what an agent chooses among: `options only, with ancestors`."""
     if spec.leaves is not None:
         actions = f"synthesised hierarchy, {spec.leaves} leaves; privileged: {', '.join(spec.privileges)}"
     elif not spec.chooses_options:
         actions = "primitives only"
     else:
         actions = "options and primitives" if spec.options.include_primitives else "options only"
-        actions += ", with ancestors" if spec.options.flavour != "press" else ""
+        actions += ", with ancestors" if spec.options.flavour == "press-with-ancestors" else ""
     chance = "reference, " if spec.is_reference else "" if spec.learns else "chance, "
     return chance + actions + (f", recipe {spec.recipe}" if spec.recipe != "corrected" else "")
 
@@ -168,7 +170,7 @@ def _list_facts(summary: Summary) -> list[tuple[str, str]]:
         ("runs each", str(grid.runs)),
         ("training budget", f"{grid.primitives:,} primitives"),
         ("evaluated", f"every {grid.evaluation_step:,}, {grid.eval_episodes} episodes"),
-        ("training time, all runs", _format_seconds(hours)),
+        ("training time, all runs", tell_seconds(hours)),
     ]
 
 
@@ -177,7 +179,7 @@ def _make_row(agent: AgentSummary, look: AgentStyle, chip: Markup, leads: bool) 
     failed = f", {agent.failed} failed" if agent.failed else ""
     return {
         "chip": chip,
-        "kind": _describe_kind(agent) + failed,
+        "kind": describe_kind(agent.spec) + failed,
         "leads": leads,
         "efficiency": f"{agent.efficiency.value:.3f}",
         "interval": f"{agent.efficiency.low:.3f} to {agent.efficiency.high:.3f}",
@@ -197,7 +199,7 @@ def _make_row(agent: AgentSummary, look: AgentStyle, chip: Markup, leads: bool) 
         "learning_gap": f"{agent.gap.learning:.3f}",
         "settings": [(name, json.dumps(value)) for name, value in agent.settings.items()],
         "cost": f"{agent.decisions:,.0f} decisions, {agent.planner_calls:,.0f} planner calls and "
-                f"{_format_seconds(agent.seconds)} of training a run, {_format_seconds(agent.planner_seconds)} of it "
+                f"{tell_seconds(agent.seconds)} of training a run, {tell_seconds(agent.planner_seconds)} of it "
                 "in planners",
     }
 
@@ -297,13 +299,6 @@ def _embed_picture(instance: Any) -> str:
     with matplotlib.rc_context({"svg.hashsalt": "hrl-escape", "svg.fonttype": "path"}):
         make_map(instance).savefig(content, format="svg", metadata={"Date": None}, bbox_inches="tight", pad_inches=0.05)
     return f"data:image/svg+xml;base64,{base64.b64encode(content.getvalue()).decode()}"
-
-
-def _format_seconds(seconds: float) -> str:
-    if seconds < 100:
-        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 100 else f"{minutes / 60:.1f} h"
 
 
 # --- the data inside the page ---------------------------------------------------------------

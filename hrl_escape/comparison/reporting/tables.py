@@ -84,8 +84,8 @@ def write_markdown(summary: Summary, verdict: Sequence[Sentence], command: str, 
     lines = [f"# {grid.name}", "", f"**{verdict[0].text}**", ""]
     lines += [f"- {sentence.text}" for sentence in verdict[1:] if sentence.kind == "finding"]
     count, are_sets = len(summary.rooms), bool(grid.train_rooms)
-    kind = "set of rooms" if are_sets else "room"
-    rooms = f"each of {count} {kind.replace('set', 'sets') if are_sets else 'rooms'}" if count > 1 else f"one {kind}"
+    one, many = ("set of rooms", "sets of rooms") if are_sets else ("room", "rooms")
+    rooms = f"each of {count} {many}" if count > 1 else f"one {one}"
     lines += ["", f"After {grid.primitives:,} primitives, {grid.runs} runs in {rooms}. Efficiency is "
               "0 without escape, else the fewest primitives known over those taken.", ""]
     seen = "| in rooms trained in " * are_sets

@@ -5,7 +5,7 @@ import io
 
 from rich.console import Console
 
-from hrl_escape.comparison.launching.local import Failure
+from hrl_escape.comparison.launching.local import Failure, read_progress
 from hrl_escape.comparison.launching.monitor import Monitor
 from tests.comparison.made_up import compare
 
@@ -25,3 +25,8 @@ def test_time_left_counts_all_workers_of_a_cluster_and_runs_that_are_under_way()
     shown = text.getvalue()
     assert "2/6, 1 failed" in shown and "50%" in shown and "3 of 8 runs" in shown
     assert "about 15 min left" in shown, "4.5 runs of 10 minutes on 3 workers"
+
+
+def test_a_run_that_has_not_begun_has_made_no_progress(tmp_path):
+    (run, _), *_ = compare({"dqn": [[90.0] * 4]}).runs
+    assert read_progress(tmp_path, run) == 0

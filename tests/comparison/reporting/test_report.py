@@ -20,9 +20,11 @@ import pytest
 from hrl_escape import __version__
 from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import Comparison
+from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.launching.local import Failure
 from hrl_escape.comparison.reporting.figures import draw_curves
-from hrl_escape.comparison.reporting.report import choose_replays, write_report
+from hrl_escape.comparison.reporting.report import choose_replays, describe_kind, write_report
+from hrl_escape.comparison.reporting.tables import write_markdown
 from hrl_escape.comparison.statistics import compute_iqm
 from hrl_escape.comparison.summary import Summary
 from hrl_escape.comparison.verdict import write_verdict
@@ -116,6 +118,16 @@ def test_the_table_gives_every_agents_score_and_interval(summary: Summary, page:
     for agent in summary.agents:
         row = f"{agent.efficiency.value:.3f} {agent.efficiency.low:.3f} to {agent.efficiency.high:.3f}"
         assert row in page.text, agent.label
+
+
+def test_the_table_says_what_an_agent_chooses_among():
+    told = {text: describe_kind(AgentSpec.parse(text)) for text in (
+        "dqn", "smdp-dqn", "smdp-dqn+no-primitives", "smdp-dqn+markov", "smdp-random+no-primitives", "planner")}
+    assert told == {"dqn": "primitives only", "smdp-dqn": "options and primitives",
+                    "smdp-dqn+no-primitives": "options only", "smdp-dqn+markov": "options and primitives",
+                    "smdp-random+no-primitives": "chance, options only", "planner": "reference, primitives only"}
+    ancestors = AgentSpec("smdp-dqn", options=OptionsView(flavour="press-with-ancestors"))
+    assert describe_kind(ancestors) == "options and primitives, with ancestors"
 
 
 def test_the_rooms_picture_is_a_drawing_of_it(page: Page):
@@ -221,6 +233,10 @@ def test_figures_are_svg_and_markdown_has_the_verdict(finished: Comparison, summ
     text = (finished.out / "summary.md").read_text()
     assert text.startswith(f"# small\n\n**{write_verdict(summary)[0].text}**") and COMMAND in text
     assert text.count("\n| ") == len(summary.agents) + 1
+    assert f"{finished.grid.runs} runs in one room." in text
+    write_markdown(dataclasses.replace(summary, rooms=summary.rooms * 3), write_verdict(summary), COMMAND,
+                   finished.out / "thrice.md")
+    assert "runs in each of 3 rooms." in (finished.out / "thrice.md").read_text()
 
 
 # --- it works in a browser -------------------------------------------------------------

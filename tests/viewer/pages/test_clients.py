@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
 import socket
 import sys
@@ -13,12 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 import viser
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
+from hrl_escape.viewer.pages.panels import WIDTH, KnownEdges, make_graph, make_pair
 from hrl_escape.viewer.pages.play import PlayPage
+from hrl_escape.viewer.pages.room import VIEWS, RoomPage
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.server import Server
 
@@ -96,6 +100,53 @@ def test_ten_clients_come_and_go_and_nothing_of_them_stays(server: Server, game:
     assert after["files"] <= before["files"]
     assert [after[name] for name in ("clients", "connections", "cursors", "cameras")] == [0, 0, 0, 0]
     wait_until(lambda: len(game.episode.steps) == 8, "every key was taken")
+
+
+def test_cameras_that_follow_move_with_the_robot_and_one_in_orbit_stays(server: Server, game: PlayPage):
+    pages = [open_client(server) for _ in VIEWS]
+    wait_until(lambda: len(game.page._cameras) == len(VIEWS), "all have been welcomed")
+    clients = dict(zip(VIEWS, server.get_clients().values(), strict=True))
+    for view, client in clients.items():
+        game.page._choose(client, view)
+    game.page._cameras[99] = "follow"  # one that has left is passed over
+
+    def list_places() -> list[Any]:
+        pose = game.page._pose
+        x, y, cos, sin = pose.x, pose.y, math.cos(pose.heading), math.sin(pose.heading)
+        ends = [client.camera.position for client in clients.values()], [c.camera.look_at for c in clients.values()]
+        away = [np.array([[p[0] - x, p[1] - y] for p in end]) @ [[cos, -sin], [sin, cos]] for end in ends]
+        return [ends[0][0], np.round(away[0][1:], 6), np.round(away[1][1:], 6)]  # along and across, seen from the robot
+
+    orbit, *before = list_places()
+    game.put("w")
+    wait_until(lambda: len(game.episode.steps) == 1 and game.page._pose.x == game.episode.state.x, "it has driven")
+    still, *after = list_places()
+    game.page._cameras.pop(99)
+    assert tuple(still) == tuple(orbit)
+    for (back, eye), later in zip(before, after, strict=True):
+        assert np.allclose([back, eye], later, atol=1e-5)
+        assert np.allclose([back[1], eye[1]], 0.0, atol=1e-5), "straight ahead or behind"
+    (back, eye), (ahead, there) = before
+    assert back[0] < -3.5 and -0.5 < eye[0] < 0.0 < 1.5 < there[0] < ahead[0]
+    for page in pages:
+        page.close()
+    wait_until(lambda: not server.get_clients(), "all clients are gone")
+
+
+def test_the_graph_is_whole_hidden_or_beside_what_an_agent_believes(server: Server, two_buttons):
+    state, puzzle = Episode(two_buttons).state, two_buttons.puzzle
+    page = RoomPage(server, two_buttons, state)
+    assert page._graph.content == make_graph(puzzle, state.puzzle, WIDTH)
+    believed = KnownEdges(frozenset({(1, 0)}))
+    page.show_belief(state, believed, "what it learned")
+    assert page._graph.content == make_pair(
+        ("the room's graph", make_graph(puzzle, state.puzzle, WIDTH // 2)),
+        ("what it learned", make_graph(puzzle, state.puzzle, WIDTH // 2, believed, drawing="learned")))
+    hidden = Episode(two_buttons, is_hidden=True)
+    page = RoomPage(server, two_buttons, hidden.state, discovery=hidden.discovery)
+    assert hidden.discovery is not None
+    found = KnownEdges(*hidden.discovery.list_edges())
+    assert page._graph.content == make_graph(puzzle, state.puzzle, WIDTH, found, True)
 
 
 def test_a_client_that_goes_while_everything_is_busy_leaves_no_buttons(server: Server, game: PlayPage):
