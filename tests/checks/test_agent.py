@@ -27,6 +27,24 @@ class Illegal(QLearning):
         return int(np.argmin(action_mask))
 
 
+class CountsFromTheEnd(QLearning):
+    """-1 in place of the last action."""
+
+    def act(self, observation, action_mask):
+        chosen = super().act(observation, action_mask)
+        return chosen - len(action_mask) if chosen == len(action_mask) - 1 else chosen
+
+
+class Wavers(QLearning):
+    """The last legal action, and after a hundred answers the first."""
+
+    asked = 0
+
+    def act_greedy(self, observation, action_mask, rng):
+        self.asked += 1
+        return int(np.flatnonzero(action_mask)[0 if self.asked > 100 else -1])
+
+
 class IllegalWhenForced(QLearning):
     def act_greedy(self, observation, action_mask, rng):
         return super().act_greedy(observation, action_mask if action_mask.sum() > 1 else ~action_mask, rng)
@@ -97,6 +115,8 @@ class Unrepeatable(QLearning):
 
 @pytest.mark.parametrize(("agent", "claim"), [
     (Illegal, "act returns the index of a legal action"),
+    (CountsFromTheEnd, "act returns the index of a legal action"),
+    (Wavers, "act_greedy repeats itself"),
     (IllegalWhenForced, "act_greedy, where one action is legal"),
     (LearnsWhileEvaluated, "act_greedy changes nothing"),
     (Reseeded, "resumed agent makes the decisions"),

@@ -130,6 +130,11 @@ class DarkForEver(ButtonsPuzzle):
         return ()
 
 
+class FailsWhenSolved(ButtonsPuzzle):
+    def is_failed(self, state):
+        return self.is_solved(state)
+
+
 CHAIN = ((0, 1), (1, 2))
 
 
@@ -150,6 +155,7 @@ CHAIN = ((0, 1), (1, 2))
     (LosesAField(3, CHAIN, 2), "JSON"),
     (WrongEdge(3, CHAIN, 2), "edges"),
     (DarkForEver(3, CHAIN, 2), "bool for each target"),
+    (FailsWhenSolved(3, CHAIN, 2), "never of a solved puzzle"),
 ], ids=lambda value: type(value).__name__ if isinstance(value, ButtonsPuzzle) else "")
 def test_a_wrong_puzzle_is_found_out(puzzle, claim):
     with pytest.raises(ContractError, match=claim):
