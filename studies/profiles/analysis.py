@@ -32,12 +32,14 @@ from studies.store import Store
 from studies.study import Page, Study
 
 __all__ = ["Args", "Cells", "Gain", "analyse", "compare_everyone", "find_falls", "measure", "tell_falls",
-           "tell_leads", "tell_others", "tell_searching", "tell_tops"]
+           "tell_leads", "tell_others", "tell_searching", "tell_tops", "tell_upper"]
 
 Cells: TypeAlias = Mapping[tuple[str, str], NDArray[np.float64]]
 """(agent, rung) -> efficiency (rooms,), in the order of the rooms."""
 EASY = 0.9
 """Efficiency from which on a rung asks nothing more of a learner."""
+SEARCHED = 0.5
+"""Efficiency below which searching alone is no answer."""
 SEVERAL = 3
 """Learners that have to fall on an axis before its order of rungs is theirs and not one learner's weakness."""
 
@@ -232,6 +234,17 @@ def _shift(before: NDArray[np.float64], after: NDArray[np.float64], tests: int) 
     return float(found.low), float(found.high)
 
 
+def tell_upper(cells: Cells, axes: Sequence[AxisRecord], searcher: str) -> str:
+    """A sentence: the axes on which the best searcher is below `SEARCHED` on every rung of the upper half."""
+    hard = [axis.name for axis in axes
+            if all(cells[searcher, rung].mean() < SEARCHED for rung in axis.rungs[len(axis.rungs) // 2:])]
+    rest = [axis.name for axis in axes if axis.name not in hard]
+    if not hard:
+        return f"On no axis does the best searcher stay below {SEARCHED:g} on the upper half of the rungs."
+    told = f"On the upper half of {join_words(hard)} the best searcher stays below {SEARCHED:g}"
+    return f"{told}{f'; of {join_words(rest)} it does not' if rest else ''}."
+
+
 def tell_tops(cells: Cells, axes: Sequence[AxisRecord], learners: Sequence[str]) -> str:
     """A sentence: the axes whose hardest rung some learner has all but solved."""
     solved = [axis.name for axis in axes
@@ -278,7 +291,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     headline = tell_leads(gains, order, names)
     sentences = [tell_searching(gains, order, names, searcher), tell_falls(falls, axes),
                  *(tell_others(cells, own, names, other["agents"], other["words"]) for other, own in others),
-                 tell_tops(cells, axes, list(names))]
+                 tell_upper(cells, axes, searcher), tell_tops(cells, axes, list(names))]
     marks = {(everyone[agent], axis): " ↓" for agent, axis in falls}
     columns = [([*names.values(), searcher, "smdp-bayes"], axes),
                *((list(other["agents"].values()), own) for other, own in others)]

@@ -113,6 +113,15 @@ def test_nobody_falls_where_rungs_are_alike(tmp_path: Path):
     assert "none does on branching and violations." in read(steep, tmp_path)
 
 
+def test_searching_is_no_answer_where_it_stays_low_on_the_upper_half(tmp_path: Path):
+    told = "On the upper half of depth, branching and violations the best searcher stays below 0.5."
+    assert told in read({}, tmp_path, searcher=0.45)
+    assert "On no axis does the best searcher stay below 0.5 on the upper half" in read({}, tmp_path, searcher=0.55)
+    half = {(SEARCHERS[0], "depth"): (0.9, 0.4, 0.6, 0.4), (SEARCHERS[0], "branching"): (0.9, 0.6, 0.4, 0.3)}
+    assert ("On the upper half of branching and violations the best searcher stays below 0.5; of depth it does not."
+            in read(half, tmp_path, searcher=0.2))
+
+
 def test_a_top_rung_that_is_solved_is_used_up(tmp_path: Path):
     assert "No axis is used up: on every top rung all learners stay below an efficiency of 0.9." in read({}, tmp_path)
     page = read({(MODEL, "depth"): (1.0,) * 4}, tmp_path)
