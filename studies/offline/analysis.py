@@ -27,6 +27,7 @@ from hrl_escape.data.materialise import load_data
 from hrl_escape.data.tape import load_tape
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError
+from hrl_escape.names import join_words
 from hrl_escape.options.options_env import OptionsEnv
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
@@ -36,7 +37,8 @@ from studies.store import Store
 from studies.study import Page, Study
 from studies.unseen import count_fewest, get_unseen, play_unseen
 
-__all__ = ["LINES", "Args", "OfflineResult", "analyse", "measure", "run_once", "run_unseen", "tell_difference"]
+__all__ = ["LINES", "Args", "OfflineResult", "analyse", "measure", "reads_decisions", "run_once", "run_unseen",
+           "tell_difference", "tell_stitching"]
 
 SURE = 0.025
 """Two-sided level of a question, 5 % in all, for each side."""
@@ -107,6 +109,11 @@ def run_unseen(agent: str, rung: str, seed: int, tested: int) -> OfflineResult:
 
     efficiency, _ = play_unseen(OPTIONS_ALONE, get_unseen("ladder-1", rung, tested), make_player)
     return OfflineResult(agent, UNSEEN, seed, efficiency)
+
+
+def reads_decisions(agent: str) -> bool:
+    """Return whether a learner reads the decisions of a data set, beside their primitives or alone."""
+    return agent.startswith(("smdp-", "hiql"))
 
 
 def run_once(agent: str, kind: str, rung: str, run: int, episodes: int) -> OfflineResult:
@@ -189,6 +196,21 @@ def tell_difference(first: NDArray[np.float64], second: NDArray[np.float64], bet
     return f"{chosen} ({np.mean(first):.2f} against {np.mean(second):.2f}, {len(differences)} rooms)."
 
 
+def tell_stitching(pairs: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]) -> list[str]:
+    """Sentences on what cut trajectories cost, learners of one verdict together; their signs are tested one by one.
+
+    Args:
+        pairs: what a learner is -> efficiency from whole trajectories and from cut ones, one a room each.
+    """
+    found: dict[str, list[str]] = {}
+    for name, (whole, cut) in pairs.items():
+        told = tell_difference(whole, cut, "Cut trajectories cost some", "Cut trajectories help some",
+                               "Cut trajectories cost nothing that shows")
+        verdict, numbers = told.rstrip(".").split(" (")
+        found.setdefault(verdict, []).append(f"{name} ({numbers}")
+    return [f"**Stitching.** {verdict}: {join_words(names)}." for verdict, names in sorted(found.items(), reverse=True)]
+
+
 def tell_unseen(scores: Mapping[str, NDArray[np.float64]], words: Mapping[str, str], searcher: float) -> str:
     """The sentence on rooms that the data does not hold, by the interval of the best learner's mean.
 
@@ -232,11 +254,8 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
                                f"**Horizon.** From the same data, {words[mine]} and {words[other]} cannot be told "
                                "apart")
                for mine, other in data["pairs"].items()]
-    stitching = [tell_difference(read(agent, "play"), read(agent, "stitch"),
-                                 f"**Stitching.** Cut trajectories cost {words[agent]} something",
-                                 f"**Stitching.** Cut trajectories help {words[agent]}",
-                                 f"**Stitching.** Cut trajectories cost {words[agent]} nothing that shows")
-                 for agent in data["learners"] if agent.startswith("smdp-")]
+    stitching = tell_stitching({words[agent]: (read(agent, "play"), read(agent, "stitch"))
+                                for agent in data["learners"] if reads_decisions(agent)})
     scores = {agent: np.array([line.efficiency for line in lines if line.kind == UNSEEN and line.agent == agent])
               for agent in data["unseen"]["learners"]}
     searchers = {name: read(name, "") for name in data["searchers"]}

@@ -11,6 +11,7 @@ from studies.offline.analysis import (
     UNSEEN,
     OfflineResult,
     analyse,
+    reads_decisions,
     run_once,
     run_unseen,
     tell_difference,
@@ -49,12 +50,21 @@ def test_the_horizon_is_told_by_what_was_measured(options, primitives, words):
     assert words in sentence
 
 
-@pytest.mark.parametrize(("cut", "words"), [(0.1, "cost"), (0.9, "help"), (0.5, "nothing that shows")])
+@pytest.mark.parametrize(("cut", "words"), [
+    (0.1, "cost some: "), (0.9, "help some: "), (0.5, "cost nothing that shows: ")])
 def test_stitching_is_told_by_what_was_measured(cut, words):
     study, lines = make_lines(lambda agent, kind: cut if kind == "stitch" else 0.5)
-    told = [text for text in analyse(study, lines).conclusions if "Stitching" in text]
-    assert len(told) == sum(agent.startswith("smdp-") for agent in study.data["learners"])
-    assert all(words in text for text in told)
+    (told,) = [text for text in analyse(study, lines).conclusions if "Stitching" in text]
+    assert words in told and told.count(f"0.50 against {cut:.2f}, 10 rooms") == sum(
+        map(reads_decisions, study.data["learners"]))
+
+
+def test_learners_of_different_verdicts_on_stitching_are_told_apart():
+    page = analyse(*make_lines(lambda agent, kind: 0.1 if kind == "stitch" and "best" in agent else 0.5))
+    told = [text for text in page.conclusions if "Stitching" in text]
+    assert told[0] == ("**Stitching.** Cut trajectories cost some: a clone of the best tenth (0.50 against 0.10, "
+                       "10 rooms).")
+    assert len(told) == 2 and "cost nothing that shows: a clone of options (0.50 against 0.50, 10 rooms)," in told[1]
 
 
 @pytest.mark.parametrize(("searcher", "words"), [(0.1, "than the best searcher finds out"),
