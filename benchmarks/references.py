@@ -8,9 +8,9 @@ To measure is to play an episode in each of the first test rooms: random choices
 planner, and `smdp-bayes` where all graphs can be listed. What was measured before is kept.
 
 To choose is to go along each axis of a profile, whose candidates stand from easy to hard, and to measure its yardstick
-in rooms that are in no set: the best of the searchers, random moves, or nothing where all candidates are taken. Rung by
-rung the candidate is taken whose efficiency is nearest to the next of the targets. No learner is looked at. Measured
-efficiencies stay in `NAME-calibration.json` beside the file; the manifest is `python -m benchmarks.ladder freeze`'s.
+in rooms that are in no set: the best of the searchers, or random moves. Rung by rung the candidate is taken whose
+efficiency is nearest to the next of the targets. No learner is looked at. Measured efficiencies stay in
+`NAME-calibration.json` beside the file; the manifest is `python -m benchmarks.ladder freeze`'s.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from studies.unseen import make_unseen, play_agent
 
 _FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/references"
 CHANCE, MOVES = "smdp-random", "random"
-YARDSTICKS: Mapping[str, tuple[str, ...]] = {"searchers": FLOORS, "moves": (MOVES,), "none": ()}
+YARDSTICKS: Mapping[str, tuple[str, ...]] = {"searchers": FLOORS, "moves": (MOVES,)}
 """Agents of which the best is an axis's yardstick."""
 
 
@@ -162,8 +162,7 @@ def choose(args: Choose) -> int:
         if any(place not in known for place in places):
             print(f"{axis['name']} is missing, so no manifest is written")
             return 0
-        numbers = range(len(places)) if axis["yardstick"] == "none" else choose_levels(
-            [max(known[place].values()) for place in places], axis.get("targets", data["targets"]))
+        numbers = choose_levels([max(known[place].values()) for place in places], axis.get("targets", data["targets"]))
         for level, number in enumerate(numbers, 1):
             name = f"{axis['name']}-{level}"
             config = make_config(name, f"{data['set']} {axis['set']} {axis['values'][number]}")

@@ -55,8 +55,8 @@ def count_nouns(number: int, noun: str) -> str:
 
 
 def tell_seconds(seconds: float) -> str:
-    """A duration in words: `3.2 s`, `45 s`, `15 min` or `2 h 5 min`."""
-    if seconds < 90:
-        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
+    """A duration with its unit: `3.2 s`, `45 s`, `15 min` or `2 h 5 min`."""
+    if round(seconds) < 90:
+        return f"{seconds:.1f} s" if round(seconds, 1) < 10 else f"{seconds:.0f} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"

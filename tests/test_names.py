@@ -83,7 +83,7 @@ def test_nouns_are_counted_in_figures():
 
 
 @pytest.mark.parametrize(("seconds", "text"), [
-    (3.21, "3.2 s"), (10.4, "10 s"), (89.4, "89 s"), (95.0, "2 min"), (5_340.0, "89 min"), (5_400.0, "1 h 30 min"),
-    (360_000.0, "100 h 0 min")])
-def test_durations_are_told_in_words(seconds: float, text: str):
+    (3.21, "3.2 s"), (9.97, "10 s"), (89.4, "89 s"), (89.6, "1 min"), (95.0, "2 min"), (5_340.0, "89 min"),
+    (5_400.0, "1 h 30 min"), (360_000.0, "100 h 0 min")])
+def test_durations_are_told_with_their_unit(seconds: float, text: str):
     assert tell_seconds(seconds) == text

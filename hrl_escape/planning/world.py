@@ -20,6 +20,8 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Contacts, Puzzle
 from hrl_escape.errors import ConfigError, FileReadError
 
+MOST_MESH_CELLS = 5_000_000
+"""Cells that a mesh may take, of its floor or of its faces."""
 RIM = 0.1
 """Thickness of the walls that stand round a world, m."""
 
@@ -123,7 +125,7 @@ class World:
 
         Raises:
             FileReadError: a file that is missing or is no map.
-            ConfigError: a turned map, or a start that is not free.
+            ConfigError: a turned map, a height that is none, or a start that is not free.
         """
         path = Path(path)
         try:
@@ -134,6 +136,8 @@ class World:
             low, high = float(about.get("free_thresh", 0.196)), float(about.get("occupied_thresh", 0.65))
         except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
             raise FileReadError(f"{path} is no map of map_server: {type(error).__name__}: {error}") from None
+        if not height > 0.0:
+            raise ConfigError("height", height, "above 0 m")
         if abs(yaw) > 1e-9 or not cell > 0.0:
             raise ConfigError("map", (cell, yaw), "a resolution above 0 and an origin with yaw 0: turn the image")
         solid = occupancy > high if unknown_is_free else occupancy >= low
@@ -147,32 +151,46 @@ class World:
         """Make a world of a mesh (STL, OBJ or DAE), such as a scan of a room: metres, z up, its floor at z = 0.
 
         Each cell of the floor becomes as high as the mesh is anywhere over it, rounded up to a multiple of `cell`, so
-        that a table is solid down to the floor and outlines grow by less than a cell. Your frame is the mesh's.
+        that a table is solid down to the floor; outlines grow by two cells at most. Your frame is the mesh's; a unit or
+        an up axis that the file names is not applied.
 
         Args:
             path: the mesh.
             robot: the robot.
             start: x and y of its axis, m, and its heading, rad, in the mesh's frame.
             cell: side of a cell, m; what is lower than half of it is floor.
-            below: height, m, from which on things are left out: lintels, lamps, the ceiling.
+            below: height, m, from which on things are left out: lintels, lamps, the ceiling. What is taller is cut
+                there, so choose it above all that the robot reaches.
 
         Raises:
             FileReadError: a file that is missing or is no mesh.
-            ConfigError: a cell that is none, nothing on the floor, or a start that is not free.
+            ConfigError: a cell or a height that is none, nothing on the floor, a mesh too large for its cells, or a
+                start that is not free.
         """
         from hrl_escape.planning.arm.meshes import load_triangles
 
-        if not cell > 0.0:
+        if not 0.0 < cell < math.inf:
             raise ConfigError("cell", cell, "a length above 0 m")
-        corners = split_triangles(load_triangles(path), cell)
-        (x, y), (x_max, y_max) = corners.min(axis=(0, 1))[:2], corners.max(axis=(0, 1))[:2]
-        top = corners[..., 2].max(axis=1)
-        corners, top = (each[(top >= cell / 2) & (corners[..., 2].min(axis=1) < below)] for each in (corners, top))
+        if not cell / 2 < below < math.inf:
+            raise ConfigError("below", below, f"a height above half a cell, {cell / 2:g} m")
+        corners = load_triangles(path)
+        every = corners.reshape(-1, 3)[:, :2] if len(corners) else np.zeros((1, 2))
+        (x, y), (x_max, y_max) = every.min(axis=0).tolist(), every.max(axis=0).tolist()
+        corners = corners[(corners[..., 2].max(axis=1) >= cell / 2) & (corners[..., 2].min(axis=1) < below)]
         if not len(corners):
             raise ConfigError("mesh", str(path), f"something from {cell / 2:g} to {below:g} m above its floor, z = 0")
+        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1) / cell
+        if max((x_max - x) / cell * (y_max - y) / cell, float((edges**2).sum())) > MOST_MESH_CELLS:
+            raise ConfigError("mesh", f"{x_max - x:g} x {y_max - y:g} m in cells of {cell:g} m",
+                              "metres, not millimetres, or larger cells")
+        corners = split_triangles(corners, cell)
+        top = corners[..., 2].max(axis=1)
+        corners, top = (each[(top >= cell / 2) & (corners[..., 2].min(axis=1) < below)] for each in (corners, top))
         columns, rows = (max(1, math.ceil(length / cell)) for length in (x_max - x, y_max - y))
-        low, high = (np.clip(((edge - (x, y)) / cell).astype(int), 0, (columns - 1, rows - 1))
-                     for edge in (corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)))
+        low = np.floor((corners[..., :2].min(axis=1) - (x, y)) / cell + 1e-6).astype(int)
+        high = np.ceil((corners[..., :2].max(axis=1) - (x, y)) / cell - 1e-6).astype(int) - 1
+        low, high = np.clip(low, 0, (columns - 1, rows - 1)), np.clip(high, 0, (columns - 1, rows - 1))
+        high = np.maximum(low, high)
         heights = np.zeros((rows, columns))
         for across, along in np.ndindex(*(high - low).max(axis=0) + 1):
             column, row = np.minimum(low + (across, along), high).T

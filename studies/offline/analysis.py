@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import matplotlib
@@ -42,6 +42,8 @@ __all__ = ["LINES", "Args", "OfflineResult", "analyse", "measure", "reads_decisi
 
 SURE = 0.025
 """Two-sided level of a question, 5 % in all, for each side."""
+WEAK = 0.1
+"""Efficiency below which a learner has nothing to lose."""
 BEHAVIOUR, UNSEEN = "behaviour", "unseen"
 WHOLE = "play"
 """Kind whose trajectories begin where episodes do, so that they have an efficiency of their own."""
@@ -151,7 +153,7 @@ def run_searcher(searcher: str, rung: str, run: int, episodes: int) -> OfflineRe
 
 
 def measure(study: Study, args: Args, store: Store) -> None:
-    """Run what is missing: room by room in tables, then seed by seed with networks."""
+    """Run what is missing: room by room, then seed by seed in unseen rooms."""
     data, console = study.data, Console(stderr=True, highlight=False)
     known = {line.place for line in store.load()}
     for run in range(args.runs or data["runs"]):
@@ -174,6 +176,25 @@ def measure(study: Study, args: Args, store: Store) -> None:
 # --- words -----------------------------------------------------------------------------------
 
 
+def judge(first: NDArray[np.float64], second: NDArray[np.float64], choices: int = 1) -> Literal["up", "down", "level"]:
+    """Judge whether the first of paired efficiencies are shown to be higher (`up`), the second (`down`), or neither.
+
+    Args:
+        first: one a room.
+        second: of the same rooms.
+        choices: number of such questions asked at once, which the level is divided by.
+    """
+    differences = np.subtract(first, second)
+    if compute_sign_flip_p(differences, "above") <= SURE / choices:
+        return "up"
+    return "down" if compute_sign_flip_p(differences, "below") <= SURE / choices else "level"
+
+
+def quote(first: NDArray[np.float64], second: NDArray[np.float64]) -> str:
+    """Numbers of a comparison, in brackets."""
+    return f"({np.mean(first):.2f} against {np.mean(second):.2f}, {len(first)} rooms)"
+
+
 def tell_difference(first: NDArray[np.float64], second: NDArray[np.float64], better: str, worse: str, alike: str,
                     choices: int = 1) -> str:
     """One of three sentences on paired efficiencies: the first are higher, the second are, or neither is shown.
@@ -184,31 +205,27 @@ def tell_difference(first: NDArray[np.float64], second: NDArray[np.float64], bet
         better: sentence where the first are higher.
         worse: sentence where the second are.
         alike: sentence where the signs could be chance.
-        choices: number of candidates that the first was the best of, which the level is divided by.
+        choices: see `judge`.
     """
-    differences = np.subtract(first, second)
-    if compute_sign_flip_p(differences, "above") <= SURE / choices:
-        chosen = better
-    elif compute_sign_flip_p(differences, "below") <= SURE / choices:
-        chosen = worse
-    else:
-        chosen = alike
-    return f"{chosen} ({np.mean(first):.2f} against {np.mean(second):.2f}, {len(differences)} rooms)."
+    chosen = {"up": better, "down": worse, "level": alike}[judge(first, second, choices)]
+    return f"{chosen} {quote(first, second)}."
 
 
 def tell_stitching(pairs: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]) -> list[str]:
-    """Sentences on what cut trajectories cost, learners of one verdict together; their signs are tested one by one.
+    """Sentences on what cut trajectories cost, learners of one verdict together; one family of tests (Bonferroni).
+
+    A learner below `WEAK` with whole trajectories has nothing to lose, and is told apart.
 
     Args:
         pairs: what a learner is -> efficiency from whole trajectories and from cut ones, one a room each.
     """
-    found: dict[str, list[str]] = {}
+    openings = {"up": "Cut trajectories cost some", "down": "Cut trajectories help some",
+                "level": "Cut trajectories cost nothing that shows", "weak": "Too weak for cutting to tell"}
+    found: dict[str, list[str]] = {verdict: [] for verdict in openings}
     for name, (whole, cut) in pairs.items():
-        told = tell_difference(whole, cut, "Cut trajectories cost some", "Cut trajectories help some",
-                               "Cut trajectories cost nothing that shows")
-        verdict, numbers = told.rstrip(".").split(" (")
-        found.setdefault(verdict, []).append(f"{name} ({numbers}")
-    return [f"**Stitching.** {verdict}: {join_words(names)}." for verdict, names in sorted(found.items(), reverse=True)]
+        verdict = judge(whole, cut, len(pairs))
+        found["weak" if verdict == "level" and whole.mean() < WEAK else verdict].append(f"{name} {quote(whole, cut)}")
+    return [f"**Stitching.** {openings[verdict]}: {join_words(names)}." for verdict, names in found.items() if names]
 
 
 def tell_unseen(scores: Mapping[str, NDArray[np.float64]], words: Mapping[str, str], searcher: float) -> str:

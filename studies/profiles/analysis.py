@@ -235,14 +235,17 @@ def _shift(before: NDArray[np.float64], after: NDArray[np.float64], tests: int) 
 
 
 def tell_upper(cells: Cells, axes: Sequence[AxisRecord], searcher: str) -> str:
-    """A sentence: the axes on which the best searcher is below `SEARCHED` on every rung of the upper half."""
+    """A sentence: the axes on which the best searcher is below `SEARCHED` on every rung of the upper half.
+
+    Of three rungs the middle one belongs to it.
+    """
     hard = [axis.name for axis in axes
             if all(cells[searcher, rung].mean() < SEARCHED for rung in axis.rungs[len(axis.rungs) // 2:])]
     rest = [axis.name for axis in axes if axis.name not in hard]
     if not hard:
         return f"On no axis does the best searcher stay below {SEARCHED:g} on the upper half of the rungs."
     told = f"On the upper half of {join_words(hard)} the best searcher stays below {SEARCHED:g}"
-    return f"{told}{f'; of {join_words(rest)} it does not' if rest else ''}."
+    return f"{told}{f'; on that of {join_words(rest)} it does not' if rest else ''}."
 
 
 def tell_tops(cells: Cells, axes: Sequence[AxisRecord], learners: Sequence[str]) -> str:

@@ -63,5 +63,7 @@ def test_a_graph_is_kept_once_until_the_agent_believes_another():
         probe.after_decision(agent, primitives)
     assert probe.solution.structure == ((0, 1.0, 1.0),)
     before = train("smdp-factored-r-max", env, primitives=10, eval_episodes=0).agent
+    probe.after_decision(before, 35)  # the graph is looked at every ten primitives
+    assert len(probe.solution.structure) == 1
     probe.after_decision(before, 41)
     assert [at for at, *_ in probe.solution.structure] == [0, 41]

@@ -9,7 +9,7 @@ import pytest
 
 import hrl_escape.data
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
-from hrl_escape.data.catalogue import DataSpec, parse_spec
+from hrl_escape.data.catalogue import DataSpec, list_specs, parse_spec
 from hrl_escape.data.materialise import load_data
 from hrl_escape.data.record import record, train_medium
 from hrl_escape.data.tape import Tape, load_tape, save_tape
@@ -87,6 +87,10 @@ def test_medium_is_half_way_between_what_learns_nothing_and_the_planner(tmp_path
     efficiency = np.mean([best[room] / length * (end == 1) for room, length, end in
                           zip(tape.room[whole], lengths[whole], tape.end[whole], strict=True)])
     assert 0.4 < efficiency < 0.85
+
+
+def test_every_data_set_of_the_smallest_size_comes_with_the_package():
+    assert {path.stem for path in SHIPPED.glob("*.npz")} == {spec.name for spec in list_specs() if not spec.size}
 
 
 @pytest.mark.parametrize("path", [pytest.param(path, marks=() if path.stem == "chain-expert-v1" else pytest.mark.slow)

@@ -14,7 +14,7 @@ from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.goals import PoseGoal
 from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.planner import RoomPlanner
-from hrl_escape.planning.world import World, merge_cells
+from hrl_escape.planning.world import World, merge_cells, split_triangles
 
 ROBOT = RobotConfig(body_radius=0.3, move_step=0.25)
 
@@ -78,7 +78,7 @@ def write_mesh(path, boxes):
 HALL = (-3.0, 7.0, 2.0, 10.0, -0.1, 0.0)  # its floor
 
 
-def test_a_mesh_is_as_high_as_it_is_over_each_cell_and_grows_by_less_than_a_cell(tmp_path):
+def test_a_mesh_is_as_high_as_it_is_over_each_cell_and_grows_by_two_cells_at_most(tmp_path):
     rng, cell = np.random.default_rng(1), 0.1
     boxes = [(x, x + rng.uniform(0.2, 1.5), y, y + rng.uniform(0.2, 1.5), 0.0, rng.uniform(0.1, 1.9))
              for x, y in rng.uniform((-1.0, 3.5), (5.0, 8.0), (6, 2))]
@@ -87,7 +87,8 @@ def test_a_mesh_is_as_high_as_it_is_over_each_cell_and_grows_by_less_than_a_cell
     assert world.centre == pytest.approx((2.0, 6.0))
     for x, y in rng.uniform((-2.9, 2.1), (6.9, 9.9), (3_000, 2)):
         under = [box for box in boxes if box[0] < x < box[1] and box[2] < y < box[3]]
-        near = [box for box in boxes if box[0] - cell < x < box[1] + cell and box[2] - cell < y < box[3] + cell]
+        near = [box for box in boxes if box[0] - 2 * cell < x < box[1] + 2 * cell
+                and box[2] - 2 * cell < y < box[3] + 2 * cell]
         at = world.to_room([x, y]).tolist()
         found = max((solid.height for solid in things if compute_distance(*at, solid.footprint) == 0.0), default=0.0)
         assert found >= max((box[5] for box in under), default=0.0) - 1e-5
@@ -100,6 +101,10 @@ def test_a_room_scanned_as_a_mesh_is_planned_in(tmp_path):
     world = World.of_mesh(path, ROBOT, (-1.0, 4.0, 0.5))
     heights = {round(solid.height, 2) for solid in world.instance.solids if solid.role == "obstacle"}
     assert heights == {1.5, 0.75}  # the lamp hangs above two metres
+    low = [solid for solid in world.instance.solids if solid.role == "obstacle" and solid.height < 0.8]
+    ends = [(solid.x + side * solid.half_x, solid.y + side * solid.half_y) for solid in low for side in (-1, 1)]
+    ends = world.to_map(np.array([np.min(ends, axis=0), np.max(ends, axis=0)]))
+    assert np.abs(ends - [[4.0, 8.0], [5.0, 9.0]]).max() < 0.051, "on the lines of cells nothing grows by more than one"
     start, goal = world.make_state(-1.0, 4.0, 0.5), PoseGoal(*world.to_room([5.0, 4.0]).tolist(), tolerance=0.2)
     places = world.to_map(make_trajectory(RoomPlanner(world.instance).plan(start, goal)).sample(50)[1])
     assert min(compute_distance(x, y, Solid("box", 2.1, 6.0, 0.1, 2.0).footprint) for x, y in places[:, :2]) >= 0.3
@@ -108,16 +113,56 @@ def test_a_room_scanned_as_a_mesh_is_planned_in(tmp_path):
         World.of_mesh(path, ROBOT, (4.5, 8.5, 0.0))
 
 
+def test_steps_tall_walls_and_slanted_ones_become_columns(tmp_path):
+    step, sill, tower = (0.0, 1.0, 3.0, 4.0, 0.0, 0.02), (2.0, 3.0, 3.0, 4.0, 0.0, 0.03), (4.0, 5.0, 3.0, 4.0, 0.0, 3.0)
+    path = write_mesh(tmp_path / "hall.obj", [HALL, step, sill, tower])
+    def list_heights(**given):
+        world = World.of_mesh(path, ROBOT, (-1.0, 4.0, 0.5), **given)
+        return {round(solid.height, 2) for solid in world.instance.solids if solid.role == "obstacle"}
+
+    assert list_heights() == {0.05, 2.0} and list_heights(below=2.5) == {0.05, 2.5}
+    lines = ["solid slanted"]  # a wall from (0, 4) to (3, 7), and a floor to stand on, as an STL file
+    for corners in ([(0, 4, 0), (3, 7, 0), (3, 7, 1)], [(0, 4, 0), (3, 7, 1), (0, 4, 1)],
+                    [(-3, 2, 0), (7, 2, 0), (7, 10, 0)], [(-3, 2, 0), (7, 10, 0), (-3, 10, 0)]):
+        lines += ["facet normal 0 0 0", "outer loop", *(f"vertex {x} {y} {z}" for x, y, z in corners), "endloop",
+                  "endfacet"]
+    (tmp_path / "slanted.stl").write_text("\n".join([*lines, "endsolid slanted"]))
+    world = World.of_mesh(tmp_path / "slanted.stl", ROBOT, (-1.0, 3.0, 0.5))
+    things = [solid.footprint for solid in world.instance.solids if solid.role == "obstacle"]
+    for share, away in np.random.default_rng(0).uniform((0.0, 0.1), (1.0, 1.0), (500, 2)):
+        on, off = world.to_room([[3 * share, 4 + 3 * share], [3 * share + away, 4 + 3 * share - away]]).tolist()
+        assert min(compute_distance(*on, thing) for thing in things) == 0.0
+        assert min(compute_distance(*off, thing) for thing in things) > 0.0, "two cells from the wall"
+
+
+def test_triangles_are_split_until_no_edge_is_too_long():
+    corners = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 3, 3))
+    parts = split_triangles(corners, 0.2)
+    edges = np.linalg.norm(np.roll(parts, -1, axis=1) - parts, axis=2)
+    areas = [np.linalg.norm(np.cross(each[:, 1] - each[:, 0], each[:, 2] - each[:, 0]), axis=1).sum()
+             for each in (corners, parts)]
+    assert edges.max() <= 0.2 and len(parts) > 500 and areas[0] == pytest.approx(areas[1])
+    assert split_triangles(corners[:0], 0.2).shape == (0, 3, 3)
+
+
 def test_what_is_no_mesh_or_leaves_nothing_on_the_floor_is_refused(tmp_path):
     (tmp_path / "text.obj").write_text("hello")
     for name in ("text.obj", "missing.stl"):
         with pytest.raises(FileReadError, match="is no mesh"):
             World.of_mesh(tmp_path / name, ROBOT, (0.0, 0.0, 0.0))
+    (tmp_path / "nan.obj").write_text("v 0 0 0\nv 1 0 1\nv nan 0 1\nf 1 2 3\n")
+    with pytest.raises(FileReadError, match="not a finite number"):
+        World.of_mesh(tmp_path / "nan.obj", ROBOT, (0.0, 0.0, 0.0))
     bare = write_mesh(tmp_path / "bare.obj", [HALL])
     with pytest.raises(ConfigError, match="above its floor"):
         World.of_mesh(bare, ROBOT, (0.0, 4.0, 0.0))
-    with pytest.raises(ConfigError, match="cell"):
-        World.of_mesh(bare, ROBOT, (0.0, 4.0, 0.0), cell=0.0)
+    for wrong in ({"cell": 0.0}, {"below": 0.0}, {"below": np.inf}):
+        with pytest.raises(ConfigError, match=next(iter(wrong))):
+            World.of_mesh(bare, ROBOT, (0.0, 4.0, 0.0), **wrong)
+    wall = tuple(1000.0 * number for number in (2.0, 2.2, 4.0, 8.0, 0.0, 1.5))
+    large = write_mesh(tmp_path / "large.obj", [tuple(1000.0 * number for number in HALL), wall])
+    with pytest.raises(ConfigError, match="not millimetres"):
+        World.of_mesh(large, ROBOT, (0.0, 4.0, 0.0))
 
 
 def test_a_world_is_an_environment_and_an_arm_s_place_too():

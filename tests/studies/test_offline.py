@@ -11,10 +11,10 @@ from studies.offline.analysis import (
     UNSEEN,
     OfflineResult,
     analyse,
-    reads_decisions,
     run_once,
     run_unseen,
     tell_difference,
+    tell_stitching,
 )
 from studies.study import find_study
 
@@ -53,18 +53,30 @@ def test_the_horizon_is_told_by_what_was_measured(options, primitives, words):
 @pytest.mark.parametrize(("cut", "words"), [
     (0.1, "cost some: "), (0.9, "help some: "), (0.5, "cost nothing that shows: ")])
 def test_stitching_is_told_by_what_was_measured(cut, words):
-    study, lines = make_lines(lambda agent, kind: cut if kind == "stitch" else 0.5)
-    (told,) = [text for text in analyse(study, lines).conclusions if "Stitching" in text]
-    assert words in told and told.count(f"0.50 against {cut:.2f}, 10 rooms") == sum(
-        map(reads_decisions, study.data["learners"]))
+    (told,) = list_stitching(lambda agent, kind: cut if kind == "stitch" else 0.5)
+    assert words in told and told.count(f"(0.50 against {cut:.2f}, 10 rooms)") == 8
+    assert "HIQL (" in told and "over primitives" not in told
+
+
+def list_stitching(efficiency):
+    return [text for text in analyse(*make_lines(efficiency)).conclusions if "Stitching" in text]
 
 
 def test_learners_of_different_verdicts_on_stitching_are_told_apart():
-    page = analyse(*make_lines(lambda agent, kind: 0.1 if kind == "stitch" and "best" in agent else 0.5))
-    told = [text for text in page.conclusions if "Stitching" in text]
+    told = list_stitching(lambda agent, kind: 0.1 if kind == "stitch" and "best" in agent else
+                          0.04 if "hiql" in agent else 0.5)
     assert told[0] == ("**Stitching.** Cut trajectories cost some: a clone of the best tenth (0.50 against 0.10, "
                        "10 rooms).")
-    assert len(told) == 2 and "cost nothing that shows: a clone of options (0.50 against 0.50, 10 rooms)," in told[1]
+    assert "cost nothing that shows: a clone of options (0.50 against 0.50, 10 rooms)," in told[1]
+    assert told[2:] == ["**Stitching.** Too weak for cutting to tell: HIQL (0.04 against 0.04, 10 rooms)."]
+
+
+def test_eight_questions_on_stitching_share_their_level():
+    """Six rooms of six are worse when cut: p is 1/64, below the level of one question and above that of eight."""
+    whole, cut = np.full(6, 0.6), np.array([0.5, 0.4, 0.5, 0.4, 0.5, 0.4])
+    (alone,) = tell_stitching({"a": (whole, cut)})
+    (together,) = tell_stitching({name: (whole, cut) for name in "abcdefgh"})
+    assert "cost some" in alone and "cost nothing that shows" in together
 
 
 @pytest.mark.parametrize(("searcher", "words"), [(0.1, "than the best searcher finds out"),
@@ -82,8 +94,8 @@ def test_the_best_of_several_learners_is_held_against_the_best_of_several_search
     page = analyse(*make_lines(efficiency))
     assert page.conclusions[0].startswith("The best searcher that learns nothing does better than Q-iteration over op")
     lucky = 0.5 + 0.1 * np.array([-1] + [1] * 9)  # by chance in 11 of 1,024 signs
-    once, of_seven = (tell_difference(lucky, np.full(10, 0.5), "up", "down", "same", choices) for choices in (1, 7))
-    assert once.startswith("up") and of_seven.startswith("same")
+    once, of_ten = (tell_difference(lucky, np.full(10, 0.5), "up", "down", "same", choices) for choices in (1, 10))
+    assert once.startswith("up") and of_ten.startswith("same")
 
 
 def test_pieces_that_begin_anywhere_are_given_no_efficiency():

@@ -34,7 +34,7 @@ def make_lines(changes: dict[tuple[str, str], tuple[float, ...]], searcher: floa
     for axis in axes:
         for agent in (*LEARNERS, *SEARCHERS, *OTHERS.get(axis.name, ())):
             usual = (searcher,) * 4 if agent in SEARCHERS else (0.6, 0.5, 0.4, 0.3)
-            for rung, mean in zip(axis.rungs, changes.get((agent, axis.name), usual), strict=True):
+            for rung, mean in zip(axis.rungs, changes.get((agent, axis.name), usual[:len(axis.rungs)]), strict=True):
                 lines += [BaselineRun("per-instance", rung, f"{rung}/test[{room}]", agent, 0, 10_000,
                                       float(np.clip(mean + 0.03 * rng.normal(), 0, 1)), None, 1.0, 5, 1.0, 100, "key")
                           for room in range(10)]
@@ -117,9 +117,14 @@ def test_searching_is_no_answer_where_it_stays_low_on_the_upper_half(tmp_path: P
     told = "On the upper half of depth, branching and violations the best searcher stays below 0.5."
     assert told in read({}, tmp_path, searcher=0.45)
     assert "On no axis does the best searcher stay below 0.5 on the upper half" in read({}, tmp_path, searcher=0.55)
-    half = {(SEARCHERS[0], "depth"): (0.9, 0.4, 0.6, 0.4), (SEARCHERS[0], "branching"): (0.9, 0.6, 0.4, 0.3)}
-    assert ("On the upper half of branching and violations the best searcher stays below 0.5; of depth it does not."
-            in read(half, tmp_path, searcher=0.2))
+    half = {(SEARCHERS[0], "depth"): (0.9, 0.4, 0.6, 0.1), (SEARCHERS[0], "branching"): (0.9, 0.6, 0.4, 0.3),
+            (SEARCHERS[0], "violations"): (0.1, 0.1, 0.1, 0.6)}
+    assert ("On the upper half of branching the best searcher stays below 0.5; on that of depth and violations it does "
+            "not.") in read(half, tmp_path, searcher=0.2)
+    arm = next(axis for axis in AXES if axis.name == "arm")
+    for middle, told in ((0.4, "On the upper half of arm"), (0.6, "On no axis")):
+        lines = make_lines({(SEARCHERS[0], "arm"): (0.9, middle, 0.3)}, searcher=0.2, axes=(arm,))
+        assert told in write_page("profiles", lines, tmp_path)
 
 
 def test_a_top_rung_that_is_solved_is_used_up(tmp_path: Path):

@@ -47,5 +47,5 @@ def run(args: DataListArgs) -> None:
         table.add_row(str(row["name"]), f"{row['primitives']:,}", stored, str(row["what"]))
     console = Console(width=120)
     console.print(table)
-    console.print("Ten or a hundred times as much, with 1m or 10m before v1, is recorded by: hrl-escape data make NAME",
-                  highlight=False)
+    console.print("Names with 1m or 10m before v1 hold ten or a hundred times as much; to record one: "
+                  "hrl-escape data make NAME", highlight=False)

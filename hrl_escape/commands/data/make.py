@@ -1,7 +1,7 @@
 """Record data sets: play, noisy, expert, medium, stitch or explore in the training rooms of a rung, or your own play.
 
-A tape of 10^5 primitives takes some ten seconds to a minute, 60 kB on disk, and replays to the bit. A recording that
-was killed goes on where it was.
+A tape of 10^5 primitives takes some ten seconds to a minute, 20 to 120 kB on disk, and replays to the bit. A
+recording that was killed goes on where it was.
 
 Examples:
     hrl-escape data make pair-play-1m-v1

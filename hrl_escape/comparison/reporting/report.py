@@ -163,14 +163,14 @@ def describe_kind(spec: AgentSpec) -> str:
 
 def _list_facts(summary: Summary) -> list[tuple[str, str]]:
     grid = summary.grid
-    hours = sum(agent.seconds * agent.runs for agent in summary.agents)
+    seconds = sum(agent.seconds * agent.runs for agent in summary.agents)
     return [
         ("agents", str(len(grid.agents))),
         ("rooms", str(len(summary.rooms))),
         ("runs each", str(grid.runs)),
         ("training budget", f"{grid.primitives:,} primitives"),
         ("evaluated", f"every {grid.evaluation_step:,}, {grid.eval_episodes} episodes"),
-        ("training time, all runs", tell_seconds(hours)),
+        ("training time, all runs", tell_seconds(seconds)),
     ]
 
 

@@ -1,4 +1,7 @@
-"""Meshes from files (STL, OBJ, DAE and what else assimp reads) as triangles, by coal."""
+"""Meshes from files (STL, OBJ, DAE and what else assimp reads) as triangles, by coal.
+
+Numbers are taken as they stand: a unit or an up axis that a DAE file names is not applied.
+"""
 
 # pyright: reportAttributeAccessIssue=false
 # (the library is compiled and carries no types)
@@ -22,11 +25,14 @@ def load_triangles(path: str | Path) -> NDArray[np.float64]:
     """Corners of a mesh's triangles, shape (triangles, 3, 3), in the file's own frame and unit.
 
     Raises:
-        FileReadError: there is no such file, or it is no mesh.
+        FileReadError: there is no such file, it is no mesh, or a vertex is no number.
     """
     try:
         mesh = coal.MeshLoader().load(str(Path(path).resolve(strict=True)))
     except (OSError, RuntimeError, ValueError) as error:
         raise FileReadError(f"{path} is no mesh that assimp reads: {type(error).__name__}") from None
+    vertices = np.asarray(mesh.vertices(), dtype=np.float64)
+    if not np.isfinite(vertices).all():
+        raise FileReadError(f"{path} is no mesh to plan in: a vertex is not a finite number")
     corners = [[triangle[corner] for corner in range(3)] for triangle in map(mesh.tri_indices, range(mesh.num_tris))]
-    return np.asarray(mesh.vertices(), dtype=np.float64)[np.array(corners, dtype=np.int64).reshape(-1, 3)]
+    return vertices[np.array(corners, dtype=np.int64).reshape(-1, 3)]

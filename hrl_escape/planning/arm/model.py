@@ -1,8 +1,8 @@
 """Arm model for planners: Pinocchio's kinematics of the robot's URDF and coal's collisions of its links.
 
-The only wrapper of the two libraries. It computes positions of the hand, on the joint lattice and
-off it, and tests whether the links are clear of walls, obstacles and each other. It chooses no
-configuration. Frame `base`: origin on the floor below the base's axis, x ahead, z up; metres, radians.
+The only wrapper of the two libraries, but for meshes in files. It computes positions of the hand, on the joint lattice
+and off it, and tests whether the links are clear of walls, obstacles and each other. It chooses no configuration.
+Frame `base`: origin on the floor below the base's axis, x ahead, z up; metres, radians.
 """
 
 # pyright: reportAttributeAccessIssue=false
