@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pybullet
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrl_escape.env.bullet.engine import BulletRoom
@@ -97,24 +97,17 @@ def test_noise_and_slip_are_those_of_kinematics(make_room, slip, slips):
     assert slipped in slips
 
 
-THIN = 0.02
-"""Thickness of the walls of a thin room, m."""
-
-
 def make_thin_room(seed: int, step: float) -> BulletRoom:
     """A room of thin walls, with a door, for long moves."""
-    config = RoomConfig(room=ShapeConfig(width=12, depth=12, wall_thickness=THIN),
+    config = RoomConfig(room=ShapeConfig(width=12, depth=12, wall_thickness=0.02),
                         exit=ExitConfig(door=True, width=2.4),
                         robot=RobotConfig(body_radius=0.4, move_step=step, joints=2),
                         obstacles=ObstaclesConfig(count=4), puzzle=ButtonsConfig(count=1))
     return BulletRoom(generate(with_physics(config), seed))
 
 
-@settings(max_examples=10)
-@given(st.integers(0, 1000), st.lists(st.tuples(st.integers(0, 9), st.integers(1, 4)), max_size=8),
-       st.sampled_from([0.7, 5.0]))
-@example(198, [(0, 1), (2, 1), (1, 3)], 5.0)  # 11 mm, where others overlap by 1 mm at most
-def test_nothing_tunnels_and_bodies_hardly_overlap(seed, runs, step):
+def check_drive(seed: int, runs: list[tuple[int, int]], step: float) -> None:
+    """Drive in a thin room, each action so many times: the robot stays within, and overlaps nothing by a centimetre."""
     room = make_thin_room(seed, step)
     world = BulletWorld(room.rules)
     try:
@@ -122,9 +115,21 @@ def test_nothing_tunnels_and_bodies_hardly_overlap(seed, runs, step):
             for _ in range(times):
                 at = room.step(action).state
                 assert abs(at.x) <= room.instance.reach_x and abs(at.y) <= room.instance.reach_y
-                assert world.compute_clearance(at) > -THIN
+                assert world.compute_clearance(at) > -0.01
     finally:
         room.close()
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 1000), st.lists(st.tuples(st.integers(0, 9), st.integers(1, 4)), max_size=8),
+       st.sampled_from([0.7, 5.0]))
+def test_nothing_tunnels_and_bodies_hardly_overlap(seed, runs, step):
+    check_drive(seed, runs, step)
+
+
+@pytest.mark.xfail(strict=True, reason="a base that drives into a gap too narrow for it is wedged 11 mm into a wall")
+def test_a_wedged_body_hardly_overlaps():
+    check_drive(198, [(0, 1), (2, 1), (1, 3)], 5.0)
 
 
 def test_a_body_that_runs_into_the_far_wall_of_the_alcove_is_in_the_exit():
