@@ -176,25 +176,28 @@ class World:
         corners = load_triangles(path)
         every = corners.reshape(-1, 3)[:, :2] if len(corners) else np.zeros((1, 2))
         (x, y), (x_max, y_max) = every.min(axis=0).tolist(), every.max(axis=0).tolist()
-        corners = corners[(corners[..., 2].max(axis=1) >= cell / 2) & (corners[..., 2].min(axis=1) < below)]
+
+        def keep_standing(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+            return corners[(corners[..., 2].max(axis=1) >= cell / 2) & (corners[..., 2].min(axis=1) < below)]
+
+        corners = keep_standing(corners)
         if not len(corners):
             raise ConfigError("mesh", str(path), f"something from {cell / 2:g} to {below:g} m above its floor, z = 0")
-        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1) / cell
-        if max((x_max - x) / cell * (y_max - y) / cell, float((edges**2).sum())) > MOST_MESH_CELLS:
+        longest = measure_edges(corners).max(axis=1) / cell
+        if max((x_max - x) / cell * (y_max - y) / cell, float((longest**2).sum())) > MOST_MESH_CELLS:
             raise ConfigError("mesh", f"{x_max - x:g} x {y_max - y:g} m in cells of {cell:g} m",
                               "metres, not millimetres, or larger cells")
-        corners = split_triangles(corners, cell)
-        top = corners[..., 2].max(axis=1)
-        corners, top = (each[(top >= cell / 2) & (corners[..., 2].min(axis=1) < below)] for each in (corners, top))
+        corners = keep_standing(split_triangles(corners, cell))
         columns, rows = (max(1, math.ceil(length / cell)) for length in (x_max - x, y_max - y))
         low = np.floor((corners[..., :2].min(axis=1) - (x, y)) / cell + 1e-6).astype(int)
         high = np.ceil((corners[..., :2].max(axis=1) - (x, y)) / cell - 1e-6).astype(int) - 1
-        low, high = np.clip(low, 0, (columns - 1, rows - 1)), np.clip(high, 0, (columns - 1, rows - 1))
-        high = np.maximum(low, high)
+        low = np.clip(low, 0, (columns - 1, rows - 1))
+        high = np.clip(high, low, (columns - 1, rows - 1))
+        top = np.ceil(np.minimum(corners[..., 2].max(axis=1), below) / cell - 1e-6) * cell
         heights = np.zeros((rows, columns))
         for across, along in np.ndindex(*(high - low).max(axis=0) + 1):
             column, row = np.minimum(low + (across, along), high).T
-            np.maximum.at(heights, (row, column), np.ceil(np.minimum(top, below) / cell - 1e-6) * cell)
+            np.maximum.at(heights, (row, column), top)
         return cls.of(make_columns(heights, cell, (x, y)), robot, start,
                       floor=(x, x + cell * columns, y, y + cell * rows), wall_height=max(below, heights.max()))
 
@@ -223,11 +226,16 @@ class World:
         return moved
 
 
+def measure_edges(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths of triangles' edges, each from a corner to the next; (triangles, 3) of (triangles, 3 corners, 3)."""
+    return np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+
+
 def split_triangles(corners: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
     """Triangles that cover the same, with no edge longer than given; shapes (triangles, 3 corners, 3)."""
     done = []
     while len(corners):
-        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        edges = measure_edges(corners)
         is_small = edges.max(axis=1) <= longest
         done.append(corners[is_small])
         rest, first = corners[~is_small], edges[~is_small].argmax(axis=1)

@@ -9,6 +9,7 @@ from PIL import Image
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid, compute_distance
+from hrl_escape.env.robot import LARGEST_MESHES
 from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.goals import PoseGoal
@@ -150,6 +151,13 @@ def test_what_is_no_mesh_or_leaves_nothing_on_the_floor_is_refused(tmp_path):
     for name in ("text.obj", "missing.stl"):
         with pytest.raises(FileReadError, match="is no mesh"):
             World.of_mesh(tmp_path / name, ROBOT, (0.0, 0.0, 0.0))
+    (tmp_path / "room.zip").write_bytes(b"PK")
+    with pytest.raises(FileReadError, match="no known kind"):
+        World.of_mesh(tmp_path / "room.zip", ROBOT, (0.0, 0.0, 0.0))
+    with open(tmp_path / "endless.stl", "wb") as file:
+        file.truncate(LARGEST_MESHES + 1)
+    with pytest.raises(FileReadError, match="endless.stl.*bytes"):
+        World.of_mesh(tmp_path / "endless.stl", ROBOT, (0.0, 0.0, 0.0))
     (tmp_path / "nan.obj").write_text("v 0 0 0\nv 1 0 1\nv nan 0 1\nf 1 2 3\n")
     with pytest.raises(FileReadError, match="not a finite number"):
         World.of_mesh(tmp_path / "nan.obj", ROBOT, (0.0, 0.0, 0.0))

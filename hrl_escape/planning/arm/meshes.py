@@ -1,4 +1,4 @@
-"""Meshes from files (STL, OBJ, DAE and what else assimp reads) as triangles, by coal.
+"""Meshes from files (STL, OBJ or DAE) as triangles, by coal.
 
 Numbers are taken as they stand: a unit or an up axis that a DAE file names is not applied.
 """
@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.env.robot import LARGEST_MESHES, MESH_ENDINGS
 from hrl_escape.errors import FileReadError, MissingPackageError
+from hrl_escape.files import check_files
 
 try:
     import coal
@@ -25,8 +27,11 @@ def load_triangles(path: str | Path) -> NDArray[np.float64]:
     """Corners of a mesh's triangles, shape (triangles, 3, 3), in the file's own frame and unit.
 
     Raises:
-        FileReadError: there is no such file, it is no mesh, or a vertex is no number.
+        FileReadError: there is no such file, it is no plain file of a known kind, too large or no mesh, or a vertex is
+            no number.
     """
+    if Path(path).exists():
+        check_files([str(path)], "mesh", MESH_ENDINGS, LARGEST_MESHES)
     try:
         mesh = coal.MeshLoader().load(str(Path(path).resolve(strict=True)))
     except (OSError, RuntimeError, ValueError) as error:
