@@ -122,7 +122,7 @@ def test_searching_is_no_answer_where_it_stays_low_on_the_upper_half(tmp_path: P
     assert ("On the upper half of branching the best searcher stays below 0.5; on that of depth and violations it does "
             "not.") in read(half, tmp_path, searcher=0.2)
     arm = next(axis for axis in AXES if axis.name == "arm")
-    for middle, told in ((0.4, "On the upper half of arm"), (0.6, "On no axis")):
+    for middle, told in ((0.4, "On the upper half of arm"), (0.6, "On no axis does the best searcher stay below")):
         lines = make_lines({(SEARCHERS[0], "arm"): (0.9, middle, 0.3)}, searcher=0.2, axes=(arm,))
         assert told in write_page("profiles", lines, tmp_path)
 
