@@ -122,14 +122,18 @@ def test_steps_tall_walls_and_slanted_ones_become_columns(tmp_path):
         return {round(solid.height, 2) for solid in world.instance.solids if solid.role == "obstacle"}
 
     assert list_heights() == {0.05, 2.0} and list_heights(below=2.5) == {0.05, 2.5}
-    lines = ["solid slanted"]  # a wall from (0, 4) to (3, 7), and a floor to stand on, as an STL file
+    lines = ["solid slanted"]  # a wall from (0, 4) to (3, 7), a roof that rises from 1 to 3 m, and a floor: an STL file
     for corners in ([(0, 4, 0), (3, 7, 0), (3, 7, 1)], [(0, 4, 0), (3, 7, 1), (0, 4, 1)],
+                    [(4, 3, 1), (6, 3, 3), (6, 4, 3)], [(4, 3, 1), (6, 4, 3), (4, 4, 1)],
                     [(-3, 2, 0), (7, 2, 0), (7, 10, 0)], [(-3, 2, 0), (7, 10, 0), (-3, 10, 0)]):
         lines += ["facet normal 0 0 0", "outer loop", *(f"vertex {x} {y} {z}" for x, y, z in corners), "endloop",
                   "endfacet"]
     (tmp_path / "slanted.stl").write_text("\n".join([*lines, "endsolid slanted"]))
     world = World.of_mesh(tmp_path / "slanted.stl", ROBOT, (-1.0, 3.0, 0.5))
     things = [solid.footprint for solid in world.instance.solids if solid.role == "obstacle"]
+    low, high = world.to_room([[4.5, 3.5], [5.5, 3.5]]).tolist()
+    assert min(compute_distance(*low, thing) for thing in things) == 0.0
+    assert min(compute_distance(*high, thing) for thing in things) > 0.3, "the roof is above two metres there"
     for share, away in np.random.default_rng(0).uniform((0.0, 0.1), (1.0, 1.0), (500, 2)):
         on, off = world.to_room([[3 * share, 4 + 3 * share], [3 * share + away, 4 + 3 * share - away]]).tolist()
         assert min(compute_distance(*on, thing) for thing in things) == 0.0
