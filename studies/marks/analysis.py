@@ -31,6 +31,8 @@ __all__ = ["LINES", "Args", "Cells", "MarksRun", "analyse", "gather", "measure",
 
 ALIKE = 0.1
 """Efficiency within which the control counts as at the searcher's level."""
+COLUMNS = 4
+"""Panels in a row of the figure."""
 RISE, FEW = 0.2, 16
 """Gain in efficiency that counts as learned across rooms, from so few training rooms to the most."""
 
@@ -293,15 +295,16 @@ def _describe(values: np.ndarray, searcher: float, ceiling: float | None) -> lis
 def draw(found: Mapping[str, Cells]) -> Figure:
     """Efficiency against training rooms, a panel a kind and a dot a run; searcher and ceiling as lines."""
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(2.2 + 2.6 * len(found), 3.6), facecolor=palette.BACKGROUND, layout="constrained")
-        panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
-        for axes, (title, cells) in zip(panels, found.items(), strict=True):
+        rows = -(-(len(found) + 1) // COLUMNS)  # the legend has a place of its own
+        figure = Figure(figsize=(2.6 * COLUMNS, 3.0 * rows), facecolor=palette.BACKGROUND, layout="constrained")
+        panels = figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).ravel()
+        for axes, (title, cells) in zip(panels, found.items(), strict=False):
             sizes, last = sorted(cells.told), len(cells.told) - 1
             for place, values, colour in (*((number, cells.told[size], 0) for number, size in enumerate(sizes)),
                                           (last + 0.08, cells.control, 1)):
                 axes.scatter([place] * len(values), values, s=14, alpha=0.5, color=palette.LINES[colour], linewidths=0)
             axes.plot(range(len(sizes)), [cells.told[size].mean() for size in sizes], "o-", color=palette.LINES[0],
-                      label="marks that tell the rank")
+                      label="marks that tell")
             axes.plot([last + 0.08], [cells.control.mean()], "s", color=palette.LINES[1], label="marks shuffled")
             axes.axhline(cells.ceiling, color=palette.INK, linewidth=1, label="ceiling: knows the code")
             axes.axhline(cells.searcher, color=palette.MUTED, linewidth=1, linestyle="--",
@@ -309,6 +312,9 @@ def draw(found: Mapping[str, Cells]) -> Figure:
             axes.set(title=title, xlabel="training rooms", ylim=(0, 1.03))
             finish_axes(axes)
             axes.set_xticks(range(len(sizes)), [f"{size:,}" for size in sizes])
-        panels[0].set_ylabel("efficiency in unseen rooms")
-        panels[-1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+        for first in panels[: len(found) : COLUMNS]:
+            first.set_ylabel("efficiency in unseen rooms")
+        for axes in panels[len(found):]:
+            axes.set_axis_off()
+        panels[-1].legend(*panels[0].get_legend_handles_labels(), loc="center", frameon=False)
     return figure

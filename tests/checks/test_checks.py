@@ -27,6 +27,7 @@ def test_every_registered_puzzle_keeps_its_contract(kind, seed):
     ButtonsConfig(count=64, graph=GraphConfig(kind="random", max_parents=5)),
     ButtonsConfig(count=9, graph=GraphConfig(kind="layered", max_parents=3), on_violation="reset", allow_off=True),
     ButtonsConfig(count=5, graph=GraphConfig(kind="tree"), goal=0),
+    ButtonsConfig(count=6, graph=GraphConfig(kind="layered", max_parents=2), on_violation="fail", dead_ends=1),
     PushBlockConfig(count=3),
     get_puzzle_kind("bit-flip").config_type(count=12),
 ], ids=str)

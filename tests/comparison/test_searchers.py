@@ -13,6 +13,7 @@ import pytest
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.recording import record_episode
+from hrl_escape.comparison.references import bayes
 from hrl_escape.comparison.references.bayes import BeliefGraph, GraphParticles, Ways, measure_ways
 from hrl_escape.comparison.references.graph_family import (
     GraphFamily,
@@ -37,7 +38,7 @@ from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
-from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle, ViolationRule
+from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle, ViolationRule
 from hrl_escape.env.puzzles.graphs import GraphConfig, GraphKind, mask_parents, sample_graph, sample_relabelled
 from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.env.puzzles.sections import SectionsConfig
@@ -167,7 +168,7 @@ def test_a_chain_takes_the_presses_that_are_known_exactly(count: int):
     assert costs[graph.root] == pytest.approx(count * (count + 3) / 4)
 
 
-def search(family: GraphFamily, rule: ViolationRule, ways: np.ndarray, leaving: np.ndarray) -> float:
+def search(family: GraphFamily, ways: np.ndarray, leaving: np.ndarray, failure: float) -> float:
     """Fewest expected cost by plain recursion over sets of graphs, from the place behind the buttons."""
     count = family.count
 
@@ -182,24 +183,45 @@ def search(family: GraphFamily, rule: ViolationRule, ways: np.ndarray, leaving: 
             if allowed - opened:
                 part = frozenset(allowed - opened)
                 cost += sum(family.weights[g] for g in part) * expect(button, lit | 1 << button, part)
-            if graphs - allowed:
-                part = frozenset(graphs - allowed)
-                cost += sum(family.weights[g] for g in part) * expect(button, 0 if rule == "reset" else lit, part)
+            after: dict[int | None, set[int]] = {}  # what is lit after a mistake, None once all is over
+            for g in graphs - allowed:
+                after.setdefault({"ignore": lit, "reset": 0, "fail": None}[VIOLATION_RULES[family.rules[g]]], set()).add(g)
+            for then, part in after.items():
+                weight = sum(family.weights[g] for g in part)
+                cost += weight * (failure if then is None else expect(button, then, frozenset(part)))
             best = min(best, cost / total)
         return best
 
     return expect(count, 0, frozenset(range(len(family.weights))))
 
 
-@pytest.mark.parametrize("rule", ["ignore", "reset"])
+@pytest.mark.parametrize("rule", [*VIOLATION_RULES, "drawn"])
 @pytest.mark.parametrize("kind", ["chain", "layered"])
-def test_the_pass_over_beliefs_gives_what_plain_recursion_gives(rule: ViolationRule, kind: GraphKind):
+def test_the_pass_over_beliefs_gives_what_plain_recursion_gives(rule: Any, kind: GraphKind):
     rng = np.random.default_rng(5)
-    family = make_family(ButtonsConfig(count=3, graph=GraphConfig(kind=kind, max_parents=2)), 3)
+    family = make_family(ButtonsConfig(count=3, graph=GraphConfig(kind=kind, max_parents=2), on_violation=rule), 3)
     ways, leaving = rng.uniform(1, 20, (4, 3)), rng.uniform(1, 20, 3)
-    graph = BeliefGraph(family, rule)
-    made = Ways(ways, np.tile(np.arange(3), (4, 1)), np.append(leaving, 0.0))
-    assert graph.solve(made)[graph.root, 3] == pytest.approx(search(family, rule, ways, leaving), rel=1e-5)
+    graph = BeliefGraph(family)
+    for failure in (5.0, 100.0):
+        made = Ways(ways, np.tile(np.arange(3), (4, 1)), np.append(leaving, 0.0), failure)
+        assert graph.solve(made)[graph.root, 3] == pytest.approx(search(family, ways, leaving, failure), rel=1e-5)
+
+
+def test_who_must_find_out_what_a_mistake_does_pays_what_was_foretold(monkeypatch: pytest.MonkeyPatch):
+    """Played against each of the six orders under each of the three rules; to fail costs what the exit is worth."""
+    config = dataclasses.replace(get_preset("four-button-chain"), puzzle=ButtonsConfig(count=3, on_violation="drawn"))
+    monkeypatch.setattr(bayes, "find_schematic", lambda room: config)  # the room's name is that of another
+    room, orders = generate(config, 5), itertools.permutations(range(3))
+    rooms = [relabel(room, order, rule) for order in orders for rule in VIOLATION_RULES]
+    assert np.mean([pay(BAYES, each) for each in rooms]) == pytest.approx(foretell(room, config.puzzle), rel=0.02)
+
+
+def pay(name: str, room: RoomInstance) -> float:
+    """Primitives of an episode, and a hundred more if it fails."""
+    env, recorder = make_env(AgentSpec(name), room, "features")
+    found = evaluate(make_reference(name, env, recorder), env, 1)
+    env.close()
+    return float(found.lengths[0]) + 100.0 * (not found.successes[0])
 
 
 def test_over_all_graphs_of_a_room_who_knows_the_odds_needs_least_and_what_was_foretold():
@@ -212,13 +234,13 @@ def test_over_all_graphs_of_a_room_who_knows_the_odds_needs_least_and_what_was_f
     lengths = {name: np.mean([play(name, each)[0].mean() for each in rooms])
                for name in (UNTRIED, UNTRIED_NEAREST, BAYES)}
     assert lengths[BAYES] < min(lengths[UNTRIED], lengths[UNTRIED_NEAREST]), lengths
-    assert foretell(room) == pytest.approx(lengths[BAYES], rel=0.04)
+    assert foretell(room, ButtonsConfig(count=4)) == pytest.approx(lengths[BAYES], rel=0.04)
 
 
-def foretell(room: RoomInstance) -> float:
+def foretell(room: RoomInstance, puzzle: Any) -> float:
     """Expected primitives from the start, by the pass over beliefs."""
     planner, count = RoomPlanner(room), len(room.targets)
-    graph, ways = BeliefGraph(make_family(ButtonsConfig(count=count), count)), measure_ways(RoomPlanner(room))
+    graph, ways = BeliefGraph(make_family(puzzle, count)), measure_ways(RoomPlanner(room))
     costs, start, root = graph.solve(ways), planner.rules.make_state(room.starts[0]), np.array([graph.root])
     return min(planner.plan(start, f"button-{button + 1}").cost
                + graph.compute_costs_after(costs, root, button, ways)[0, count * count + button]
@@ -256,6 +278,25 @@ def count_presses(family: GraphFamily) -> float:
     """Fewest expected presses, one primitive each."""
     graph, count = BeliefGraph(family), family.count
     return float(graph.solve(Ways(np.ones((1, count)), np.zeros((1, count), int), np.zeros(1)))[graph.root, 0])
+
+
+@pytest.mark.parametrize(("truth", "presses"), [(1.0, 4.0), (0.0, 7.0)])
+def test_wires_save_every_wrong_press_and_hidden_ones_none(truth: float, presses: float):
+    """A chain of n: n presses for who sees all wires, n(n + 3)/4 for who sees none."""
+    config = dataclasses.replace(make_marked(4), marks=MarksConfig("wires", truth=truth))
+    for seed in range(12):
+        puzzle = config.make_puzzle(np.random.default_rng(seed))
+        told = condition_on_marks(make_family(config, 4), config.marks, puzzle.marks)
+        assert count_presses(told) == pytest.approx(presses)
+        assert told.weights[(told.parents == np.array(puzzle.parent_masks, np.uint64)).all(axis=1)].sum() > 0
+    assert told.entropy == pytest.approx(np.log2(24) if truth == 0 else 0, abs=1e-9)
+
+
+def test_samples_of_many_buttons_refuse_wires():
+    config = dataclasses.replace(make_marked(7), marks=MarksConfig("wires"))
+    marks = config.make_puzzle(np.random.default_rng(0)).marks
+    with pytest.raises(UnsupportedError, match="wires between 7 buttons"):
+        GraphParticles(config, 7, np.random.default_rng(0), marks)
 
 
 @pytest.mark.parametrize("truth", [1.0, 0.8, 0.4, 0.0])

@@ -101,8 +101,29 @@ MUTATIONS = [
     Mutation(
         "a wrong press leaves the lights on in beliefs, where it resets them",
         "comparison/references/bayes.py",
-        "self._add(lit if self.on_violation == \"ignore\" else 0, graphs[~allowed])",
-        "self._add(lit, graphs[~allowed])",
+        "(reset, undone, 0), (dark",
+        "(reset, undone, lit), (dark",
+        "comparison/test_searchers.py",
+    ),
+    Mutation(
+        "a reset is seen where nothing was lit",
+        "comparison/references/bayes.py",
+        "[fails, resets & bool(lit), ignored | resets & (not lit)]",
+        "[fails, resets, ignored]",
+        "comparison/test_searchers.py",
+    ),
+    Mutation(
+        "failing costs nothing in beliefs",
+        "comparison/references/bayes.py",
+        "opens * ways.leaving + fails * np.float32(ways.failure)",
+        "opens * ways.leaving",
+        "comparison/test_searchers.py",
+    ),
+    Mutation(
+        "all rooms have the first rule in beliefs, whatever is drawn",
+        "comparison/references/graph_family.py",
+        'if config.on_violation in (rule, "drawn")]',
+        'if config.on_violation == rule or (config.on_violation, rule) == ("drawn", "ignore")]',
         "comparison/test_searchers.py",
     ),
     Mutation(

@@ -1,13 +1,15 @@
 """The searcher that knows how graphs are drawn: fewest expected primitives until the exit, without learning.
 
 It knows the schematic, what marks mean included, the room and what every press showed, and nothing else of the graph.
-Up to six buttons (one fewer where wrong presses reset, and where some marks deceive) its choices are optimal in
-expectation over the schematic's graphs, with the lengths of ways from button to button as the planner finds them. With
-more it takes the button with the best odds per primitive, odds estimated by a sample of graphs. Nobody who must
+Up to six buttons (one fewer where wrong presses do more than nothing, and where some marks deceive, unless the graphs
+are few) its choices are optimal in expectation over the schematic's graphs and rules, with the lengths of ways from
+button to button as the planner finds them; a puzzle that is failed costs as much as the exit is worth. With more it
+takes the button with the best odds per primitive, odds estimated by a sample of graphs. Nobody who must
 discover the graph can need fewer primitives in the mean, but for what these lengths leave out.
 
-Which buttons are lit and which graphs agree with all presses so far is its belief. A press divides it: the button
-lights and opens the exit, lights alone, or does not light. Beliefs (Astrom 1965; Kaelbling, Littman and Cassandra 1998)
+Which buttons are lit and which graphs and rules agree with all presses so far is its belief. A press divides it: the
+button lights and opens the exit, lights alone, or does not light, after which nothing has changed, all is off, or the
+episode is over. Beliefs (Astrom 1965; Kaelbling, Littman and Cassandra 1998)
 form a graph without cycles where presses are the only news, and one pass backwards gives the optimal expected cost.
 Graphs too many to list are sampled by sequential Monte Carlo with moves (Chopin 2002; Gilks and Berzuini 2001): those
 that a press contradicts are replaced, and Metropolis steps exchange the labels of two buttons, under which every graph
@@ -40,7 +42,7 @@ from hrl_escape.comparison.references.graph_family import (
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle, ViolationRule
+from hrl_escape.env.puzzles.buttons import FAILED, VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle
 from hrl_escape.env.puzzles.graphs import Edges, mask_parents, sample_relabelled
 from hrl_escape.errors import PlanningFailed, UnsupportedError
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
@@ -63,7 +65,7 @@ class GraphParticles:
         marks: of the room's buttons; none without marks.
 
     Raises:
-        UnsupportedError: marks of several motifs, or sections.
+        UnsupportedError: marks of several motifs, wires, or sections.
 
     Attributes:
         parents: uint64 (particles, buttons), the bits of each button's parents.
@@ -75,6 +77,9 @@ class GraphParticles:
         if marks and config.marks.motifs > 1:
             raise UnsupportedError(f"marks of {config.marks.motifs} motifs on {count} buttons: smdp-bayes lists the "
                                    "graphs of fewer, and its samples of more know one motif")
+        if marks and config.marks.kind == "wires":
+            raise UnsupportedError(f"wires between {count} buttons: smdp-bayes lists the graphs of fewer, and its "
+                                   "samples of more do not know which button a wire comes from")
         if config.sections.count:
             raise UnsupportedError(f"sections with {count} buttons: smdp-bayes lists the graphs of fewer, and its "
                                    "samples of more do not know where buttons hang")
@@ -193,19 +198,20 @@ class Ways:
         legs: float (places, buttons), from a place to the press of a button.
         arrivals: int (places, buttons), the place of the robot after that.
         leaving: float (places,), from a place to the open exit.
+        failure: what a failed puzzle costs, in primitives.
     """
 
     legs: NDArray[np.floating]
     arrivals: NDArray[np.int64]
     leaving: NDArray[np.floating]
+    failure: float = 0.0
 
 
 class BeliefGraph:
     """Every belief that presses can lead to, children before parents.
 
     Args:
-        family: the graphs and how likely they are.
-        on_violation: effect of a press with unmet parents: none, or all buttons go off.
+        family: the graphs with their rules, and how likely they are.
 
     Raises:
         UnsupportedError: more than `MOST_BELIEFS` beliefs.
@@ -214,18 +220,22 @@ class BeliefGraph:
         opens: float32 (beliefs, buttons), probability that a press opens the exit.
         lights: float32 (beliefs, buttons), probability that it lights the button and does not open the exit.
         lit: int32 (beliefs, buttons), the belief after that; -1 where it cannot be.
-        dark: int32 (beliefs, buttons), the belief after a press that does not light the button; -1 where it cannot be.
+        fails: float32 (beliefs, buttons), probability that it fails the puzzle.
+        resets: float32 (beliefs, buttons), probability that it is seen to turn buttons off.
+        reset: int32 (beliefs, buttons), the belief after that; -1 where it cannot be.
+        dark: int32 (beliefs, buttons), the belief after a press that changes nothing; -1 where it cannot be.
     """
 
-    def __init__(self, family: GraphFamily, on_violation: ViolationRule = "ignore") -> None:
-        self.family, self.on_violation = family, on_violation
+    def __init__(self, family: GraphFamily) -> None:
+        self.family = family
         self._numbers: dict[tuple[int, int], int] = {}
-        self._rows: list[tuple[list[float], list[float], list[int], list[int]]] = []
+        self._rows: list[tuple[list[Any], ...]] = []
         self._levels: list[int] = []
         self.root = self._add(0, np.arange(len(family.weights), dtype=np.int32))
-        opens, lights, lit, dark = zip(*self._rows, strict=True)
+        opens, lights, fails, resets, lit, reset, dark = zip(*self._rows, strict=True)
         self.opens, self.lights = np.array(opens, np.float32), np.array(lights, np.float32)
-        self.lit, self.dark = np.array(lit, np.int32), np.array(dark, np.int32)
+        self.fails, self.resets = np.array(fails, np.float32), np.array(resets, np.float32)
+        self.lit, self.reset, self.dark = (np.array(after, np.int32) for after in (lit, reset, dark))
         del self._rows
 
     def __len__(self) -> int:
@@ -250,7 +260,8 @@ class BeliefGraph:
         family, count = self.family, self.family.count
         weights = family.weights[graphs]
         total, level = float(weights.sum()), -1
-        opens, lights, after, failed = [0.0] * count, [0.0] * count, [-1] * count, [-1] * count
+        opens, lights, fails, resets = ([0.0] * count for _ in range(4))
+        after, reset, dark = ([-1] * count for _ in range(3))
         for button in range(count):
             if lit >> button & 1:
                 continue
@@ -261,14 +272,14 @@ class BeliefGraph:
             lit_only = allowed & ~is_goal
             opens[button] = float(weights[is_goal].sum()) / total
             lights[button] = float(weights[lit_only].sum()) / total
-            if lit_only.any():
-                after[button] = self._add(lit | 1 << button, graphs[lit_only])
-                level = max(level, self._levels[after[button]])
-            if not allowed.all():
-                failed[button] = self._add(lit if self.on_violation == "ignore" else 0, graphs[~allowed])
-                level = max(level, self._levels[failed[button]])
+            ended, undone, unchanged = split_mistakes(family.rules[graphs], ~allowed, lit)
+            fails[button], resets[button] = (float(weights[part].sum()) / total for part in (ended, undone))
+            for beliefs, part, bits in ((after, lit_only, lit | 1 << button), (reset, undone, 0), (dark, unchanged, lit)):
+                if part.any():
+                    beliefs[button] = self._add(bits, graphs[part])
+                    level = max(level, self._levels[beliefs[button]])
         self._numbers[key] = len(self._rows)
-        self._rows.append((opens, lights, after, failed))
+        self._rows.append((opens, lights, fails, resets, after, reset, dark))
         self._levels.append(level + 1)
         return self._numbers[key]
 
@@ -281,6 +292,8 @@ class BeliefGraph:
 
     def solve(self, ways: Ways) -> NDArray[np.float32]:
         """Fewest expected primitives to the exit, by the optimal choices, from every belief at every place.
+
+        A puzzle that is failed counts as `ways.failure` primitives.
 
         Returns:
             float32 (beliefs, places); infinite where no press opens the exit any more.
@@ -302,18 +315,31 @@ class BeliefGraph:
             button: the button that is pressed.
             ways: lengths of ways.
         """
-        opens, lights = self.opens[beliefs, button, None], self.lights[beliefs, button, None]
-        lit, dark = self.lit[beliefs, button], self.dark[beliefs, button]
-        after = (opens * ways.leaving
-                 + lights * np.where(lit[:, None] >= 0, costs[lit], 0)
-                 + (1 - opens - lights) * np.where(dark[:, None] >= 0, costs[dark], 0))
+        opens, lights, fails, resets = (odds[beliefs, button, None] for odds in
+                                        (self.opens, self.lights, self.fails, self.resets))
+        after = opens * ways.leaving + fails * np.float32(ways.failure)
+        for odds, then in ((lights, self.lit), (resets, self.reset), (1 - opens - lights - fails - resets, self.dark)):
+            known = then[beliefs, button]
+            after = after + odds * np.where(known[:, None] >= 0, costs[known], 0)
         return np.where(opens + lights > 0, after, np.float32(np.inf))
 
 
 @lru_cache(maxsize=8)
-def make_belief_graph(family: GraphFamily, on_violation: ViolationRule) -> BeliefGraph:
+def make_belief_graph(family: GraphFamily) -> BeliefGraph:
     """The belief graph of a family, kept for the next room."""
-    return BeliefGraph(family, on_violation)
+    return BeliefGraph(family)
+
+
+def split_mistakes(rules: NDArray[np.int64], mistaken: NDArray[np.bool_], lit: int) -> list[NDArray[np.bool_]]:
+    """Split graphs under which a press is a mistake by what shows: it fails, buttons go off, or nothing changes.
+
+    Args:
+        rules: of each graph, (graphs,).
+        mistaken: a press is a mistake, bool (graphs,).
+        lit: bits of the buttons that are lit before it; with none a reset shows nothing.
+    """
+    ignored, resets, fails = (mistaken & (rules == VIOLATION_RULES.index(rule)) for rule in ("ignore", "reset", "fail"))
+    return [fails, resets & bool(lit), ignored | resets & (not lit)]
 
 
 # --- the searcher ------------------------------------------------------------------------
@@ -359,7 +385,7 @@ class BayesSearcher(Searcher):
         lit = _get_bits(before) | _get_bits(after) & touched & ((1 << target) - 1)  # of two at once the lower is first
         if touched >> target & 1 and not lit >> target & 1:
             assert self._mind is not None
-            self._mind.learn(target, lit, bool(_get_bits(after) >> target & 1), self._puzzle.is_solved(after.puzzle))
+            self._mind.learn(target, lit, _get_bits(after), self._puzzle.is_solved(after.puzzle))
 
     def _describe(self, action: int, state: RoomState) -> str:
         assert self._mind is not None
@@ -384,11 +410,12 @@ class _Mind:
         self._config, self._odds = config, odds
         self._graph: BeliefGraph | None = None
         has_doubtful_marks = bool(puzzle.marks) and 0 < config.marks.truth < 1
-        if puzzle.count <= MOST_BUTTONS - (puzzle.on_violation == "reset") - has_doubtful_marks:
+        doubts = (config.on_violation != "ignore") + has_doubtful_marks
+        if puzzle.count <= MOST_BUTTONS - min(doubts, 1 if config.graph.kind == "chain" else 2):  # chains are few
             family = make_family(self._config, puzzle.count)
             self._family = condition_on_room(family, config, room, odds)
             make = make_belief_graph if self._family is family else BeliefGraph  # one for all rooms, or the room's own
-            self._graph = make(self._family, puzzle.on_violation)
+            self._graph = make(self._family)
             self._ways = measure_ways(self._planner)
             self._costs = self._graph.solve(self._ways)
 
@@ -401,9 +428,9 @@ class _Mind:
             rng = np.random.default_rng(self.room.seed)
             self._particles = GraphParticles(self._config, self._puzzle.count, rng, self._puzzle.marks)
 
-    def learn(self, target: int, lit: int, has_lit: bool, has_opened: bool) -> None:
-        """Take note of a press of an unlit button, `lit` being the bits before it."""
-        self._last = target
+    def learn(self, target: int, lit: int, after: int, has_opened: bool) -> None:
+        """Take note of a press of an unlit button, `lit` being the bits before it and `after` those after it."""
+        self._last, has_lit = target, bool(after >> target & 1)
         if self._graph is None:
             self._particles.learn((target, lit, has_lit, has_opened))
             return
@@ -412,6 +439,9 @@ class _Mind:
         agrees = allowed == has_lit
         if has_lit:
             agrees &= (family.goals[kept] == target) == has_opened
+        else:
+            _, undone, unchanged = split_mistakes(family.rules[kept], agrees, lit)
+            agrees = undone if after != lit else unchanged
         self._graphs = kept[agrees]
 
     def choose(self, state: RoomState, targets: Sequence[int]) -> int:
@@ -435,8 +465,7 @@ class _Mind:
         if self._graph is None or self._config.marks.motifs == 1:
             return None
         weights = self._family.weights[self._graphs]
-        left = GraphFamily(self._family.parents[self._graphs], self._family.goals[self._graphs],
-                           weights / weights.sum())
+        left = self._family.select(self._graphs, weights / weights.sum())
         return infer_motif(left, self._config.marks, self._puzzle.marks, self._odds)
 
     def compute_odds(self, lit: int) -> NDArray[np.float64]:
@@ -467,12 +496,12 @@ def measure_ways(planner: RoomPlanner) -> Ways:
             legs[place] = [_count_primitives(planner, state, PressGoal(other)) for other in range(count)]
             leaving[place] = _count_primitives(planner, state, ExitGoal())
     arrivals = np.tile(np.arange(count) * count, count + 1)[:, None] + np.arange(count)
-    return Ways(legs, arrivals, leaving)
+    return Ways(legs, arrivals, leaving, failure=room.reward.exit / -room.reward.step if room.reward.step < 0 else 0.0)
 
 
 def _get_bits(state: RoomState) -> int:
     """Bits of the buttons that are lit."""
-    return cast(int, state.puzzle)
+    return cast(int, state.puzzle) & ~FAILED
 
 
 def _find_end(planner: RoomPlanner, state: RoomState, goal: Goal) -> RoomState | None:

@@ -1,4 +1,4 @@
-"""Every dependency graph that a schematic of buttons can draw, with its probability, computed exactly.
+"""Every dependency graph and rule that a schematic of buttons can draw, with its probability, computed exactly.
 
 The schematic's own generator is run once for each sequence of outcomes that its draws can have, so that a change to the
 generator is a change here too.
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.presets import PRESETS
-from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
+from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle
 from hrl_escape.env.puzzles.graphs import Edges, GraphConfig, compute_order, mask_parents, sample_graph
 from hrl_escape.env.puzzles.marks import MarksConfig, compute_depths
 from hrl_escape.env.puzzles.sections import SectionsConfig
@@ -36,11 +36,12 @@ T = TypeVar("T", bound=Hashable)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GraphFamily:
-    """Labelled graphs of buttons and how likely each is."""
+    """Labelled graphs of buttons, each with what a mistake does, and how likely each is."""
 
     parents: NDArray[np.uint64]  # uint64 (graphs, buttons), the bits of each button's parents
     goals: NDArray[np.int64]  # int64 (graphs,), the button that opens the exit
     weights: NDArray[np.float64]  # float64 (graphs,), probabilities; they sum to 1
+    rules: NDArray[np.int64]  # int64 (graphs,), number in `VIOLATION_RULES` of what a press with unmet parents does
 
     @property
     def count(self) -> int:
@@ -49,8 +50,12 @@ class GraphFamily:
 
     @property
     def entropy(self) -> float:
-        """Uncertainty about the graph, bits."""
+        """Uncertainty about the graph and the rule, bits."""
         return float(-(self.weights * np.log2(self.weights)).sum())
+
+    def select(self, kept: NDArray[np.integer], weights: NDArray[np.float64]) -> GraphFamily:
+        """Some of the graphs, with new probabilities."""
+        return GraphFamily(self.parents[kept], self.goals[kept], weights, self.rules[kept])
 
 
 def can_light(parents: NDArray[np.uint64], lit: int) -> NDArray[np.bool_]:
@@ -125,7 +130,7 @@ def list_graphs(config: GraphConfig, count: int) -> dict[Edges, float]:
 
 @lru_cache(maxsize=16)
 def make_family(config: ButtonsConfig, count: int) -> GraphFamily:
-    """Every labelled graph that a schematic can give to a room with so many buttons.
+    """Every labelled graph that a schematic can give to a room with so many buttons, under each rule that it can draw.
 
     Args:
         config: of the puzzle; `count` and `graph.max_parents` may be ranges.
@@ -145,9 +150,11 @@ def make_family(config: ButtonsConfig, count: int) -> GraphFamily:
             relabelled = ((label[parent], label[child]) for parent, child in edges)
             found[mask_parents(relabelled, count), label[last]] += probability / len(labels)
     graphs = sorted(found)
-    return GraphFamily(np.array([masks for masks, _ in graphs], dtype=np.uint64).reshape(len(graphs), count),
-                       np.array([goal for _, goal in graphs], dtype=np.int64),
-                       np.array([found[graph] for graph in graphs]))
+    rules = [number for number, rule in enumerate(VIOLATION_RULES) if config.on_violation in (rule, "drawn")]
+    return GraphFamily(
+        np.tile(np.array([masks for masks, _ in graphs], dtype=np.uint64).reshape(len(graphs), count), (len(rules), 1)),
+        np.tile(np.array([goal for _, goal in graphs], dtype=np.int64), len(rules)),
+        np.tile([found[graph] / len(rules) for graph in graphs], len(rules)), np.repeat(rules, len(graphs)))
 
 
 def _list_edges(family: GraphFamily) -> list[Edges]:
@@ -184,7 +191,9 @@ def condition_on_room(family: GraphFamily, config: ButtonsConfig, room: RoomInst
 
 
 def measure_information(config: ButtonsConfig, rooms: Sequence[RoomInstance]) -> tuple[float, float]:
-    """Bits that marks and places of rooms tell of the hidden graph, and bits that there are to tell; means over rooms.
+    """Bits that marks and places of rooms tell of the hidden graph, and bits that there are to tell of graph and rule.
+
+    Means over rooms.
 
     Raises:
         UnsupportedError: the graphs cannot be listed, see `make_family`.
@@ -242,7 +251,7 @@ def condition_on_places(family: GraphFamily, rules: SectionsConfig, targets: Seq
 def _reweigh(family: GraphFamily, likelihood: NDArray[np.float64]) -> GraphFamily:
     weights = family.weights * likelihood
     kept = np.flatnonzero(weights)
-    return GraphFamily(family.parents[kept], family.goals[kept], weights[kept] / weights.sum())
+    return family.select(kept, weights[kept] / weights.sum())
 
 
 def find_schematic(instance: RoomInstance) -> RoomConfig:

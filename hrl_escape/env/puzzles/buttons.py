@@ -1,7 +1,7 @@
 """The button puzzle (paper, section 5.2): binary buttons that depend on each other along a DAG.
 
-A press turns a button on only if all its parents are on. One button is the goal: while
-it is on, the exit is open. The state is an integer whose bit i is button i. A lock (a, b) is a dead end:
+A press turns a button on only if all its parents are on; what else it does is the rule of violations. One button is the
+goal: while it is on, the exit is open. The state is an integer whose bit i is button i. A lock (a, b) is a dead end:
 once a is on, b cannot be turned on any more. A button may open a door between two rooms, and bear a mark
 (`marks.py`).
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
@@ -24,15 +24,21 @@ from hrl_escape.env.puzzles.graphs import (
     sample_locks,
     sample_relabelled,
 )
-from hrl_escape.env.puzzles.marks import Mark, MarksConfig
+from hrl_escape.env.puzzles.marks import COLOURS, Mark, MarksConfig
 from hrl_escape.env.puzzles.sections import SectionsConfig
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.puzzles.traits import Doored, Marked
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-ViolationRule = Literal["ignore", "reset"]
-"""Effect of a press with unmet parents: none, or all buttons go off."""
+ViolationRule = Literal["ignore", "reset", "fail"]
+"""Effect of a press with unmet parents: none, all buttons go off, or the puzzle is failed and the episode ends."""
+VIOLATION_RULES: tuple[ViolationRule, ...] = get_args(ViolationRule)
+FAILED = 1 << 63
+"""Bit of a state in which the puzzle is failed."""
+_FAILED_FACT = "failed"
+MOST_TO_FAIL = 63
+"""Buttons of a puzzle that can be failed: one bit of the word is kept for that."""
 _TRIES = 200
 """Most graphs drawn in search of one with enough dead ends."""
 
@@ -47,8 +53,9 @@ class ButtonsConfig(PuzzleConfig):
     """Number of buttons, each a panel on a wall."""
     graph: GraphConfig = GraphConfig()
     """Dependencies between buttons: a button turns on only once its parents are on."""
-    on_violation: ViolationRule = "ignore"
-    """A press with unmet parents is ignored, or turns all buttons off."""
+    on_violation: Literal["ignore", "reset", "fail", "drawn"] = "ignore"
+    """A press with unmet parents is ignored, turns all buttons off, or fails the puzzle, which ends the episode.
+    `drawn`: each room draws one of the three, and nothing shows which before the first mistake."""
     allow_off: bool = False
     """Pressing a button that is on turns it off."""
     goal: ButtonNumber | None = None
@@ -70,13 +77,18 @@ class ButtonsConfig(PuzzleConfig):
             raise ConfigError("puzzle.goal", self.goal, f"a button from 0 to {self.count - 1}")
         if self.graph.kind == "edges":
             compute_order(self.count, self.graph.edges)
-        if self.dead_ends and (self.allow_off or self.on_violation == "reset"):
+        may_go_off = self.allow_off or self.on_violation in ("reset", "drawn")
+        if self.on_violation in ("fail", "drawn") and self.count > MOST_TO_FAIL:
+            raise ConfigError("puzzle.count", self.count, f"at most {MOST_TO_FAIL} where a press may fail the puzzle")
+        if self.dead_ends and may_go_off:
             raise ConfigError("puzzle.dead_ends", self.dead_ends, "0 where buttons can be turned off again")
         if self.doors > self.count:
             raise ConfigError("puzzle.doors", self.doors, f"at most puzzle.count = {self.count}, a button for each")
-        if self.doors and (self.allow_off or self.on_violation == "reset" or self.dead_ends):
+        if self.doors and (may_go_off or self.dead_ends):
             raise ConfigError("puzzle.doors", self.doors,
                               "0 where buttons can be turned off again or locked, for a door might never open again")
+        if self.marks.kind == "wires" and self.count > len(COLOURS):
+            raise ConfigError("puzzle.count", self.count, f"at most {len(COLOURS)} with wires, a colour for each")
         if self.sections.count and (self.doors or self.buttons.places != "random"):
             raise ConfigError("puzzle.sections.count", self.sections.count, "0 where doors or fixed places decide "
                               "where buttons hang")
@@ -97,9 +109,16 @@ class ButtonsConfig(PuzzleConfig):
                 if self.marks.shuffled:
                     shown = sample_relabelled(self.graph, self.count, rng, self.goal)
                 marks = () if self.marks.kind == "none" else self.marks.draw(self.count, *shown, rng)
-                return ButtonsPuzzle(self.count, edges, goal, self.on_violation, self.allow_off, locks, doors, marks)
+                rule = self._draw_rule(rng)
+                return ButtonsPuzzle(self.count, edges, goal, rule, self.allow_off, locks, doors, marks)
         raise ConfigError("puzzle.dead_ends", self.dead_ends,
                           "as many as such graphs have pairs of buttons of which neither needs the other")
+
+    def _draw_rule(self, rng: np.random.Generator) -> ViolationRule:
+        """Rule of a room; the last draw of its puzzle, so that nothing else depends on it."""
+        if self.on_violation != "drawn":
+            return self.on_violation
+        return VIOLATION_RULES[rng.integers(len(VIOLATION_RULES))]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,6 +153,8 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
             raise ConfigError("puzzle.doors", self.doors, f"numbers from 0 to {self.count - 1}")
         if self.doors and (self.allow_off or self.on_violation == "reset"):
             raise ConfigError("puzzle.doors", self.doors, "none where buttons can be turned off again")
+        if self.on_violation == "fail" and self.count > MOST_TO_FAIL:
+            raise ConfigError("puzzle.count", self.count, f"at most {MOST_TO_FAIL} where a press may fail the puzzle")
 
     @cached_property
     def lock_masks(self) -> tuple[int, ...]:
@@ -159,8 +180,29 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
 
     @property
     def has_dead_ends(self) -> bool:
-        """True if there are locks: a button turned on too early may bar the goal."""
-        return bool(self.locks)
+        """True if a button turned on too early may bar the goal, or a wrong press fails the puzzle."""
+        return bool(self.locks) or self.on_violation == "fail"
+
+    def is_state(self, state: Any) -> bool:
+        """Return whether an untrusted value is a word of this many bits, of a failed puzzle or not."""
+        may_fail = type(state) is int and self.on_violation == "fail" and state >= FAILED
+        return super().is_state(state - FAILED if may_fail else state)
+
+    def is_solved(self, state: int) -> bool:
+        """Return whether the goal button is on, and no press has failed the puzzle."""
+        return super().is_solved(state) and not self._has_failed(state)
+
+    def is_failed(self, state: int) -> bool:
+        """Return whether a press with unmet parents has failed the puzzle."""
+        return self._has_failed(state)
+
+    def _has_failed(self, state: int) -> bool:
+        return self.on_violation == "fail" and state >= FAILED
+
+    def get_facts(self, state: int) -> frozenset[str]:
+        """`on(<name>)` for every button that is on, and `failed` where a press has failed the puzzle."""
+        facts = super().get_facts(state)
+        return facts | {_FAILED_FACT} if self._has_failed(state) else facts
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -168,8 +210,10 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
         return tuple(f"button-{i + 1}" for i in range(self.count))
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Apply presses in index order."""
+        """Apply presses in index order, up to one that fails the puzzle."""
         for button in contacts.pressed:
+            if self._has_failed(state):
+                break
             bit = 1 << button
             if state & bit:
                 if self.allow_off:
@@ -178,18 +222,24 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
                 state |= bit
             elif self.on_violation == "reset":
                 state = 0
+            elif self.on_violation == "fail":
+                state |= FAILED
         return state
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator a button, applicable when its parents are on, and neither it nor any that locks it is."""
+        """One operator a button, applicable when its parents are on, and neither it nor any that locks it is.
+
+        Where the puzzle can be failed, none is applicable after that.
+        """
         model = super().make_symbolic_model()
-        if not self.locks:
+        fact, failed = model.propositions, (_FAILED_FACT,) if self.on_violation == "fail" else ()
+        locks = [frozenset([*failed, *(fact[locking] for locking, locked in self.locks if locked == i)])
+                 for i in range(self.count)]
+        if not any(locks):
             return model
-        fact = model.propositions
-        locks = [frozenset(fact[locking] for locking, locked in self.locks if locked == i) for i in range(self.count)]
         operators = (dataclasses.replace(operator, forbidden=operator.forbidden | locking)
                      for operator, locking in zip(model.operators, locks, strict=True))
-        return dataclasses.replace(model, operators=tuple(operators))
+        return dataclasses.replace(model, propositions=(*fact, *failed), operators=tuple(operators))
 
 
 register_puzzle(ButtonsConfig, ButtonsPuzzle)

@@ -3,8 +3,9 @@
 A symbol is a colour, a shape and a size. The code, part of the schematic, gives each symbol one class, and a target
 shows some symbol of its own class: so what a symbol means can be learned in some rooms and used in others. With
 several motifs the classes that symbols stand for are put into one of a few orders, drawn for each room and not shown:
-what has been learned says which orders there are, and the first presses which of them holds. Marks never change the
-rules. Nothing else that can be observed before the first press tells of the graph.
+what has been learned says which orders there are, and the first presses which of them holds. Wires are marks too: a
+button's colour is its own, and its shape and size, the plug, name by the code the colour of the button that it waits
+for; some wires are hidden. Marks never change the rules. Nothing else that can be observed before the first press tells of the graph.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ SHAPES = ("disc", "square", "triangle", "star")
 SIZES = ("small", "medium", "large")
 MARK_WORDS = (*COLOURS, *SHAPES, *SIZES)
 """Names of the numbers that a marked target's row has besides: 1 for its colour, its shape and its size."""
-MOST_SYMBOLS = len(COLOURS) * len(SHAPES) * len(SIZES)
+PLUGS = len(SHAPES) * len(SIZES)
+"""Shapes of all sizes, the plugs of wires."""
+MOST_SYMBOLS = len(COLOURS) * PLUGS
 
 Mark: TypeAlias = Annotated[int, Range(0, MOST_SYMBOLS - 1)]
 """Number of a symbol: colour + 8 shape + 32 size."""
@@ -66,15 +69,16 @@ class MarksConfig(Schematic):
     """Marks on targets: what they tell of the graph, and by which code."""
 
     _section = "marks"
-    kind: Literal["none", "rank", "needed"] = "none"
+    kind: Literal["none", "rank", "needed", "wires"] = "none"
     """`rank`: a mark tells how many buttons must be on before its own, along the longest way. `needed`: whether the
-    goal depends on it."""
+    goal depends on it. `wires`: which button must be on before, by its colour."""
     levels: Annotated[int, Range(2, 64)] = 8
     """Ranks that marks tell apart; the last stands for all higher ones."""
     symbols: Annotated[int, Range(2, MOST_SYMBOLS)] = 8
     """Number of different symbols: the vocabulary that is to be learned. Up to 8 differ in colour only."""
     truth: Annotated[float, Range(0, 1)] = 1.0
-    """Share of marks that are drawn from the target's own class; the others are any symbol."""
+    """Share of marks that are drawn from the target's own class; the others are any symbol. Share of wires that are
+    shown; the others look as if there were none."""
     shuffled: bool = False
     """Marks are those of another graph of the schematic: they look the same and say nothing, for control."""
     code: Annotated[int, Range(0, 2**63 - 1)] = 0
@@ -85,6 +89,10 @@ class MarksConfig(Schematic):
 
     def check(self) -> None:
         """Check that there are symbols for every class."""
+        if self.kind == "wires":
+            if self.motifs > 1:
+                raise ConfigError("marks.motifs", self.motifs, "1 with wires, whose plugs mean the same in every room")
+            return
         if self.kind != "none" and self.symbols < self.classes:
             raise ConfigError("marks.symbols", self.symbols, f"at least {self.classes}, one for each class of targets")
         if self.motifs > math.factorial(self.classes):
@@ -93,13 +101,14 @@ class MarksConfig(Schematic):
 
     @property
     def classes(self) -> int:
-        """Number of classes of targets that marks tell apart."""
-        return 2 if self.kind == "needed" else self.levels
+        """Number of classes of targets that marks tell apart; with wires, of plugs: none, and one for each colour."""
+        return {"needed": 2, "wires": 1 + len(COLOURS)}.get(self.kind, self.levels)
 
     @cached_property
     def meanings(self) -> NDArray[np.int64]:
-        """Class of each symbol, (symbols,): as many of each class as of any other, or one more."""
-        return np.random.default_rng([self.code, 3]).permutation(self.symbols) % self.classes
+        """Class of each symbol, or of each plug, (symbols,): as many of each class as of any other, or one more."""
+        symbols = PLUGS if self.kind == "wires" else self.symbols
+        return np.random.default_rng([self.code, 3]).permutation(symbols) % self.classes
 
     @cached_property
     def orders(self) -> NDArray[np.int64]:
@@ -111,7 +120,10 @@ class MarksConfig(Schematic):
         return np.array(orders)
 
     def classify(self, count: int, edges: Edges, goal: int) -> NDArray[np.int64]:
-        """Class of each target of a graph, (count,)."""
+        """Class of each target of a graph, (count,); with wires 0, or the number of its lowest parent and 1."""
+        if self.kind == "wires":
+            return np.array([min((parent + 1 for parent, child in edges if child == node), default=0)
+                             for node in range(count)])
         if self.kind == "needed":
             needed = find_ancestors(edges, (goal,))
             return np.array([int(node in needed) for node in range(count)])
@@ -119,10 +131,28 @@ class MarksConfig(Schematic):
 
     def draw(self, count: int, edges: Edges, goal: int, rng: np.random.Generator) -> tuple[int, ...]:
         """Draw the mark of each target of a graph."""
+        if self.kind == "wires":
+            return self._draw_wires(self.classify(count, edges, goal), rng)
         order = self.orders[rng.integers(self.motifs) if self.motifs > 1 else 0]
         meanings = order[self.meanings]
         return tuple(int(rng.choice(np.flatnonzero(meanings == own) if rng.random() < self.truth else self.symbols))
                      for own in self.classify(count, edges, goal))
+
+    def _draw_wires(self, classes: NDArray[np.int64], rng: np.random.Generator) -> tuple[int, ...]:
+        """Colours, each once, and plugs that name the colour of each target's parent."""
+        colours = rng.permutation(len(COLOURS))[: len(classes)]
+        named = np.array([0, *(colours + 1)])[np.where(rng.random(len(classes)) < self.truth, classes, 0)]
+        plugs = [int(rng.choice(np.flatnonzero(self.meanings == own))) for own in named]
+        return tuple(int(colour) + len(COLOURS) * plug for colour, plug in zip(colours, plugs, strict=True))
+
+    def _compute_wire_likelihood(self, marks: tuple[int, ...], classes: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Probability of marks under each graph, (graphs,); classes (graphs, targets)."""
+        plugs, colours = np.divmod(np.array(marks), len(COLOURS))
+        read = self.meanings[plugs]
+        targets = {0: 0} | {colour + 1: target + 1 for target, colour in enumerate(colours.tolist())}
+        named = np.array([targets.get(own, -1) for own in read.tolist()])
+        own = np.where(classes > 0, self.truth * (named == classes) + (1 - self.truth) * (named == 0), named == 0)
+        return np.prod(own / np.bincount(self.meanings, minlength=self.classes)[read], axis=1)
 
     def compute_likelihood(self, marks: tuple[int, ...], classes: NDArray[np.int64],
                            odds: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
@@ -142,6 +172,8 @@ class MarksConfig(Schematic):
 
     def compute_motif_likelihood(self, marks: tuple[int, ...], classes: NDArray[np.int64]) -> NDArray[np.float64]:
         """Probability of marks that say something under each motif and graph, (motifs, graphs)."""
+        if self.kind == "wires":
+            return self._compute_wire_likelihood(marks, classes)[None]
         read = self.meanings[list(marks)]
         own = (self.orders[:, None, read] == classes) / np.bincount(self.meanings, minlength=self.classes)[read]
         return np.prod(self.truth * own + (1 - self.truth) / self.symbols, axis=2)

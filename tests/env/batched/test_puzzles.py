@@ -22,6 +22,7 @@ from hrl_escape.env.puzzles.recipes import RecipesConfig
 
 KINDS = {
     "buttons": ButtonsConfig(count=7, graph=GraphConfig(kind="random"), on_violation="reset", allow_off=True),
+    "buttons, rules drawn": ButtonsConfig(count=6, graph=GraphConfig(kind="random"), on_violation="drawn"),
     "buttons, dead ends": ButtonsConfig(count=7, graph=GraphConfig(kind="layered", max_parents=2), dead_ends=5),
     "bit-flip": BitFlipConfig(count=9),
     "lights-out": LightsOutConfig(rows=3, columns=5, scramble=4),

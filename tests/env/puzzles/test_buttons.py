@@ -1,16 +1,23 @@
 """The button puzzle against two independent models: a brute-force interpreter, and order theory."""
 
+import dataclasses
 import itertools
 
+import gymnasium
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.puzzles.base import Contacts
-from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
+from hrl_escape.env.puzzles.buttons import FAILED, VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.marks import MarksConfig
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError
+from hrl_escape.planning.planner import RoomPlanner
 
 
 @st.composite
@@ -24,15 +31,17 @@ def dags(draw, most):
 
 
 def press_by_hand(lit, button, edges, on_violation, allow_off):
-    """One press, straight from the rule's words, on a set of button numbers."""
+    """One press, straight from the rule's words, on a set of button numbers; None once the puzzle is failed."""
+    if lit is None:
+        return None
     if button in lit:
         return lit - {button} if allow_off else lit
     if all(parent in lit for parent, child in edges if child == button):
         return lit | {button}
-    return set() if on_violation == "reset" else lit
+    return {"ignore": lit, "reset": set(), "fail": None}[on_violation]
 
 
-@given(dags(12), st.sampled_from(["ignore", "reset"]), st.booleans(), st.data())
+@given(dags(12), st.sampled_from(VIOLATION_RULES), st.booleans(), st.data())
 def test_presses_do_what_the_rule_says_on_any_dag(dag, on_violation, allow_off, data):
     count, edges = dag
     goal = data.draw(st.integers(0, count - 1))
@@ -42,6 +51,10 @@ def test_presses_do_what_the_rule_says_on_any_dag(dag, on_violation, allow_off, 
         state = puzzle.update(state, Contacts(tuple(sorted(pressed))))
         for button in sorted(pressed):
             lit = press_by_hand(lit, button, edges, on_violation, allow_off)
+        assert puzzle.is_failed(state) == (lit is None) and puzzle.is_state(state)
+        if lit is None:
+            assert not puzzle.is_solved(state)
+            break
         assert puzzle.get_lit(state) == tuple(i in lit for i in range(count))
         assert puzzle.observe(state) == tuple(float(i in lit) for i in range(count))
         assert puzzle.is_solved(state) == (goal in lit)
@@ -127,3 +140,60 @@ def test_dead_ends_need_buttons_that_stay_on_and_a_choice_of_order():
         ButtonsConfig(count=4, dead_ends=1).make_puzzle(np.random.default_rng(0))  # a chain
     with pytest.raises(ConfigError, match="cycles"):
         ButtonsPuzzle(3, ((0, 2), (1, 2)), 2, locks=((0, 1), (1, 0)))
+
+
+# --- what a mistake does ---------------------------------------------------------------------
+
+
+def test_a_failed_puzzle_takes_no_further_press_and_keeps_its_lights():
+    puzzle = ButtonsPuzzle(3, ((0, 1), (1, 2)), 2, "fail")
+    failed = puzzle.update(0b001, Contacts((2,)))
+    assert failed == 0b001 | FAILED and puzzle.is_failed(failed) and not puzzle.is_failed(0b001)
+    assert puzzle.update(failed, Contacts((1,))) == failed
+    assert puzzle.update(0b001, Contacts((1, 2))) == 0b111  # in index order, both are allowed
+    assert ButtonsPuzzle(3, ((2, 0),), 1, "fail").update(0, Contacts((0, 1))) == FAILED  # the goal comes too late
+    late = ButtonsPuzzle(3, ((0, 2),), 1, "fail").update(0, Contacts((1, 2)))
+    assert late == 0b010 | FAILED and not ButtonsPuzzle(3, ((0, 2),), 1, "fail").is_solved(late)
+    assert puzzle.symbolic.has_dead_ends
+    assert not puzzle.is_state(FAILED << 1) and not puzzle.is_state(FAILED | 0b1000) and not puzzle.is_state(-1)
+    assert not ButtonsPuzzle(3, (), 2).is_state(FAILED)
+
+
+def test_rooms_draw_what_a_mistake_does_and_nothing_else_depends_on_it():
+    marks = MarksConfig("rank", levels=5, truth=0.5)
+    config = ButtonsConfig(count=5, graph=GraphConfig(kind="layered", max_parents=2), marks=marks)
+    drawn = dataclasses.replace(config, on_violation="drawn")
+    rules = []
+    for seed in range(600):
+        plain, made = (each.make_puzzle(np.random.default_rng(seed)) for each in (config, drawn))
+        rules.append(made.on_violation)
+        assert dataclasses.replace(made, on_violation="ignore") == plain
+    assert all(abs(rules.count(rule) / 600 - 1 / 3) < 0.06 for rule in VIOLATION_RULES)  # three standard errors
+
+
+@pytest.mark.parametrize(("fields", "words"), [
+    ({"count": 64}, "puzzle.count = 64 is not possible: at most 63"), ({"count": 5, "dead_ends": 1}, "puzzle.dead_ends"),
+    ({"count": 3, "doors": 1}, "puzzle.doors")])
+def test_rules_that_cannot_be_are_refused(fields, words):
+    with pytest.raises(ConfigError, match=words):
+        ButtonsConfig(**fields, on_violation="drawn")
+    with pytest.raises(ConfigError, match="at most 63"):
+        ButtonsPuzzle(64, on_violation="fail")
+
+
+@pytest.mark.parametrize("engine", ["single", "many"])
+def test_a_wrong_press_ends_the_episode_without_an_escape(engine):
+    config = RoomConfig(puzzle=ButtonsConfig(count=2, graph=GraphConfig(relabel=False), on_violation="fail"))
+    room = generate(config, 3)
+    plan = RoomPlanner(room).plan(RoomPlanner(room).rules.make_state(room.starts[0]), "button-2").primitives
+    if engine == "single":
+        env = EscapeRoomEnv(instance=room)
+        env.reset(seed=0)
+        *_, last = [env.step(action) for action in plan]
+        assert env.instance.puzzle.is_failed(env.get_state().puzzle)
+    else:
+        env = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=2, instance=room)
+        env.reset(seed=0)
+        *_, last = [env.step(np.full(2, action)) for action in plan]
+        last = tuple(np.asarray(part).flat[0] for part in last[:4])
+    assert last[1:4] == (-1.0, True, False)

@@ -104,6 +104,59 @@ def test_likelihoods_are_those_of_the_draws(motifs):
     assert shuffled[0] == shuffled[1]
 
 
+# --- wires -----------------------------------------------------------------------------------
+
+
+def read_wires(rules, marks):
+    """For each target the target that its plug names, None where there is no wire."""
+    colours = {mark % 8: target for target, mark in enumerate(marks)}
+    return [None if (own := rules.meanings[mark // 8]) == 0 else colours[own - 1] for mark in marks]
+
+
+def test_a_wire_leads_to_the_button_that_must_be_on_before_and_some_are_hidden():
+    rules, shown = MarksConfig("wires", truth=0.75), []
+    puzzles = [make_with(rules, count=5).puzzle.make_puzzle(np.random.default_rng(seed)) for seed in range(400)]
+    for puzzle in puzzles:
+        parent = {child: parent for parent, child in puzzle.edge_list}
+        assert len({mark % 8 for mark in puzzle.marks}) == 5, "every button has a colour of its own"
+        for button, named in enumerate(read_wires(rules, puzzle.marks)):
+            assert named is None or named == parent[button]
+            shown += [named is not None] if button in parent else []
+    assert len(shown) == 1600 and np.mean(shown) == pytest.approx(0.75, abs=0.04)  # four standard errors
+    assert {mark // 8 for puzzle in puzzles for mark in puzzle.marks} == set(range(12)), "every plug is in use"
+    assert set(rules.meanings.tolist()) == set(range(9)), "for every colour, and for no wire, there is a plug"
+
+
+def test_wires_of_another_graph_say_nothing():
+    rules = MarksConfig("wires", shuffled=True)
+    puzzles = [make_with(rules, count=5).puzzle.make_puzzle(np.random.default_rng(seed)) for seed in range(400)]
+    right = [(named, button) in puzzle.edge_list for puzzle in puzzles
+             for button, named in enumerate(read_wires(rules, puzzle.marks)) if named is not None]
+    assert len(right) == 1600 and np.mean(right) == pytest.approx(0.2, abs=0.04)  # 4 edges among 20 pairs
+    classes = np.array([[0, 1, 2], [3, 0, 1]])
+    assert rules.compute_likelihood((8, 1, 2), classes).tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("truth", [1.0, 0.6])
+def test_likelihoods_of_wires_are_those_of_the_draws(truth):
+    """Given the colours: over all plugs they sum to 1 under every graph, and are the shares in which plugs are drawn."""
+    rules, edges = MarksConfig("wires", truth=truth), ((2, 0), (0, 1))
+    colours, graphs = (4, 7, 0), (edges, ((0, 1), (1, 2)), ((0, 1), (0, 2)))
+    classes = np.array([rules.classify(3, each, 0) for each in graphs])
+    assert classes.tolist() == [[3, 1, 0], [0, 1, 2], [0, 1, 1]]
+    every = [tuple(colour + 8 * plug for colour, plug in zip(colours, plugs, strict=True))
+             for plugs in itertools.product(range(12), repeat=3)]
+    table = np.array([rules.compute_likelihood(marks, classes) for marks in every])
+    assert table.sum(axis=0) == pytest.approx([1, 1, 1])
+    rng = np.random.default_rng(0)
+    drawn = [marks for marks in (rules.draw(3, edges, 1, rng) for _ in range(200_000))
+             if tuple(mark % 8 for mark in marks) == colours]
+    assert len(drawn) > 400
+    for marks in set(drawn):
+        assert drawn.count(marks) / len(drawn) == pytest.approx(table[every.index(marks), 0], abs=0.08)
+    assert not table[[every.index(marks) for marks in set(drawn)], 0].min() == 0
+
+
 def test_each_room_has_one_motif_and_all_motifs_are_as_frequent():
     rules = MarksConfig("rank", levels=4, symbols=12, motifs=3)
     assert rules.orders[0].tolist() == [0, 1, 2, 3] and len({tuple(order) for order in rules.orders}) == 3
@@ -210,6 +263,7 @@ def test_marked_and_bare_rooms_are_no_batch_and_batched_cameras_refuse_marks():
 @pytest.mark.parametrize(("changes", "words"), [
     ({"kind": "rank", "levels": 8, "symbols": 6}, "marks.symbols = 6 is not possible: at least 8"),
     ({"kind": "rank", "symbols": 97}, "97"),
+    ({"kind": "wires", "motifs": 2}, "marks.motifs = 2 is not possible: 1 with wires"),
     ({"kind": "needed", "motifs": 3}, "marks.motifs = 3 is not possible: at most 2, the orders of 2 classes"),
     ({"kind": "rank", "truth": 1.5}, "1.5"),
     ({"kind": "colour"}, "needed"),

@@ -21,7 +21,7 @@ from hrl_escape.env.batched.puzzles.base import (
 )
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
-from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.puzzles.buttons import FAILED, ButtonsPuzzle
 from hrl_escape.env.puzzles.light_box import LightBoxPuzzle
 from hrl_escape.env.puzzles.lights_out import LightsOutPuzzle, list_flips
 
@@ -46,8 +46,9 @@ class _ButtonsTensorPuzzle(_BitTensorPuzzle):
     def make_tables(self, puzzles: Sequence[ButtonsPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Tables by instance.
 
-        Bits of each button's parents and, if any, its locks (buttons, instances); goals and rules (instances,); with
-        doors, the button that opens each, -1 where there are fewer (doors, instances).
+        Bits of each button's parents and, if any, its locks (buttons, instances); goals and rules (instances,); where
+        some instance can be failed, the bit for that (instances,); with doors, the button that opens each, -1 where
+        there are fewer (doors, instances).
         """
         parents, locks = np.zeros((2, len(puzzles), len(frame.target_names)), dtype=np.uint64)
         for number, puzzle in enumerate(puzzles):
@@ -58,6 +59,8 @@ class _ButtonsTensorPuzzle(_BitTensorPuzzle):
             "resets": np.array([puzzle.on_violation == "reset" for puzzle in puzzles]),
             "allow_off": np.array([puzzle.allow_off for puzzle in puzzles]),
         }
+        if any(fails := [puzzle.on_violation == "fail" for puzzle in puzzles]):
+            tables["fails"] = np.where(fails, as_signed(FAILED), 0)
         if locks.any():
             tables["locks"] = np.ascontiguousarray(locks.T).view(np.int64)
         if doors := max(len(puzzle.doors) for puzzle in puzzles):
@@ -69,16 +72,26 @@ class _ButtonsTensorPuzzle(_BitTensorPuzzle):
         unmet = tables["parents"][target] & ~state
         if "locks" in tables:
             unmet = unmet | tables["locks"][target] & state
-        when_off = torch.where(unmet == 0, state | bit, torch.where(tables["resets"], 0, state))
+        violated = state | tables["fails"] if "fails" in tables else state
+        when_off = torch.where(unmet == 0, state | bit, torch.where(tables["resets"], 0, violated))
         when_on = torch.where(tables["allow_off"], state & ~bit, state)
-        return torch.where((state & bit) != 0, when_on, when_off)
+        after = torch.where((state & bit) != 0, when_on, when_off)
+        failed = self.is_failed(tables, state)
+        return after if failed is None else torch.where(failed, state, after)
 
     def find_shut(self, tables: PuzzleTables, state: Tensor, doors: int) -> Tensor:
         openers = tables["openers"]
         return (openers >= 0) & (state >> openers.clamp(min=0) & 1 == 0)
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        return ((state >> tables["goal"]) & 1) != 0
+        solved, failed = ((state >> tables["goal"]) & 1) != 0, self.is_failed(tables, state)
+        return solved if failed is None else solved & ~failed
+
+    def is_failed(self, tables: PuzzleTables, state: Tensor) -> Tensor | None:
+        return (state & tables["fails"]) != 0 if "fails" in tables else None
+
+    def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        return state & ~tables["fails"] if "fails" in tables else state
 
 
 class _BitFlipTensorPuzzle(_BitTensorPuzzle):
