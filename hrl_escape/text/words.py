@@ -14,7 +14,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
+from hrl_escape.env.puzzles.marks import name_mark
+from hrl_escape.env.puzzles.traits import Barring, Depicted, Marked, get_trait
 from hrl_escape.names import join_words
 from hrl_escape.options.meta_actions import AbsentOption
 from hrl_escape.options.option import Option
@@ -76,11 +77,12 @@ def tell_room(instance: RoomInstance, state: RoomState, has_places: bool,
     def locate(x: float, y: float) -> str:
         return f" at {place(x, y)}" if has_places else ""
 
-    lit, depicted = puzzle.get_lit(state.puzzle), get_trait(puzzle, Depicted)
+    lit, depicted, marks = puzzle.get_lit(state.puzzle), get_trait(puzzle, Depicted), get_trait(puzzle, Marked).marks
     things = []
     for index, target in enumerate(instance.targets):
         sign = depicted.get_sign(state.puzzle, index)
         things.append(f"{quote(target.name)}{locate(target.x, target.y)}, {'on' if lit[index] else 'off'}"
+                      + (f", marked with a {name_mark(marks[index])}" if marks else "")
                       + (f", showing {quote(sign)}" if sign else ""))
     things += [f"{quote(placed.prop.name)}{locate(x, y)}"
                for placed, (x, y, _) in zip(instance.props, get_prop_poses(state, instance), strict=True)]
@@ -128,5 +130,7 @@ def _describe_primitive(instance: RoomInstance, before: RoomState, after: RoomSt
         changes += [f"door {number + 1} {'shut' if shut else 'opened'}"] if shut != get_shut(was) >> number & 1 else []
     if puzzle.is_solved(was) != puzzle.is_solved(now):
         changes.append("the exit opened" if puzzle.is_solved(now) else "the exit shut")
+    if puzzle.is_failed(now) and not puzzle.is_failed(was):
+        changes.append("the puzzle is failed")
     said = "; ".join(changes) or "nothing changed"
     return [f"Pressed {join_words(pressed)}: {said}." if pressed else f"{said[0].upper()}{said[1:]}."]

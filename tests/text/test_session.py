@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.puzzles.marks import COLOURS, SHAPES, SIZES
 from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.errors import ResetNeededError, UnknownNameError, UnsupportedError
+from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.sequence import SequenceEnv
 from hrl_escape.options.option import FunctionOption
 from hrl_escape.options.options_env import OptionsEnv
@@ -146,6 +148,21 @@ def test_every_door_is_told_as_it_is_and_when_it_opens():
         assert "door 0" not in text and not re.search(r"door \d shut", text)
         seen.update(opened)
     assert seen == set(range(len(room.inner_doors)))
+
+
+def test_marks_are_told_and_a_failed_puzzle_too():
+    rooms = load_benchmark("marks-4")
+    wired = rooms["wires"].train[0]
+    said = make_session(wired).reset()
+    for target, mark in zip(wired.targets, wired.puzzle.marks, strict=True):
+        colour, plug = COLOURS[mark % 8], mark // 8
+        words = f"{SIZES[plug // 4]} {colour} {SHAPES[plug % 4]}"
+        assert re.search(rf'"{target.name}" at \([^)]*\), off, marked with a {words}[;.]', said)
+    room = next(room for room in rooms["rules"].train[:8] if room.puzzle.on_violation == "fail")
+    late = next(button for button, parents in enumerate(room.puzzle.parent_masks) if parents)
+    result = make_session(room).call("run_option", {"option": f"press button-{late + 1}"})
+    assert f'Pressed "button-{late + 1}": the puzzle is failed.' in result.text and "over" in result.text
+    assert "marked" not in make_session(get_room("pair")).reset()
 
 
 def test_a_change_that_nobody_pressed_is_a_sentence_of_its_own():

@@ -44,6 +44,12 @@ def split_mark(mark: int) -> tuple[int, int, int]:
     return colour, shape, size
 
 
+def name_mark(mark: int) -> str:
+    """Words for a symbol, such as `small red disc`."""
+    colour, shape, size = split_mark(mark)
+    return f"{SIZES[size]} {COLOURS[colour]} {SHAPES[shape]}"
+
+
 def make_mark_rows(marks: tuple[int, ...]) -> NDArray[np.float64]:
     """Numbers of each target's mark, (targets, `MARK_WORDS`); (0, 0) where there are no marks."""
     rows = np.zeros((len(marks), len(MARK_WORDS) if marks else 0))
