@@ -17,6 +17,7 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError
+from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.planner import RoomPlanner
 
 
@@ -197,3 +198,24 @@ def test_a_wrong_press_ends_the_episode_without_an_escape(engine):
         *_, last = [env.step(np.full(2, action)) for action in plan]
         last = tuple(np.asarray(part).flat[0] for part in last[:4])
     assert last[1:4] == (-1.0, True, False)
+
+
+@pytest.mark.parametrize("observation", ["objects", "features", "state", "egocentric"])
+def test_nothing_shows_before_the_first_mistake_what_one_does(observation):
+    """Who sees, is told and may do the same under all three rules cannot know which holds."""
+    config = RoomConfig(puzzle=ButtonsConfig(count=3, on_violation="drawn", marks=MarksConfig("rank", levels=3)))
+    room, seen = generate(config, 5), []
+    first = [button for button in range(3) if not room.puzzle.parent_masks[button]][0]
+    for rule in VIOLATION_RULES:
+        made = dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, on_violation=rule))
+        env = OptionsEnv(EscapeRoomEnv(instance=made, observation=observation))
+        begun, mask = env.reset(seed=0), env.action_masks()
+        pressed = env.step(env.action_names.index(f"meta-{first + 1:02}"))
+        told = [{name: value for name, value in info.items() if name != "instance"} for info in (begun[1], pressed[4])]
+        for info in told:
+            info["option"] = info["option"] | {"planner_seconds": None}
+        seen.append((begun[0].tolist(), mask.tolist(), pressed[0].tolist(), pressed[1:4], str(told)))
+        late = next(button for button in range(3) if room.puzzle.parent_masks[button] & ~(1 << first))
+        mistaken = env.step(env.action_names.index(f"meta-{late + 1:02}"))
+        assert mistaken[2] == (rule == "fail")
+    assert seen[0] == seen[1] == seen[2]
