@@ -185,7 +185,8 @@ def search(family: GraphFamily, ways: np.ndarray, leaving: np.ndarray, failure: 
                 cost += sum(family.weights[g] for g in part) * expect(button, lit | 1 << button, part)
             after: dict[int | None, set[int]] = {}  # what is lit after a mistake, None once all is over
             for g in graphs - allowed:
-                after.setdefault({"ignore": lit, "reset": 0, "fail": None}[VIOLATION_RULES[family.rules[g]]], set()).add(g)
+                then = {"ignore": lit, "reset": 0, "fail": None}[VIOLATION_RULES[family.rules[g]]]
+                after.setdefault(then, set()).add(g)
             for then, part in after.items():
                 weight = sum(family.weights[g] for g in part)
                 cost += weight * (failure if then is None else expect(button, then, frozenset(part)))

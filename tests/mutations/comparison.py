@@ -101,8 +101,8 @@ MUTATIONS = [
     Mutation(
         "a wrong press leaves the lights on in beliefs, where it resets them",
         "comparison/references/bayes.py",
-        "(reset, undone, 0), (dark",
-        "(reset, undone, lit), (dark",
+        "(reset, undone, 0),\n",
+        "(reset, undone, lit),\n",
         "comparison/test_searchers.py",
     ),
     Mutation(

@@ -274,7 +274,8 @@ class BeliefGraph:
             lights[button] = float(weights[lit_only].sum()) / total
             ended, undone, unchanged = split_mistakes(family.rules[graphs], ~allowed, lit)
             fails[button], resets[button] = (float(weights[part].sum()) / total for part in (ended, undone))
-            for beliefs, part, bits in ((after, lit_only, lit | 1 << button), (reset, undone, 0), (dark, unchanged, lit)):
+            for beliefs, part, bits in ((after, lit_only, lit | 1 << button), (reset, undone, 0),
+                                        (dark, unchanged, lit)):
                 if part.any():
                     beliefs[button] = self._add(bits, graphs[part])
                     level = max(level, self._levels[beliefs[button]])

@@ -5,7 +5,8 @@ shows some symbol of its own class: so what a symbol means can be learned in som
 several motifs the classes that symbols stand for are put into one of a few orders, drawn for each room and not shown:
 what has been learned says which orders there are, and the first presses which of them holds. Wires are marks too: a
 button's colour is its own, and its shape and size, the plug, name by the code the colour of the button that it waits
-for; some wires are hidden. Marks never change the rules. Nothing else that can be observed before the first press tells of the graph.
+for; some wires are hidden. Marks never change the rules. Nothing else that can be observed before the first press
+tells of the graph.
 """
 
 from __future__ import annotations

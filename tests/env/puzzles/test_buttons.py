@@ -173,8 +173,8 @@ def test_rooms_draw_what_a_mistake_does_and_nothing_else_depends_on_it():
 
 
 @pytest.mark.parametrize(("fields", "words"), [
-    ({"count": 64}, "puzzle.count = 64 is not possible: at most 63"), ({"count": 5, "dead_ends": 1}, "puzzle.dead_ends"),
-    ({"count": 3, "doors": 1}, "puzzle.doors")])
+    ({"count": 64}, "puzzle.count = 64 is not possible: at most 63"),
+    ({"count": 5, "dead_ends": 1}, "puzzle.dead_ends"), ({"count": 3, "doors": 1}, "puzzle.doors")])
 def test_rules_that_cannot_be_are_refused(fields, words):
     with pytest.raises(ConfigError, match=words):
         ButtonsConfig(**fields, on_violation="drawn")

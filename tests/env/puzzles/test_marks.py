@@ -139,7 +139,7 @@ def test_wires_of_another_graph_say_nothing():
 
 @pytest.mark.parametrize("truth", [1.0, 0.6])
 def test_likelihoods_of_wires_are_those_of_the_draws(truth):
-    """Given the colours: over all plugs they sum to 1 under every graph, and are the shares in which plugs are drawn."""
+    """Given the colours: over all plugs they sum to 1 under every graph, and are the shares of plugs drawn."""
     rules, edges = MarksConfig("wires", truth=truth), ((2, 0), (0, 1))
     colours, graphs = (4, 7, 0), (edges, ((0, 1), (1, 2)), ((0, 1), (0, 2)))
     classes = np.array([rules.classify(3, each, 0) for each in graphs])
