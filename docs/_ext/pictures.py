@@ -3,7 +3,8 @@
 `{room}` takes the arguments of `hrl-escape room` (or, with `:solve:`, of `hrl-escape solve`, with `:moving:`
 as a trajectory) and shows the map that the command draws, or with `:camera: chase` what a camera sees; with
 `:sampled: 1` the sampled motion to that target beside that of a plan of primitives. `{curve}`
-draws what `python docs/make_curves.py` has kept, `{data-card}` the picture of a data set.
+draws what `python docs/make_curves.py` has kept, `{data-card}` the picture of a data set, `{mesh}` the way between two
+points of a mesh.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.data.card import save_card
 from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.tape import load_tape
+from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import Trajectory, save_map
 from hrl_escape.env.drawing.video import save_picture
@@ -33,11 +35,12 @@ from hrl_escape.env.engine import film
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.figures import save_figure
-from hrl_escape.planning.goals import PressGoal
+from hrl_escape.planning.goals import PoseGoal, PressGoal
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.sampled import MotionSampler
 from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.planning.world import World
 
 CURVES = Path(__file__).parents[1] / "curves"
 
@@ -155,9 +158,28 @@ class DataCard(Picture):
         return self.show(path, " ".join(self.content), f"hrl-escape data show {name} --draw card.svg")
 
 
+class Mesh(Picture):
+    """`{mesh} hall.obj 1.0 5.0 7.0 1.0`: the columns of a mesh beside the page, and a way from one point to another."""
+
+    def run(self) -> list[nodes.Node]:
+        """Read, plan, draw."""
+        name, *numbers = self.arguments[0].split()
+        source = Path(self.env.doc2path(self.env.docname)).parent / name
+        self.env.note_dependency(str(source))
+        x, y, to_x, to_y = map(float, numbers)
+        robot = RobotConfig(body_radius=0.3, move_step=0.25)
+        world = World.of_mesh(source, robot, start=(x, y, 0.0), cell=0.1)
+        state = world.make_state(x, y)
+        plan = get_planner(world.instance).plan(state, PoseGoal(*world.to_room([to_x, to_y]), tolerance=0.2))
+        path = self.choose_path(f"mesh {self.arguments[0]}")
+        save_map(path, world.instance, state, [Trajectory(plan.path, f"{plan.cost:g} primitives")])
+        return self.show(path, " ".join(self.content), f'World.of_mesh("{name}", robot, start=({x:g}, {y:g}, 0))')
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     app.add_directive("data-card", DataCard)
     app.add_directive("room", Room)
     app.add_directive("curve", Curve)
+    app.add_directive("mesh", Mesh)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

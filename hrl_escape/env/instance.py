@@ -99,6 +99,11 @@ class Rectangle(Schematic):
         return self.x_min <= x <= self.x_max and self.y_min <= y <= self.y_max
 
     @property
+    def is_flat(self) -> bool:
+        """True if it has no area, as the exit of a world that is no puzzle."""
+        return self.x_min == self.x_max or self.y_min == self.y_max
+
+    @property
     def centre(self) -> tuple[float, float]:
         """Centre (x, y) of the rectangle, m."""
         return (self.x_min + self.x_max) / 2, (self.y_min + self.y_max) / 2

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.drawing.map_axes import draw_room
+from hrl_escape.env.drawing.maps import save_map
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid, compute_distance
+from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import LARGEST_MESHES
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.goals import PoseGoal
@@ -112,6 +120,19 @@ def test_a_room_scanned_as_a_mesh_is_planned_in(tmp_path):
     assert np.hypot(*(places[-1, :2] - (5.0, 4.0))) <= 0.2
     with pytest.raises(ConfigError, match="starts"):
         World.of_mesh(path, ROBOT, (4.5, 8.5, 0.0))
+
+
+def test_a_map_of_a_world_shows_no_exit(tmp_path):
+    world = World.of([], RobotConfig(body_radius=0.3), (0.0, 0.0, 0.0), floor=(-2.0, 2.0, -2.0, 2.0))
+    words = {}
+    for name, instance in (("world", world.instance), ("room", generate(get_preset("paper-one-button"), 0))):
+        save_map(tmp_path / f"{name}.svg", instance)
+        axes = Figure().add_subplot()
+        draw_room(axes, instance, Kinematics(instance).make_state(instance.starts[0]))
+        words[name] = (set(re.findall(r"<!-- (.*?) -->", (tmp_path / f"{name}.svg").read_text())),
+                       {text.get_text() for text in axes.texts})
+    assert "exit" in words["room"][0] and "exit" in words["room"][1], "in the legend and on the floor"
+    assert "exit" not in words["world"][0] | words["world"][1] and "robot" in words["world"][0]
 
 
 def test_steps_tall_walls_and_slanted_ones_become_columns(tmp_path):

@@ -111,20 +111,25 @@ def _draw_ticks(axes: Axes, instance: RoomInstance) -> None:
                   color=palette.MUTED)
 
 
+def _draw_exit(axes: Axes, area: Rectangle, is_open: bool) -> None:
+    colour = palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED
+    corner, wide, high = _measure(area)
+    axes.add_patch(RectanglePatch(corner, wide, high, facecolor=colour, alpha=0.35, zorder=1))
+    axes.add_patch(RectanglePatch(corner, wide, high, fill=False, edgecolor=colour, linewidth=1.4,
+                                  linestyle="-" if is_open else (0, (4, 2)), zorder=2))
+    points = max(6.0, min(10.0, 72 * _get_scale(axes) * min(wide, high) / 3.2))
+    axes.text(*area.centre, "exit", fontsize=points, color=palette.EXIT_INK, ha="center", va="center",
+              zorder=4, weight="bold", path_effects=_HALO)
+
+
 def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     for floor in palette.compute_floors(instance):
         axes.add_patch(RectanglePatch(*_measure(floor), facecolor=palette.FLOOR, zorder=0))
     for puddle in get_trait(instance.puzzle, Depicted).puddles:
         axes.add_patch(Polygon(outline_capsule(puddle), facecolor=palette.PUDDLE, alpha=0.6, zorder=0.5))
     is_open = instance.puzzle.is_solved(state.puzzle)
-    colour = palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED
-    corner, wide, high = _measure(instance.exit)
-    axes.add_patch(RectanglePatch(corner, wide, high, facecolor=colour, alpha=0.35, zorder=1))
-    axes.add_patch(RectanglePatch(corner, wide, high, fill=False, edgecolor=colour, linewidth=1.4,
-                                  linestyle="-" if is_open else (0, (4, 2)), zorder=2))
-    points = max(6.0, min(10.0, 72 * _get_scale(axes) * min(wide, high) / 3.2))
-    axes.text(*instance.exit.centre, "exit", fontsize=points, color=palette.EXIT_INK, ha="center", va="center",
-              zorder=4, weight="bold", path_effects=_HALO)
+    if not instance.exit.is_flat:
+        _draw_exit(axes, instance.exit, is_open)
     if instance.door is not None:
         style: dict[str, Any] = {"fill": False, "linestyle": ":"} if is_open else {"facecolor": palette.DOOR}
         axes.add_patch(_make_outline(instance.door, edgecolor=palette.DOOR, linewidth=1.2, zorder=4, **style))

@@ -147,7 +147,8 @@ def _make_handles(instance: RoomInstance, trajectories: Sequence[Trajectory]) ->
         kinds = [("off", palette.OFF), ("off, waits for others", palette.WAITING), ("on", palette.LIT)]
         handles += [mark("s", label, look.fill, look.edge) for label, look in kinds
                     if look is not palette.WAITING or get_trait(instance.puzzle, Graphed).edges]
-    handles.append(Patch(facecolor=palette.EXIT_OPEN, alpha=0.45, edgecolor=palette.EXIT_OPEN, label="exit"))
+    if not instance.exit.is_flat:
+        handles.append(Patch(facecolor=palette.EXIT_OPEN, alpha=0.45, edgecolor=palette.EXIT_OPEN, label="exit"))
     if instance.door is not None:
         handles.append(Patch(facecolor=palette.DOOR, label="door, open once solved"))
     for role, colour, label in (("door", palette.DOOR, "door, shut"), ("obstacle", palette.PROP, "thing in its cell")):

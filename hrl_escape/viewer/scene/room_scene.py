@@ -129,8 +129,9 @@ class RoomScene:
             self._names: list[viser.LabelHandle] = []
             self._lamps = [self._add_target(i) for i in range(len(instance.targets))]
             self._exit = [self._add(painted, "exit") for painted in make_exit(instance)]
-            self._scene.add_label(f"{ROOT}/exit/name", "exit", position=(*instance.exit.centre, 0.05),
-                                  anchor="center-center", font_screen_scale=0.9)
+            if not instance.exit.is_flat:
+                self._scene.add_label(f"{ROOT}/exit/name", "exit", position=(*instance.exit.centre, 0.05),
+                                      anchor="center-center", font_screen_scale=0.9)
             self._door = self._add_door()
             self._inner_doors = [self._add_inner_door(i) for i in range(len(instance.inner_doors))]
             self._props = [self._add_prop(i) for i in range(len(instance.props))]

@@ -290,7 +290,7 @@ class Player {
     c.font = "600 11px system-ui, sans-serif";
     c.textAlign = "center";
     c.textBaseline = "middle";
-    c.fillText("exit", 0, 0);
+    if (ew > 0 && eh > 0) c.fillText("exit", 0, 0); // a world that is no puzzle has none
     c.restore();
     this.room.targets.forEach((target) => {
       c.save();
