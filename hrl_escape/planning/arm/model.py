@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hrl_escape.env.geometry import Solid
+from hrl_escape.env.geometry import Solid, compute_distance
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.errors import MissingPackageError
 
@@ -29,6 +30,8 @@ except ImportError as missing:
 
 _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
 _FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide
+FEW_SOLIDS, MOST_TILES = 64, 256
+"""Solids up to which all are tested, and tiles of the floor whose solids are kept beyond that."""
 
 
 class ArmKinematics:
@@ -182,22 +185,17 @@ class ArmCollisions:
     """
 
     def __init__(self, robot: Robot, hand_radius: float, solids: Sequence[Solid], margin: float = 0.0,
-                 srdf: str | None = None) -> None:
+                 srdf: str | None = None, *, _links: Any = None) -> None:
         self.robot, self.margin = robot, margin
         self._model = pinocchio.buildModelFromXML(robot.urdf, pinocchio.JointModelPlanar())
         self._data = self._model.createData()
         self._used = [self._model.getJointId(name) for name in robot.joint_names]
         self._rest = _make_rest(self._model, robot)
-        geometry = pinocchio.buildGeomFromUrdfString(self._model, robot.urdf, pinocchio.GeometryType.COLLISION)
-        number = self._model.getFrameId(robot.hand_link, pinocchio.BODY)
-        hand = self._model.frames[number]
-        geometry.addGeometryObject(
-            pinocchio.GeometryObject("hand", hand.parentJoint, number, hand.placement, coal.Sphere(hand_radius)))
+        links = self._make_links(hand_radius) if _links is None else _links
+        self._make_near = partial(ArmCollisions, robot, hand_radius, margin=margin, srdf=srdf, _links=links)
+        self._solids, self._near = tuple(solids), dict[tuple[int, int], ArmCollisions]()
+        geometry = links.copy()
         own = len(geometry.geometryObjects)
-        for item in geometry.geometryObjects:
-            if isinstance(item.geometry, coal.BVHModelBase):
-                item.geometry.buildConvexHull(True, "Qt")  # convex hulls are faster to test, and larger, so safe
-                item.geometry = item.geometry.convex
         base = self._model.getFrameId(BASE_LINK, pinocchio.BODY)
         for number, solid in enumerate(solids):
             place = f"{solid.role} at ({solid.x:.4g}, {solid.y:.4g}), number {number}"
@@ -222,6 +220,39 @@ class ArmCollisions:
         for request in data.collisionRequests:
             request.security_margin = margin
         self._manager: Any = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager(self._model, geometry, data)
+
+    def _make_links(self, hand_radius: float) -> Any:
+        """Shapes of the robot's links and of the hand."""
+        links = pinocchio.buildGeomFromUrdfString(self._model, self.robot.urdf, pinocchio.GeometryType.COLLISION)
+        number = self._model.getFrameId(self.robot.hand_link, pinocchio.BODY)
+        hand = self._model.frames[number]
+        links.addGeometryObject(
+            pinocchio.GeometryObject("hand", hand.parentJoint, number, hand.placement, coal.Sphere(hand_radius)))
+        for item in links.geometryObjects:
+            if isinstance(item.geometry, coal.BVHModelBase):
+                item.geometry.buildConvexHull(True, "Qt")  # convex hulls are faster to test, and larger, so safe
+                item.geometry = item.geometry.convex
+        return links
+
+    @cached_property
+    def _reach(self) -> float:
+        """Farthest that any point of the robot is from the base's axis, m."""
+        return float(self.compute_sweeps()[-1])
+
+    def _find_near(self, x: float, y: float) -> ArmCollisions:
+        """The same test against the solids that can be reached from a tile of the floor, for a test moves them all."""
+        if len(self._solids) <= FEW_SOLIDS:
+            return self
+        side = self._reach / 2
+        tile = math.floor(x / side), math.floor(y / side)
+        if tile not in self._near:
+            if len(self._near) == MOST_TILES:
+                self._near.pop(next(iter(self._near)))
+            at_x, at_y = (side * (number + 0.5) for number in tile)
+            far = self._reach + side + self.margin
+            self._near[tile] = self._make_near([solid for solid in self._solids
+                                                if compute_distance(at_x, at_y, solid.footprint) <= far])
+        return self._near[tile]
 
     def compute_sweeps(self) -> NDArray[np.float64]:
         """Farthest that any point of the robot moves for each radian of a joint, (joints,), m, by links stretched out.
@@ -281,6 +312,9 @@ class ArmCollisions:
             heading: rad.
             angles: joint angles, rad.
         """
+        return self._find_near(x, y)._test(x, y, heading, angles)
+
+    def _test(self, x: float, y: float, heading: float, angles: Sequence[float]) -> bool:
         q = self._make_q(x, y, heading, angles)
         return not pinocchio.computeCollisions(self._model, self._data, self._manager, q, True)
 

@@ -12,9 +12,11 @@ from benchmarks.arm_motion import BulletCheck, check_motions, compare_solvers, m
 from hrl_escape.env.config import RobotConfig, RoomConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.planning.arm.arm_planner import ArmPlanner
+from hrl_escape.planning.arm.model import FEW_SOLIDS, ArmCollisions
 from hrl_escape.planning.scene import Scene
 
 # --- inverse kinematics ------------------------------------------------------------------------
@@ -225,3 +227,20 @@ def test_a_joint_may_be_named_as_its_link():
     state = planner.rules.make_state(planner.instance.starts[0])
     assert planner.kinematics.compute_placement((0.5,))[:2, 0] == pytest.approx([math.cos(0.5), math.sin(0.5)])
     assert planner.plan(state, (0.5,)).points[-1] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("solids", "margin"), [(FEW_SOLIDS, 0.0), (400, 0.0), (400, 0.05)])
+def test_among_many_solids_the_near_ones_are_tested_and_the_answer_is_that_of_all(solids, margin):
+    """Against a list of what meets, which always looks at all; tiles that were dropped are made anew."""
+    rng = np.random.default_rng(1)
+    placed = [Solid("box", *rng.uniform(-6, 6, 2), *rng.uniform(0.02, 0.3, 2), height=rng.uniform(0.1, 2.0),
+                    yaw=rng.uniform(0, 3)) for _ in range(solids)]
+    robot = make_robot(RobotConfig(kind="arm", joints=3))
+    tests = ArmCollisions(robot, 0.05, placed, margin)
+    free = []
+    for _ in range(150):
+        x, y, heading, *angles = rng.uniform(-1, 1, 3 + len(robot.joint_names)) * (6, 6, 3, *np.array(robot.limits)[:, 1])
+        free.append(tests.is_free(x, y, heading, angles))
+        assert free[-1] == (not tests.list_collisions(x, y, heading, angles))
+    assert 0.05 < np.mean(free) < 0.95
+    assert bool(tests._near) == (solids > FEW_SOLIDS)
