@@ -237,9 +237,9 @@ def test_among_many_solids_the_near_ones_are_tested_and_the_answer_is_that_of_al
                     yaw=rng.uniform(0, 3)) for _ in range(solids)]
     robot = make_robot(RobotConfig(kind="arm", joints=3))
     tests = ArmCollisions(robot, 0.05, placed, margin)
-    free = []
+    free, most = [], np.array([6.0, 6.0, 3.0, *(high for _, high in robot.limits)])
     for _ in range(150):
-        x, y, heading, *angles = rng.uniform(-1, 1, 3 + len(robot.joint_names)) * (6, 6, 3, *np.array(robot.limits)[:, 1])
+        x, y, heading, *angles = most * rng.uniform(-1, 1, len(most))
         free.append(tests.is_free(x, y, heading, angles))
         assert free[-1] == (not tests.list_collisions(x, y, heading, angles))
     assert 0.05 < np.mean(free) < 0.95
