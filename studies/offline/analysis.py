@@ -37,8 +37,8 @@ from studies.store import Store
 from studies.study import Page, Study
 from studies.unseen import count_fewest, get_unseen, play_unseen
 
-__all__ = ["LINES", "Args", "OfflineResult", "analyse", "measure", "reads_decisions", "run_once", "run_unseen",
-           "tell_difference", "tell_stitching"]
+__all__ = ["LINES", "Args", "OfflineResult", "analyse", "measure", "name_unseen", "reads_decisions", "run_once",
+           "run_unseen", "tell_difference", "tell_stitching", "tell_unseen"]
 
 SURE = 0.025
 """Two-sided level of a question, 5 % in all, for each side."""
@@ -47,8 +47,8 @@ WEAK = 0.1
 BEHAVIOUR, UNSEEN = "behaviour", "unseen"
 WHOLE = "play"
 """Kind whose trajectories begin where episodes do, so that they have an efficiency of their own."""
-OPTIONS_ALONE = AgentSpec.parse("smdp-random+no-primitives")
-"""Says what all choose among."""
+OPTIONS_ALONE, PRIMITIVES = AgentSpec.parse("smdp-random+no-primitives"), AgentSpec.parse("random")
+"""Say what learners of decisions, and of primitives, choose among."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +65,8 @@ class OfflineResult:
 
     Attributes:
         agent: with its settings; `behaviour` is the data itself, others without a data set are references.
-        kind: of the data set; empty for a reference; `UNSEEN` where it learned of all rooms and is tested in others.
+        kind: of the data set; empty for a reference; after `UNSEEN` where it learned of all rooms and is tested in
+            others, as in `unseen play`.
         run: number of the room, in unseen rooms the training seed.
         efficiency: mean over episodes of escaped x best known primitives / primitives.
     """
@@ -98,19 +99,25 @@ def read_learner(text: str) -> tuple[str, dict[str, Any]]:
     return name, dict(split_assignment(each, "learner", "best=0.1") for each in settings)
 
 
-def run_unseen(agent: str, rung: str, seed: int, tested: int) -> OfflineResult:
-    """Train on the `play` of all rooms that a data set holds, or play a searcher; an episode in each of other rooms."""
+def name_unseen(kind: str) -> str:
+    """`kind` of a result in unseen rooms; that of a searcher, without a data set, is `UNSEEN` alone."""
+    return f"{UNSEEN} {kind}".strip()
+
+
+def run_unseen(agent: str, kind: str, rung: str, seed: int, tested: int) -> OfflineResult:
+    """Train on all rooms that a data set holds, or play a searcher; an episode in each of other rooms."""
     def make_player(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
         if agent in REFERENCES:
             return make_reference(agent, env, recorder)
         name, settings = read_learner(agent)
-        player = train(name, env, data=load_data(f"{rung}-play-v1", observation="objects"), seed=seed,
+        player = train(name, env, data=load_data(f"{rung}-{kind}-v1", observation="objects"), seed=seed,
                        settings={"network": "objects"} | settings, eval_episodes=0, progress=False).agent
         assert player is not None  # a run without a folder gives its agent back
         return player
 
-    efficiency, _ = play_unseen(OPTIONS_ALONE, get_unseen("ladder-1", rung, tested), make_player)
-    return OfflineResult(agent, UNSEEN, seed, efficiency)
+    view = OPTIONS_ALONE if agent.startswith("smdp-") else PRIMITIVES
+    efficiency, _ = play_unseen(view, get_unseen("ladder-1", rung, tested), make_player)
+    return OfflineResult(agent, name_unseen(kind), seed, efficiency)
 
 
 def reads_decisions(agent: str) -> bool:
@@ -165,12 +172,13 @@ def measure(study: Study, args: Args, store: Store) -> None:
         if missing:
             console.print(f"room {run}: {len(missing)} runs", markup=False)
     unseen = data["unseen"]
-    for agent, seed in [(searcher, 0) for searcher in data["searchers"]] + [
-            (agent, seed) for seed in range(args.runs or unseen["runs"]) for agent in unseen["learners"]]:
-        if (agent, UNSEEN, seed) not in known:
-            line = run_unseen(agent, data["rung"], seed, unseen["tested"])
+    for agent, kind, seed in [(searcher, "", 0) for searcher in data["searchers"]] + [
+            (agent, kind, seed) for seed in range(args.runs or unseen["runs"]) for kind in unseen["kinds"]
+            for agent in unseen["learners"]]:
+        if (agent, name_unseen(kind), seed) not in known:
+            line = run_unseen(agent, kind, data["rung"], seed, unseen["tested"])
             store.add([line])
-            console.print(f"{agent}, seed {seed}: {line.efficiency:.3f} in unseen rooms", markup=False)
+            console.print(f"{agent}, {line.kind}, seed {seed}: {line.efficiency:.3f}", markup=False)
 
 
 # --- words -----------------------------------------------------------------------------------
@@ -220,7 +228,8 @@ def tell_stitching(pairs: Mapping[str, tuple[NDArray[np.float64], NDArray[np.flo
         pairs: what a learner is -> efficiency from whole trajectories and from cut ones, one a room each.
     """
     openings = {"up": "Cut trajectories cost some", "down": "Cut trajectories help some",
-                "level": "Cut trajectories cost nothing that shows", "weak": "Too weak for cutting to tell"}
+                "level": "Cut trajectories cost nothing that shows",
+                "weak": "Too little is learned from whole trajectories to lose anything"}
     found: dict[str, list[str]] = {verdict: [] for verdict in openings}
     for name, (whole, cut) in pairs.items():
         verdict = judge(whole, cut, len(pairs))
@@ -228,25 +237,33 @@ def tell_stitching(pairs: Mapping[str, tuple[NDArray[np.float64], NDArray[np.flo
     return [f"**Stitching.** {openings[verdict]}: {join_words(names)}." for verdict, names in found.items() if names]
 
 
-def tell_unseen(scores: Mapping[str, NDArray[np.float64]], words: Mapping[str, str], searcher: float) -> str:
-    """The sentence on rooms that the data does not hold, by the interval of the best learner's mean.
+def tell_unseen(scores: Mapping[tuple[str, str], NDArray[np.float64]], words: Mapping[str, str], searcher: float
+                ) -> list[str]:
+    """Sentences on rooms that no data holds: the best network by the interval of its mean, then each data set's best.
 
     Args:
-        scores: of each learner, one a training seed.
+        scores: of each learner and kind of data, one a training seed.
         words: what each learner stands for.
         searcher: efficiency of the searcher in the same rooms.
     """
-    best = max(scores, key=lambda agent: scores[agent].mean())
-    mean, count = scores[best].mean(), len(scores[best])
-    error = stats.t.ppf(1 - SURE, count - 1) * scores[best].std(ddof=1) / count**0.5 if count > 1 else np.inf
+    means = {cell: float(found.mean()) for cell, found in scores.items()}
+    best = max(means, key=lambda cell: means[cell])
+    mean, count = means[best], len(scores[best])
+    level = 1 - SURE / len(scores)  # the best of so many is looked at
+    error = stats.t.ppf(level, count - 1) * scores[best].std(ddof=1) / count**0.5 if count > 1 else np.inf
     if mean - error > searcher:
-        verdict = "does better than the searcher"
+        verdict = "does better than the best searcher"
     elif mean + error < searcher:
-        verdict = "does worse than the searcher, which needs no data"
+        verdict = "does worse than the best searcher, which needs no data"
     else:
-        verdict = "cannot be told apart from the searcher, which needs no data"
-    return (f"**Unseen rooms.** The best network, {words[best]}, {verdict} ({mean:.2f}, 95 % interval "
-            f"{mean - error:.2f} to {mean + error:.2f}, against {searcher:.2f}).")
+        verdict = "cannot be told apart from the best searcher, which needs no data"
+    kinds = dict.fromkeys(kind for _, kind in scores)
+    leaders = {kind: max((cell for cell in scores if cell[1] == kind), key=lambda cell: means[cell]) for kind in kinds}
+    listed = join_words([f"{words[agent]} from `{kind}` ({means[agent, kind]:.2f})"
+                         for kind, (agent, _) in leaders.items()])
+    return [f"**Unseen rooms.** The best network, {words[best[0]]} from `{best[1]}`, {verdict} ({mean:.2f}, "
+            f"{mean - error:.2f} to {mean + error:.2f}, against {searcher:.2f}).",
+            f"**Which data.** In unseen rooms the best of each kind of data: {listed}."]
 
 
 def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
@@ -260,7 +277,7 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
     data = study.data
     words: Mapping[str, str] = {BEHAVIOUR: "the data itself"} | data["learners"]
     by = {line.place: line.efficiency for line in lines}
-    rooms = sorted({line.run for line in lines if line.kind != UNSEEN})
+    rooms = sorted({line.run for line in lines if not line.kind.startswith(UNSEEN)})
 
     def read(agent: str, kind: str) -> NDArray[np.float64]:
         return np.array([by[agent, kind, room] for room in rooms])
@@ -273,12 +290,14 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
                for mine, other in data["pairs"].items()]
     stitching = tell_stitching({words[agent]: (read(agent, "play"), read(agent, "stitch"))
                                 for agent in data["learners"] if reads_decisions(agent)})
-    scores = {agent: np.array([line.efficiency for line in lines if line.kind == UNSEEN and line.agent == agent])
-              for agent in data["unseen"]["learners"]}
+    outside = data["unseen"]["learners"]
+    scores = {(agent, kind): np.array([line.efficiency for line in lines
+                                       if (line.agent, line.kind) == (agent, name_unseen(kind))])
+              for agent in outside for kind in data["unseen"]["kinds"]}
     searchers = {name: read(name, "") for name in data["searchers"]}
     elsewhere = {name: by[name, UNSEEN, 0] for name in data["searchers"]}
     searcher = searchers[max(searchers, key=lambda name: np.mean(searchers[name]))]
-    unseen = tell_unseen(scores, data["unseen"]["learners"], max(elsewhere.values()))
+    unseen = tell_unseen(scores, outside, max(elsewhere.values()))
     best = max(data["learners"], key=lambda agent: np.mean(read(agent, "play")))
     headline = tell_difference(
         read(best, "play"), searcher,
@@ -292,15 +311,21 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
                                       for kind in data["kinds"])] for agent, word in words.items()]
     rows += [[f"searcher that learns nothing (`{name}`)", *[f"{np.mean(found):.2f}"] * len(data["kinds"])]
              for name, found in searchers.items()]
-    others = [[f"{data['unseen']['learners'][agent]} (`{agent}`)", f"{found.mean():.2f}",
-               f"{found.min():.2f} to {found.max():.2f}", len(found)] for agent, found in scores.items()]
-    others += [[f"searcher that learns nothing (`{name}`)", f"{value:.2f}", "", ""]
+    others = [[f"{word} (`{agent}`)", *(describe_runs(scores[agent, kind]) for kind in data["unseen"]["kinds"])]
+              for agent, word in outside.items()]
+    others += [[f"searcher that learns nothing (`{name}`)", *[f"{value:.2f}"] * len(data["unseen"]["kinds"])]
                for name, value in elsewhere.items()]
-    sentences = [*horizon, *stitching, unseen]
+    sentences = [*horizon, *stitching, *unseen]
     return Page({"headline": headline, "sentences": sentences, "rooms": len(rooms), "rung": data["rung"],
                  "tested": data["unseen"]["tested"], "table": make_table(["learner", *data["kinds"]], rows),
-                 "unseen": make_table(["network", "efficiency", "runs from ... to", "runs"], others)},
+                 "seeds": min(map(len, scores.values())),
+                 "unseen": make_table(["network", *data["unseen"]["kinds"]], others)},
                 {"offline": draw(data["kinds"], words, read, searcher)}, [headline, *sentences])
+
+
+def describe_runs(found: NDArray[np.float64]) -> str:
+    """Mean of runs and their range."""
+    return f"{found.mean():.2f} ({found.min():.2f} to {found.max():.2f})"
 
 
 def is_rated(agent: str, kind: str) -> bool:

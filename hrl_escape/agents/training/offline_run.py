@@ -61,8 +61,9 @@ def gather_material(agent: Any, env: Any, data: Any, recipe: str, settings: Any)
         decisions = found.read_decisions(chosen.gamma)
     else:
         decisions = primitives.as_decisions(chosen.gamma, env.action_space.n)
-    shown, width = decisions.observation.shape[1:], decisions.mask.shape[1]
-    if shown != env.observation_space.shape or (width != env.action_space.n and not kind.reads_both):
+    shown, inner = decisions.observation.shape[1:], env.unwrapped.action_space
+    width = decisions.mask.shape[1] if primitives is None else inner.n  # type: ignore[attr-defined]
+    if shown != env.observation_space.shape or width != env.action_space.n:
         raise AgentSettingsError("env", str(env), f"one with observations of the shape {shown} and {width} actions, as "
                                  "in the data set")
     count = int(decisions.duration.sum())

@@ -88,3 +88,10 @@ def test_what_does_not_fit_is_refused_with_what_would():
     with pytest.raises(UnsupportedError, match="data="):
         train("smdp-iql", make_tape().rooms.make_env(True, observation="features"), primitives=100, eval_episodes=0)
     assert not set(list_offline_agents()) & set(list_agents())
+
+
+@pytest.mark.parametrize("name", ["iql", "hiql", "fitted-q"])
+def test_who_acts_by_primitives_refuses_an_environment_of_options(name):
+    data = load_data(make_tape(), observation="objects", rooms="own")
+    with pytest.raises(AgentSettingsError, match="and 6 actions, as in the data set"):
+        train(name, data.make_env(True, 0.99), data=data, settings=NETWORKS, eval_episodes=0)
