@@ -72,8 +72,8 @@ def test_learners_of_different_verdicts_on_stitching_are_told_apart():
     assert told[0] == ("**Stitching.** Cut trajectories cost some: a clone of the best tenth (0.50 against 0.10, "
                        "10 rooms).")
     assert "cost nothing that shows: a clone of options (0.50 against 0.50, 10 rooms)," in told[1]
-    assert told[2:] == ["**Stitching.** Too little is learned from whole trajectories to lose anything: HIQL (0.04 against 0.04, "
-                        "10 rooms)."]
+    assert told[2:] == ["**Stitching.** Too little is learned from whole trajectories to lose anything: HIQL (0.04 "
+                        "against 0.04, 10 rooms)."]
 
 
 def test_eight_questions_on_stitching_share_their_level():
