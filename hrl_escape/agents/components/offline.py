@@ -1,8 +1,8 @@
 """Data that agents learn from without an environment: arrays of decisions or primitives, and the base of such agents.
 
 Where the data shows few states, values stand in a table over the empirical MDP and a pass is a sweep of exact backups;
-elsewhere they are networks, and a pass is as many minibatches as hold the data once. An algorithm says how a state's
-value follows from its actions' (`improve`), or gives a loss.
+elsewhere, and over rows of objects, they are networks, and a pass is as many minibatches as hold the data once. An
+algorithm says how a state's value follows from its actions' (`improve`), or gives a loss.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class OfflineSettings(ReplaySettings, ResolutionSettings):
     """Passes over the data, where `train` is given no budget."""
     values: Literal["auto", "table", "network"] = "auto"
     """`table`: exact backups over the states that the data shows. `auto`: a table where the data shows each state ten
-    times or more, on average."""
+    times or more, on average, and the observation has no rows of objects, which networks carry to other rooms."""
     network: Literal["mlp", "objects"] = "objects"
     """`objects`: deep sets over rows of objects; `mlp`: a perceptron, also where the observation has no rows."""
     batch_size: Annotated[int, Range(1)] = 256
@@ -207,6 +207,7 @@ class OfflineAgent(Agent):
         self.settings = settings = settings or self.Settings()
         self._actions, self._rng = count_actions(action_space, self.name), make_rng(seed, "batches")
         self.is_fitted, self.is_table = False, self.has_table and settings.values == "table"
+        self._has_rows = isinstance(observation_space, ObjectsBox)
         self._numbers: dict[bytes, int] = {}
         self.scores = self.q = np.zeros((0, self._actions))
         self._find_cell = make_cell_finder(observation_space, settings, self.name) if self.has_table else None
@@ -216,7 +217,7 @@ class OfflineAgent(Agent):
         if self.is_table:
             return
         self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
-        kind = settings.network if isinstance(observation_space, ObjectsBox) else "mlp"
+        kind = settings.network if self._has_rows else "mlp"
         drawn = dataclasses.replace(settings, network=kind), make_generator(make_rng(seed, "weights"))
         self.networks = self.make_networks(self._encoder, action_space, *drawn)
         trained = [name for name in self.networks if not name.startswith("target")]
@@ -238,7 +239,8 @@ class OfflineAgent(Agent):
             data.summed_reward, np.full(len(data.action), settings.gamma))
         over = data.terminated if settings.bootstrap_on_truncation else data.last
         discounts = np.where(over, 0.0, discounts)
-        if self._find_cell is not None and settings.values != "network":
+        may_be_table = settings.values == "table" or (settings.values == "auto" and not self._has_rows)
+        if self._find_cell is not None and may_be_table:
             cells = self._find_cell(np.concatenate([data.observation, data.next_observation]))
             rows = np.ascontiguousarray(cells.reshape(len(cells), -1))
             found, number = np.unique(rows.view(np.dtype((np.void, rows.shape[1] * 4))).ravel(), return_inverse=True)

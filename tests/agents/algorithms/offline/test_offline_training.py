@@ -95,3 +95,11 @@ def test_who_acts_by_primitives_refuses_an_environment_of_options(name):
     data = load_data(make_tape(), observation="objects", rooms="own")
     with pytest.raises(AgentSettingsError, match="and 6 actions, as in the data set"):
         train(name, data.make_env(True, 0.99), data=data, settings=NETWORKS, eval_episodes=0)
+
+
+def test_over_rows_of_objects_a_network_is_learned_however_few_states_there_are():
+    """Experts show each state often; a table of these states would know none of another room."""
+    for observation, is_table in (("features", True), ("objects", False)):
+        data = load_data(make_tape("expert"), observation=observation)
+        agent = train("smdp-fitted-q", data=data, settings={"hidden": [8]}, primitives=2_000, eval_episodes=0).agent
+        assert agent.is_table == is_table and bool(len(agent.q)) == is_table
