@@ -111,7 +111,8 @@ def run_unseen(agent: str, kind: str, rung: str, seed: int, tested: int) -> Offl
             return make_reference(agent, env, recorder)
         name, settings = read_learner(agent)
         player = train(name, env, data=load_data(f"{rung}-{kind}-v1", observation="objects"), seed=seed,
-                       settings={"values": "network", "network": "objects"} | settings, eval_episodes=0, progress=False).agent
+                       settings={"values": "network", "network": "objects"} | settings, eval_episodes=0,
+                       progress=False).agent
         assert player is not None  # a run without a folder gives its agent back
         return player
 
