@@ -16,6 +16,7 @@ from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import Puzzle, get_puzzle_kind, list_puzzles
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.batched.vector_env import OptionsVectorEnv
 from hrl_escape.options.options_env import OptionsEnv
@@ -33,9 +34,12 @@ FAILING = [kind for kind in list_puzzles() if get_puzzle_kind(kind).puzzle_type.
 
 
 def make_room(kind: str):
-    """Small room of a puzzle: that of its preset where it has one."""
+    """Small room of a puzzle that can be failed: that of its preset where it has one."""
     preset = next((get_preset(name) for name in PRESETS if get_preset(name).puzzle.kind == kind), None)
-    return generate(preset or RoomConfig(puzzle=get_puzzle_kind(kind).config_type()), 0)
+    config = preset or RoomConfig(puzzle=get_puzzle_kind(kind).config_type())
+    if kind == "buttons":  # they can be where a wrong press says so
+        config = dataclasses.replace(config, puzzle=ButtonsConfig(count=3, on_violation="fail"))
+    return generate(config, 0)
 
 
 def fail(episode: Episode, chance: np.random.Generator, folder: Path) -> str:
