@@ -28,7 +28,7 @@ from studies.unseen import make_streams
 READER = "smdp-ppo+objects+memory+no-primitives"
 STREAMS, TRAIN_ROOMS, READ, EVALUATIONS = 256, 1000, 2_000_000, 10
 """Of a reader of marks: rooms at once, training rooms, primitives and evaluations."""
-READ_RUNGS = ("marks-2/motifs", "marks-3/deceived", "marks-3/places")
+READ_RUNGS = ("marks-2/motifs", "marks-3/deceived", "marks-3/places", "marks-4/rules", "marks-4/wires")
 TABLE, MODEL, STRUCTURE, THREE = (f"smdp-{name}+no-primitives" for name in (
     "q-learning", "r-max", "factored-r-max", "factored-r-max+three-parents"))
 LEARNED = {

@@ -47,8 +47,8 @@ WEAK = 0.1
 BEHAVIOUR, UNSEEN = "behaviour", "unseen"
 WHOLE = "play"
 """Kind whose trajectories begin where episodes do, so that they have an efficiency of their own."""
-OPTIONS_ALONE, PRIMITIVES = AgentSpec.parse("smdp-random+no-primitives"), AgentSpec.parse("random")
-"""Say what learners of decisions, and of primitives, choose among."""
+OPTIONS_ALONE = AgentSpec.parse("smdp-random+no-primitives")
+"""Says what all choose among in unseen rooms."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,8 +116,7 @@ def run_unseen(agent: str, kind: str, rung: str, seed: int, tested: int) -> Offl
         assert player is not None  # a run without a folder gives its agent back
         return player
 
-    view = OPTIONS_ALONE if agent.startswith("smdp-") else PRIMITIVES
-    efficiency, _ = play_unseen(view, get_unseen("ladder-1", rung, tested), make_player)
+    efficiency, _ = play_unseen(OPTIONS_ALONE, get_unseen("ladder-1", rung, tested), make_player)
     return OfflineResult(agent, name_unseen(kind), seed, efficiency)
 
 

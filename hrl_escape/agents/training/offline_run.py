@@ -61,8 +61,8 @@ def gather_material(agent: Any, env: Any, data: Any, recipe: str, settings: Any)
         decisions = found.read_decisions(chosen.gamma)
     else:
         decisions = primitives.as_decisions(chosen.gamma, env.action_space.n)
-    shown, inner = decisions.observation.shape[1:], env.unwrapped.action_space
-    width = decisions.mask.shape[1] if primitives is None else inner.n  # type: ignore[attr-defined]
+    shown = decisions.observation.shape[1:]
+    width = decisions.mask.shape[1] if primitives is None else env.unwrapped.action_space.n
     if shown != env.observation_space.shape or width != env.action_space.n:
         raise AgentSettingsError("env", str(env), f"one with observations of the shape {shown} and {width} actions, as "
                                  "in the data set")

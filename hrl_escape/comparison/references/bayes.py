@@ -42,7 +42,7 @@ from hrl_escape.comparison.references.graph_family import (
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.puzzles.buttons import FAILED, VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle
+from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle
 from hrl_escape.env.puzzles.graphs import Edges, mask_parents, sample_relabelled
 from hrl_escape.errors import PlanningFailed, UnsupportedError
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
@@ -502,7 +502,7 @@ def measure_ways(planner: RoomPlanner) -> Ways:
 
 def _get_bits(state: RoomState) -> int:
     """Bits of the buttons that are lit."""
-    return cast(int, state.puzzle) & ~FAILED
+    return cast(int, state.puzzle)
 
 
 def _find_end(planner: RoomPlanner, state: RoomState, goal: Goal) -> RoomState | None:

@@ -164,6 +164,11 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
             masks[locked] |= 1 << locking
         return tuple(masks)
 
+    @cached_property
+    def failure(self) -> int:
+        """Bit of the states in which the puzzle is failed; 0 where it cannot be."""
+        return FAILED if self.on_violation == "fail" else 0
+
     @property
     def locks_between(self) -> tuple[tuple[int, int], ...]:
         """Pairs (a, b) of button numbers: once a is on, b cannot be turned on."""
@@ -181,28 +186,24 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
     @property
     def has_dead_ends(self) -> bool:
         """True if a button turned on too early may bar the goal, or a wrong press fails the puzzle."""
-        return bool(self.locks) or self.on_violation == "fail"
+        return bool(self.locks or self.failure)
 
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value is a word of this many bits, of a failed puzzle or not."""
-        may_fail = type(state) is int and self.on_violation == "fail" and state >= FAILED
-        return super().is_state(state - FAILED if may_fail else state)
+        return super().is_state(state & ~self.failure if type(state) is int else state)
 
     def is_solved(self, state: int) -> bool:
         """Return whether the goal button is on, and no press has failed the puzzle."""
-        return super().is_solved(state) and not self._has_failed(state)
+        return super().is_solved(state) and not state & self.failure
 
     def is_failed(self, state: int) -> bool:
         """Return whether a press with unmet parents has failed the puzzle."""
-        return self._has_failed(state)
-
-    def _has_failed(self, state: int) -> bool:
-        return self.on_violation == "fail" and state >= FAILED
+        return bool(state & self.failure)
 
     def get_facts(self, state: int) -> frozenset[str]:
         """`on(<name>)` for every button that is on, and `failed` where a press has failed the puzzle."""
         facts = super().get_facts(state)
-        return facts | {_FAILED_FACT} if self._has_failed(state) else facts
+        return facts | {_FAILED_FACT} if state & self.failure else facts
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -212,7 +213,7 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
     def update(self, state: int, contacts: Contacts) -> int:
         """Apply presses in index order, up to one that fails the puzzle."""
         for button in contacts.pressed:
-            if self._has_failed(state):
+            if state & self.failure:
                 break
             bit = 1 << button
             if state & bit:
@@ -222,8 +223,8 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
                 state |= bit
             elif self.on_violation == "reset":
                 state = 0
-            elif self.on_violation == "fail":
-                state |= FAILED
+            else:
+                state |= self.failure
         return state
 
     def make_symbolic_model(self) -> SymbolicModel:
@@ -232,7 +233,7 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
         Where the puzzle can be failed, none is applicable after that.
         """
         model = super().make_symbolic_model()
-        fact, failed = model.propositions, (_FAILED_FACT,) if self.on_violation == "fail" else ()
+        fact, failed = model.propositions, (_FAILED_FACT,) if self.failure else ()
         locks = [frozenset([*failed, *(fact[locking] for locking, locked in self.locks if locked == i)])
                  for i in range(self.count)]
         if not any(locks):

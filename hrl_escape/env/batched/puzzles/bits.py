@@ -21,7 +21,7 @@ from hrl_escape.env.batched.puzzles.base import (
 )
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
-from hrl_escape.env.puzzles.buttons import FAILED, ButtonsPuzzle
+from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.light_box import LightBoxPuzzle
 from hrl_escape.env.puzzles.lights_out import LightsOutPuzzle, list_flips
 
@@ -59,8 +59,8 @@ class _ButtonsTensorPuzzle(_BitTensorPuzzle):
             "resets": np.array([puzzle.on_violation == "reset" for puzzle in puzzles]),
             "allow_off": np.array([puzzle.allow_off for puzzle in puzzles]),
         }
-        if any(fails := [puzzle.on_violation == "fail" for puzzle in puzzles]):
-            tables["fails"] = np.where(fails, as_signed(FAILED), 0)
+        if any(puzzle.failure for puzzle in puzzles):
+            tables["fails"] = np.array([as_signed(puzzle.failure) for puzzle in puzzles])
         if locks.any():
             tables["locks"] = np.ascontiguousarray(locks.T).view(np.int64)
         if doors := max(len(puzzle.doors) for puzzle in puzzles):
