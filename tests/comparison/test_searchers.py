@@ -378,6 +378,22 @@ def test_two_buttons_touched_at_once_confuse_no_belief():
     env.close()
 
 
+@pytest.mark.parametrize("rule", ["ignore", "drawn"])
+def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypatch: pytest.MonkeyPatch):
+    """Of two buttons touched in one move the first does not light and the second does: nothing went off."""
+    config = dataclasses.replace(get_preset("four-button-chain"), puzzle=ButtonsConfig(count=3, on_violation=rule))
+    monkeypatch.setattr(bayes, "find_schematic", lambda room: config)  # the room's name is that of another
+    room = relabel(generate(config, 5), (1, 0, 2))
+    env, recorder = make_env(AgentSpec.parse(f"{BAYES}+no-primitives"), room, "features")
+    searcher = make_reference(BAYES, env, recorder)
+    observation, info = env.reset(seed=0)
+    searcher.act(observation, info["action_mask"] != 0)
+    recorder.states.append(recorder.states[-1]._replace(puzzle=0b010, touching=0b011))
+    searcher.act(observation, info["action_mask"] != 0)
+    assert list(searcher.describe_presses().values()) == ["lights with 50%", "lit", "lights with 50%"]
+    env.close()
+
+
 def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():
     rng = np.random.default_rng(3)
     for truth in (1.0, 0.7):

@@ -442,7 +442,7 @@ class _Mind:
             agrees &= (family.goals[kept] == target) == has_opened
         else:
             _, undone, unchanged = split_mistakes(family.rules[kept], agrees, lit)
-            agrees = undone if after != lit else unchanged
+            agrees = undone if lit & ~after else unchanged
         self._graphs = kept[agrees]
 
     def choose(self, state: RoomState, targets: Sequence[int]) -> int:
