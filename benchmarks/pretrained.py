@@ -1,7 +1,7 @@
 """Train the agents that come with the package, and test them in their rooms.
 
     python -m benchmarks.pretrained                         # all, some minutes, into the package
-    python -m benchmarks.pretrained marks-2/motifs --out /tmp/agents
+    python -m benchmarks.pretrained marks-4/rules --out agents
 
 On rungs that teach across rooms an agent learns from many rooms at once and is tested in every test room; on the others
 it learns the first test room from nothing. A file is a submission, which `hrl-escape ladder verify-submission` plays
@@ -28,7 +28,9 @@ from studies.unseen import make_streams
 READER = "smdp-ppo+objects+memory+no-primitives"
 STREAMS, TRAIN_ROOMS, READ, EVALUATIONS = 256, 1000, 2_000_000, 10
 """Of a reader of marks: rooms at once, training rooms, primitives and evaluations."""
-READ_RUNGS = ("marks-2/motifs", "marks-3/deceived", "marks-3/places", "marks-4/rules", "marks-4/wires")
+READ_RUNGS = ("marks-2/motifs", "marks-3/deceived", "marks-3/places")
+ON_DEMAND = ("marks-4/rules", "marks-4/wires")
+"""Rungs whose readers stand on the board and are made when asked for: agents in the package stay below 4 MB."""
 TABLE, MODEL, STRUCTURE, THREE = (f"smdp-{name}+no-primitives" for name in (
     "q-learning", "r-max", "factored-r-max", "factored-r-max+three-parents"))
 LEARNED = {
@@ -62,7 +64,7 @@ def train_learner(agent: str, place: str, primitives: int, out: Path) -> Path:
 def make(place: str, out: Path, primitives: int | None = None, rooms: int | None = None) -> None:
     """Train for a rung, and write the submission."""
     benchmark, name = place.split("/")
-    rung, reads = load_benchmark(benchmark)[name], place in READ_RUNGS
+    rung, reads = load_benchmark(benchmark)[name], place in (*READ_RUNGS, *ON_DEMAND)
     agent, budget = (READER, READ) if reads else LEARNED[name]
     primitives = primitives or budget
     with tempfile.TemporaryDirectory() as made:
@@ -84,7 +86,7 @@ def main() -> None:
     """Make those that are asked for."""
     every = [*READ_RUNGS, *(f"ladder-1/{name}" for name in LEARNED)]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("rungs", nargs="*", default=every, choices=[*every, []], help="benchmark and rung")
+    parser.add_argument("rungs", nargs="*", default=every, choices=[*every, *ON_DEMAND, []], help="benchmark and rung")
     parser.add_argument("--out", type=Path, default=FOLDER, help="folder, by default the package's")
     parser.add_argument("--primitives", type=int, help="in place of the rung's own budget")
     parser.add_argument("--rooms", type=int, help="test rooms of those that read marks; all by default")

@@ -394,6 +394,19 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
     env.close()
 
 
+@pytest.mark.parametrize(("rung", "graphs"), [("rules", 360), ("wires", 120)])
+def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_are_drawn(rung: str, graphs: int):
+    """A ceiling is a ceiling only where beliefs are listed: a sample does not plan."""
+    rooms = load_benchmark("marks-4")[rung].test[:1]
+    env, recorder = make_env(AgentSpec.parse(f"{BAYES}+no-primitives"), rooms, "features", {"0": 0})
+    searcher: Any = make_reference(BAYES, env, recorder)
+    observation, info = env.reset(seed=0)
+    searcher.act(observation, info["action_mask"] != 0)
+    assert searcher._mind._graph is not None
+    assert len(make_family(rooms.config.puzzle, 5).weights) == graphs
+    env.close()
+
+
 def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():
     rng = np.random.default_rng(3)
     for truth in (1.0, 0.7):
