@@ -14,7 +14,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError
 from hrl_escape.files import read_toml
-from hrl_escape.viewer.play.saved_episode import SavedEpisode, load_episode, save_episode
+from hrl_escape.viewer.play.episode import SavedEpisode, load_episode, save_episode
 from tests.agents.training.test_damage import change_bytes, change_value
 from tests.command_line import call
 from tests.comparison.small import SCHEMATIC, SMALL

@@ -34,7 +34,7 @@ LINT_IMPORTS = ("--no-cache", "--no-logo", "--config", str(ROOT / "pyproject.tom
 
 HOUSE = """
 cli errors files settings checks.option commands.list
-comparison.grid comparison.reporting.report viewer.scene.room_scene
+comparison.grid comparison.reporting.report viewer.scene
 agents.agent agents.registry agents.components.networks agents.training.train
 agents.algorithms.dqn agents.algorithms.sarsa agents.algorithms.given.hamq agents.algorithms.given.maxq_q
 agents.hierarchy.task agents.factored.search agents.larg2019.recipes
@@ -76,7 +76,7 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("options.new", "hrl_escape.comparison.reporting.report", "errors <- env <- floor <- planning <- options"),
     ("ladder.new", "hrl_escape.comparison.reporting.report", "errors <- env <- floor <- planning <- options"),
     ("agents.components.new", "hrl_escape.ladder.rung", "errors <- env <- floor <- planning <- options"),
-    ("viewer.scene.room_scene", "hrl_escape.cli", "errors <- env <- floor <- planning <- options"),
+    ("viewer.scene", "hrl_escape.cli", "errors <- env <- floor <- planning <- options"),
     ("agents.algorithms.new", "hrl_escape.env.config", "agents know neither env, planning nor options"),
     ("agents.training.new", "hrl_escape.options.option", "agents know neither env, planning nor options"),
     ("env.geometry", "hrl_escape.env.bullet.engine", "rules of a room"),

@@ -16,8 +16,7 @@ from hrl_escape.data import load_data, make_played_tape, save_tape
 from hrl_escape.data.card import draw_card
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import save_episode
+from hrl_escape.viewer.play.episode import Episode, save_episode
 
 folder = Path(tempfile.mkdtemp())
 room = generate(get_preset("paper-two-button"), 0)

@@ -15,8 +15,7 @@ from pathlib import Path
 
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.commands.serving import PageAddress
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import SavedEpisode, load_episode
+from hrl_escape.viewer.play.episode import Episode, SavedEpisode, load_episode
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,7 +24,7 @@ from hrl_escape.env.engine import check_camera, film
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.figures import VIDEO_FORMATS
 from hrl_escape.names import make_console_text
-from hrl_escape.viewer.play.saved_episode import load_episode
+from hrl_escape.viewer.play.episode import load_episode
 from hrl_escape.viewer.recording import Recording, record_driver, record_saved
 from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, open_driver
 
@@ -60,7 +60,7 @@ def run(args: RecordArgs) -> None:
                   f"primitives, return {sum(recording.rewards):g}")
     for path in args.out:
         if path.suffix.lower() == PAGE_ENDING:
-            from hrl_escape.viewer.pages.replay import save_replay  # needs the extra `viewer`, which animations do not
+            from hrl_escape.viewer.pages.offline import save_replay  # needs the extra `viewer`, which animations do not
 
             save_replay(path, recording)
         else:

@@ -162,7 +162,7 @@ def _make_decision_table(execution: ClosedLoopExecution) -> Table:
 def _draw(path: Path, instance: RoomInstance, outcome: _Outcome, args: SolveArgs) -> None:
     states = outcome.run.states
     if path.suffix.lower() == f".{MOTION_ENDING}":
-        from hrl_escape.viewer.pages.motion import save_motion  # needs the extra `viewer`
+        from hrl_escape.viewer.pages.offline import save_motion  # needs the extra `viewer`
 
         if outcome.plan is None:
             raise UnsupportedError(f"{path}: there is no plan to be shown as motion where meta-actions replan on their "

@@ -39,7 +39,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.version import __version__
-from hrl_escape.viewer.play.saved_episode import load_episode
+from hrl_escape.viewer.play.episode import load_episode
 
 FAILURE = 0.2
 """Probability that an option of `noisy` fails at its start."""

@@ -1,6 +1,6 @@
 """Recordings of one episode: of a driver (the planner or a trained agent), or of a saved episode replayed.
 
-A `Recording` is plain data; `pages.replay` writes it as a page, and the cameras as a video.
+A `Recording` is plain data; `pages.offline` writes it as a page, and the cameras as a video.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import SavedEpisode
+from hrl_escape.viewer.play.episode import Episode, SavedEpisode
 from hrl_escape.viewer.watch.drivers import Driver
 
 

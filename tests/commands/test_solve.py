@@ -12,7 +12,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.planner import RoomPlanner
-from hrl_escape.viewer.pages.motion import make_motion
+from hrl_escape.viewer.pages.offline import make_motion
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:

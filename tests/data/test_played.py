@@ -11,8 +11,7 @@ from hrl_escape.data.tape import load_tape, save_tape
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EpisodeFileError
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import save_episode
+from hrl_escape.viewer.play.episode import Episode, save_episode
 
 
 def play(path, seed=0, moves=(0, 6, 4, 7, 8), preset="paper-two-button"):

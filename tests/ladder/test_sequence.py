@@ -10,10 +10,11 @@ import pytest
 
 from hrl_escape.agents.algorithms.random import RandomAgent
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
+from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.references.registry import ReferenceSettings, make_reference
+from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env as make_view
 from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
@@ -137,7 +138,7 @@ class Script(FixedPolicy):
     def __init__(self, env: SequenceEnv, words: Sequence[str]) -> None:
         about = env.action_space.about
         self._actions, self._next = [about.index(word) for word in words], 0
-        self.settings = ReferenceSettings()
+        self.settings = DiscountSettings()
 
     def act(self, observation, action_mask):
         del observation, action_mask

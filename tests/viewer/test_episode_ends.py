@@ -21,10 +21,9 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.batched.vector_env import OptionsVectorEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.text.told_env import RoomSession
-from hrl_escape.viewer.pages.replay import make_replay
+from hrl_escape.viewer.pages.offline import make_replay
 from hrl_escape.viewer.play.commands import Command, carry_out
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import load_episode, save_episode
+from hrl_escape.viewer.play.episode import Episode, load_episode, save_episode
 from hrl_escape.viewer.recording import record_saved
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.watch import Gate, Watch

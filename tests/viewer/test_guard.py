@@ -17,11 +17,10 @@ from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 from websockets.typing import Origin, Subprotocol
 
-from hrl_escape.viewer.guard import is_expected
 from hrl_escape.viewer.pages.play import MOST_WAITING, PlayPage
 from hrl_escape.viewer.play.commands import Command
 from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.server import Server, open_server
+from hrl_escape.viewer.server import Server, is_expected, open_server
 
 CAMERA = {"type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (0, -20, 20), "fov": 0.9, "near": 0.1,
           "far": 100.0, "image_height": 800, "image_width": 900, "look_at": (0, 0, 0), "up_direction": (0, 0, 1)}

@@ -22,7 +22,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,6 @@ from typing_extensions import Self
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.comparison.board.submission import Card
-from hrl_escape.comparison.references.by_lights import ReferenceSettings
 from hrl_escape.errors import ContractError, show_value
 from hrl_escape.names import parse_whole
 
@@ -54,10 +52,8 @@ class ProgramAgent(FixedPolicy):
         words: names of the numbers of a row, where the observation has rows.
     """
 
-    Settings: ClassVar[type] = ReferenceSettings
-
     def __init__(self, card: Card, folder: Path, words: Sequence[str] = ()) -> None:
-        self.settings, self._name, self._words, self._is_start = ReferenceSettings(), card.name, list(words), True
+        self._name, self._words, self._is_start = card.name, list(words), True
         self._log = folder / "stderr.txt"
         first, *others = card.command
         surroundings = {"PATH": os.environ.get("PATH", os.defpath), "HOME": str(folder), "TMPDIR": str(folder),

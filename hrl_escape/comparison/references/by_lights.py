@@ -9,7 +9,6 @@ whatever a learner reaches beyond them it has learned.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from abc import abstractmethod
 from collections import deque
@@ -27,13 +26,6 @@ from hrl_escape.env.poses import list_touched
 from hrl_escape.planning.goals import PressGoal
 
 
-@dataclasses.dataclass(frozen=True)
-class ReferenceSettings:
-    """Settings that every agent has."""
-
-    gamma: float = 0.99
-
-
 class Reference(FixedPolicy):
     """Rule that reads the environment itself.
 
@@ -41,11 +33,9 @@ class Reference(FixedPolicy):
         RULE: what it does, to follow its name and "which".
     """
 
-    Settings: ClassVar[type] = ReferenceSettings
     RULE: ClassVar[str]
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
-        self.settings = ReferenceSettings()
         self._env: Any = env
         self._recorder = recorder
 

@@ -15,8 +15,6 @@ A searcher is any of them but the planner: what it reaches without learning, lea
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +26,6 @@ from hrl_escape.comparison.references.by_lights import (
     IndexOrder,
     PlanFollower,
     Reference,
-    ReferenceSettings,
     Retrace,
     ShuffledRound,
     Untried,
@@ -62,10 +59,7 @@ def describe_rule(name: str) -> str:
 class Climber(FixedPolicy):
     """A reference on every floor of a tower."""
 
-    Settings: ClassVar[type] = ReferenceSettings
-
     def __init__(self, name: str, tower: SequenceEnv) -> None:
-        self.settings = ReferenceSettings()
         self._tower = tower
         self._players = {id(floor.unwrapped): make_reference(name, floor, find_recorder(floor))
                          for floor in tower.floors}

@@ -19,8 +19,7 @@ from hrl_escape.errors import EscapeError
 from hrl_escape.viewer.pages.panels import make_facts, make_keys
 from hrl_escape.viewer.pages.room import RoomPage, name_room
 from hrl_escape.viewer.play.commands import HELP, KEYS, Command, Controls, carry_out
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import SavedEpisode
+from hrl_escape.viewer.play.episode import Episode, SavedEpisode
 from hrl_escape.viewer.server import Server
 
 PLAY_STRIDE = 0.18

@@ -19,7 +19,7 @@ from hrl_escape.planning.best_known import best_known_return
 from hrl_escape.viewer.extra import viser
 from hrl_escape.viewer.pages.panels import WIDTH, KnownEdges, make_graph, make_pair
 from hrl_escape.viewer.play.episode import PressEvidence
-from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomPose, RoomScene, blend, compute_overview, make_pose
+from hrl_escape.viewer.scene import OVERVIEW_FIELD, RoomPose, RoomScene, blend, compute_overview, make_pose
 from hrl_escape.viewer.server import Server
 
 VIEWS = ("orbit", "follow", "robot's eye")

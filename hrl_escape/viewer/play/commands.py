@@ -13,8 +13,7 @@ from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.primitives import ActionTable
 from hrl_escape.errors import FileReadError
 from hrl_escape.files import read_json, write_json
-from hrl_escape.viewer.play.episode import Episode, PlayedMove
-from hrl_escape.viewer.play.saved_episode import save_episode
+from hrl_escape.viewer.play.episode import Episode, PlayedMove, save_episode
 
 MOVES = {
     "w": "forward", "s": "back", "a": "strafe-left", "d": "strafe-right",

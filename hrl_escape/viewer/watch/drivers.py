@@ -14,7 +14,7 @@ import shutil
 import tempfile
 from collections.abc import Hashable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -112,13 +112,6 @@ def make_legs(plan: EscapePlan) -> tuple[Option, ...]:
     return tuple(made)
 
 
-@dataclasses.dataclass(frozen=True)
-class PlannerSettings:
-    """Settings that every agent has."""
-
-    gamma: float = 0.99
-
-
 class PlannerAgent(FixedPolicy):
     """Agent that chooses what the room's planner would do next.
 
@@ -127,10 +120,7 @@ class PlannerAgent(FixedPolicy):
         plan: the plan.
     """
 
-    Settings: ClassVar[type] = PlannerSettings
-
     def __init__(self, env: gymnasium.Env, plan: EscapePlan) -> None:
-        self.settings = PlannerSettings()
         self._room: Any = env.unwrapped
         self._plan = plan
         self._goals = [*list_goals(plan.planner.instance), ExitGoal()]

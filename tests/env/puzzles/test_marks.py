@@ -23,7 +23,7 @@ from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.ladder.keys import compute_task_key
-from hrl_escape.viewer.scene.room_meshes import make_target
+from hrl_escape.viewer.scene import make_target
 
 
 def make_with(marks, kind="chain", count=4):

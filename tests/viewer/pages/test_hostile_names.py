@@ -17,8 +17,8 @@ from hrl_escape.env.drawing.maps import make_map_image, save_map
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.viewer.pages.offline import make_replay, save_replay
 from hrl_escape.viewer.pages.play import PlayPage
-from hrl_escape.viewer.pages.replay import make_replay, save_replay
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.recording import Recording, record_driver

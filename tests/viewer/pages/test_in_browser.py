@@ -22,11 +22,10 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.viewer.pages.offline import save_replay
 from hrl_escape.viewer.pages.play import PlayPage
-from hrl_escape.viewer.pages.replay import save_replay
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import load_episode
+from hrl_escape.viewer.play.episode import Episode, load_episode
 from hrl_escape.viewer.recording import record_driver
 from hrl_escape.viewer.server import Server, get_url, open_server
 from hrl_escape.viewer.watch.drivers import open_driver

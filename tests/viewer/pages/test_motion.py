@@ -15,7 +15,7 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.planning.motion.legs import PRESS_SECONDS
 from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.planner import RoomPlanner
-from hrl_escape.viewer.pages.motion import make_motion
+from hrl_escape.viewer.pages.offline import make_motion
 from tests.viewer.pages.test_replay import read_recorded
 
 

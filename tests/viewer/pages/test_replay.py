@@ -17,9 +17,8 @@ from PIL import Image
 
 from hrl_escape.cli import main
 from hrl_escape.env.episode_end import EpisodeEnd
-from hrl_escape.viewer.pages.replay import CONFETTI, make_replay
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import load_episode, save_episode
+from hrl_escape.viewer.pages.offline import CONFETTI, make_replay
+from hrl_escape.viewer.play.episode import Episode, load_episode, save_episode
 from hrl_escape.viewer.recording import record_driver, record_saved
 from hrl_escape.viewer.watch.drivers import open_driver
 

@@ -9,7 +9,7 @@ from hrl_escape.env.config import StartConfig
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
-from hrl_escape.viewer.scene.room_scene import make_pose
+from hrl_escape.viewer.scene import make_pose
 from hrl_escape.viewer.server import Server
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.watch import Gate, Watch

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.viewer.play.commands import PERSONAL_BESTS, Command, carry_out
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import load_episode
+from hrl_escape.viewer.play.episode import Episode, load_episode
 
 
 @pytest.fixture(autouse=True)

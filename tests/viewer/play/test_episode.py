@@ -14,8 +14,7 @@ from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EpisodeFileError, FileReadError, UnsupportedError
-from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.play.saved_episode import load_episode, save_episode
+from hrl_escape.viewer.play.episode import Episode, load_episode, save_episode
 
 
 def play(episode: Episode, names: list[str]) -> None:

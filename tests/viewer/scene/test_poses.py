@@ -18,9 +18,20 @@ from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.planner import RoomPlanner
-from hrl_escape.viewer.scene.robot_shapes import ArmPose, make_arm_shapes, make_base_shapes, to_quaternion
-from hrl_escape.viewer.scene.room_meshes import is_hidden_by, make_confetti, make_fixtures
-from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, blend, compute_overview, make_pose
+from hrl_escape.viewer.scene import (
+    OVERVIEW_FIELD,
+    ArmPose,
+    RoomScene,
+    blend,
+    compute_overview,
+    is_hidden_by,
+    make_arm_shapes,
+    make_base_shapes,
+    make_confetti,
+    make_fixtures,
+    make_pose,
+    to_quaternion,
+)
 
 ROBOTS = [RobotConfig(joints=1), RobotConfig(joints=3, link_length=0.5), RobotConfig(joints=7),
           RobotConfig(kind="kuka-iiwa", joints=7), RobotConfig(kind="franka-panda", joints=7)]

@@ -1,8 +1,8 @@
 """A room as a viser scene: built once from an instance, then posed, lit and annotated.
 
-`make_pose` reads the placement of everything that moves from a state, and `blend` interpolates. `RoomScene` only shows;
-it steps nothing and knows no controls. Everything it adds lies below one node, so that a room can be removed as a whole
-and replaced. Metres, the room frame.
+The scene only shows; it steps nothing and knows no controls. Fixed parts are meshes of the instance, the robot's shapes
+come from the URDF that every engine loads, `make_pose` reads the placement of everything that moves from a state, and
+`blend` interpolates. Frames and units as in `env.robot`: metres and radians, the room's frame or a link's.
 """
 
 from __future__ import annotations
@@ -10,30 +10,250 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.meshes import LAYER, find_hinge, make_inner_door, make_leaf, make_prop
-from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.drawing import meshes, palette
+from hrl_escape.env.geometry import Solid, compute_distance
+from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
 from hrl_escape.env.puzzles.traits import Barring, get_trait
-from hrl_escape.env.robot import Robot
+from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.planning.props import get_prop_poses
-from hrl_escape.viewer.extra import SO3, viser
-from hrl_escape.viewer.scene.robot_shapes import ArmPose, make_arm_shapes, make_base_shapes, to_quaternion
-from hrl_escape.viewer.scene.room_meshes import (
-    SCRAPS,
-    Painted,
-    is_hidden_by,
-    make_confetti,
-    make_exit,
-    make_fixtures,
-    make_obstacle,
-    make_target,
-)
+from hrl_escape.viewer.extra import SO3, trimesh, viser
+
+_GREY = "#9aa3b2"
+_SLIMMER = 0.7
+"""Factor by which links of generated arms are drawn slimmer than they are, so that the hand stands out."""
+
+
+class Shape(NamedTuple):
+    """One coloured mesh in the frame of a link."""
+
+    link: str  # the link's name
+    vertices: NDArray[np.float64]  # (n, 3), m
+    faces: NDArray[np.int64]  # (m, 3), numbers of vertices
+    colour: str  # `#rrggbb`
+
+
+def make_base_shapes(config: RobotConfig) -> list[Shape]:
+    """The wheeled base, with an arrow on top that shows the heading."""
+    parts = meshes.make_base(config).items()
+    return [Shape(BASE_LINK, mesh.vertices, mesh.triangles, colour) for colour, mesh in parts]
+
+
+def make_arm_shapes(robot: Robot, config: RobotConfig) -> list[Shape]:
+    """The shapes of the URDF without the base, and a ball for the hand."""
+    root = ElementTree.fromstring(robot.urdf)
+    named = {m.get("name", ""): m for m in root.findall("material")}
+    shapes: list[Shape] = []
+    for link in root.findall("link"):
+        name = link.get("name", "")
+        if name != BASE_LINK:
+            shapes += [_make_shape(name, visual, named, config) for visual in link.findall("visual")]
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=config.hand_radius)
+    if config.joints:
+        shapes.append(Shape(robot.hand_link, ball.vertices, ball.faces, palette.HAND))
+    return shapes
+
+
+def _make_shape(link: str, visual: ElementTree.Element, named: dict[str, ElementTree.Element],
+                config: RobotConfig) -> Shape:
+    geometry = visual.find("geometry")
+    kind = geometry[0] if geometry is not None and len(geometry) else ElementTree.Element("none")
+    generated = config.kind == "arm"
+    if kind.tag == "cylinder":
+        slim = _SLIMMER if generated else 1.0
+        mesh: Any = trimesh.creation.cylinder(slim * float(kind.get("radius", 0)), float(kind.get("length", 0)))
+    elif kind.tag == "box":
+        mesh = trimesh.creation.box(_read(kind, "size", "1 1 1"))
+    elif kind.tag == "sphere":
+        mesh = trimesh.creation.icosphere(subdivisions=2, radius=float(kind.get("radius", 0)))
+    elif kind.tag == "mesh":
+        mesh = trimesh.load(kind.get("filename", ""), force="mesh")
+        mesh.apply_scale(_read(kind, "scale", "1 1 1"))
+    else:
+        mesh = trimesh.Trimesh()
+    mesh.apply_transform(_read_origin(visual))
+    return Shape(link, np.asarray(mesh.vertices), np.asarray(mesh.faces),
+                 palette.ARM if generated else _read_colour(visual, named))
+
+
+def _read_colour(visual: ElementTree.Element, named: dict[str, ElementTree.Element]) -> str:
+    material = visual.find("material")
+    colour = None
+    if material is not None:
+        colour = material.find("color")
+        if colour is None and material.get("name", "") in named:
+            colour = named[material.get("name", "")].find("color")
+    if colour is None:
+        return _GREY
+    red, green, blue = (round(255 * float(v)) for v in colour.get("rgba", "0.6 0.6 0.7 1").split()[:3])
+    return f"#{red:02x}{green:02x}{blue:02x}"
+
+
+class ArmPose:
+    """Forward kinematics over all joints of a robot, gripper fingers included."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        joints = ElementTree.fromstring(robot.urdf).findall("joint")
+        self._joints = []
+        placed = {BASE_LINK}
+        while joints:  # parents first
+            ready = [joint for joint in joints if _get_link(joint, "parent") in placed]
+            if not ready:
+                break
+            for joint in ready:
+                joints.remove(joint)
+                placed.add(_get_link(joint, "child"))
+                self._joints.append((joint.get("name", ""), joint.get("type", "fixed"), _get_link(joint, "parent"),
+                                     _get_link(joint, "child"), _read_origin(joint),
+                                     _read(joint.find("axis"), "xyz", "1 0 0")))
+
+    def compute(self, angles: Sequence[float]) -> dict[str, NDArray[np.float64]]:
+        """Placement (4, 4) of every link in the base's frame.
+
+        Args:
+            angles: angles of the joints that primitives move, rad.
+        """
+        values = {**self._robot.rest, **dict(zip(self._robot.joint_names, angles, strict=True))}
+        found = {BASE_LINK: np.eye(4)}
+        for name, kind, parent, child, origin, axis in self._joints:
+            motion = np.eye(4)
+            if kind == "prismatic":
+                motion[:3, 3] = values[name] * axis / np.linalg.norm(axis)
+            elif kind != "fixed":
+                motion = trimesh.transformations.rotation_matrix(values[name], axis)
+            found[child] = found[parent] @ origin @ motion
+        return found
+
+
+def _get_link(joint: ElementTree.Element, end: str) -> str:
+    element = joint.find(end)
+    return "" if element is None else element.get("link", "")
+
+
+def _read_origin(element: ElementTree.Element) -> NDArray[np.float64]:
+    origin = element.find("origin")
+    placement = trimesh.transformations.euler_matrix(*_read(origin, "rpy", "0 0 0"), axes="sxyz")
+    placement[:3, 3] = _read(origin, "xyz", "0 0 0")
+    return placement
+
+
+def _read(element: ElementTree.Element | None, key: str, default: str) -> NDArray[np.float64]:
+    text = default if element is None else element.get(key, default)
+    return np.array([float(word) for word in text.split()])
+
+
+def to_quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Quaternion w, x, y, z of roll, pitch and yaw about fixed axes, rad."""
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a / 2), math.sin(a / 2)) for a in (roll, pitch, yaw))
+    return (cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy)
+
+
+OTHER_TILE, SHADE, OUTSIDE = "#e4dfd2", "#cfc9bc", "#8fa0b8"
+SCRAPS = 160
+"""Number of scraps of confetti."""
+CLEAR, HAZY = 0.12, 0.5
+"""Opacity of outer walls seen from outside, and of walls within the room."""
+
+
+class Painted(NamedTuple):
+    """A mesh, its colour, and how opaque it is (None: fully)."""
+
+    name: str
+    mesh: meshes.Mesh
+    colour: str
+    opacity: float | None = None
+
+
+def make_fixtures(instance: RoomInstance) -> list[Painted]:
+    """Parts that never change: floor with shadows and puddles, walls. Obstacles are apart, see `make_obstacle`."""
+    floors = palette.compute_floors(instance)
+    walls = [solid for solid in instance.solids if solid.role == "wall"]
+    others = [solid for solid in instance.solids if solid.role != "wall"]
+    even, odd, shadows, puddles = meshes.make_floor(instance, others)
+    faces: dict[str, list[meshes.Mesh]] = {"inside": [], "between": [], "outside": []}
+    for wall in walls:
+        for mesh, kind in _make_faces(wall, floors):
+            faces[kind].append(mesh)
+    tops = [meshes.make_flat(meshes.compute_outline(wall), wall.height) for wall in walls]
+    found = [
+        Painted("floor/even", even, meshes.TILE),
+        Painted("floor/odd", odd, OTHER_TILE),
+        Painted("floor/shadows", shadows, SHADE),
+        Painted("floor/puddles", puddles, palette.PUDDLE),
+        Painted("walls/inside", meshes.merge(faces["inside"]), meshes.WALL_FACE),
+        Painted("walls/between", meshes.merge(faces["between"]), meshes.WALL_FACE, HAZY),
+        Painted("walls/outside", meshes.merge(faces["outside"]), OUTSIDE, CLEAR),
+        Painted("walls/top", meshes.merge(tops), meshes.WALL_TOP, 0.55),
+    ]
+    return [painted for painted in found if len(painted.mesh.triangles)]
+
+
+def make_obstacle(solid: Solid) -> Painted:
+    """One obstacle; the scene shows it as glass while it hides the robot."""
+    return Painted("solid", meshes.make_solid(solid), meshes.OBSTACLE_FACE)
+
+
+def is_hidden_by(solid: Solid, eye: tuple[float, float, float], point: tuple[float, float, float]) -> bool:
+    """Return whether an upright solid stands between a camera and a point, tried at 64 places between them, m."""
+    shares = np.arange(1, 65) / 65
+    xs, ys, zs = (a + shares * (b - a) for a, b in zip(eye, point, strict=True))
+    low = zs < solid.height
+    return any(compute_distance(x, y, solid.footprint) <= 0.0
+               for x, y in zip(xs[low].tolist(), ys[low].tolist(), strict=True))
+
+
+def make_confetti(centre: tuple[float, float], share: float) -> NDArray[np.float32]:
+    """Places (n, 3) of the scraps that fly up over a place and come down again, m; `share` goes from 0 to 1."""
+    rng = np.random.default_rng(0)
+    side, up = rng.normal(0.0, 1.6, (SCRAPS, 2)), rng.uniform(2.0, 6.0, SCRAPS)
+    height = np.maximum(4.0 * up * share * (1.0 - share), meshes.LAYER)
+    return np.column_stack([centre + side * share, height]).astype(np.float32)
+
+
+def _make_faces(wall: Solid, floors: tuple[Rectangle, ...]) -> list[tuple[meshes.Mesh, str]]:
+    """The upright faces of a wall, visible from their front only, each with its kind.
+
+    A face is `inside` if it looks onto the floor, `between` if the opposite face does so too, else `outside`.
+    """
+    if wall.shape == "cylinder":
+        return [(meshes.make_solid(wall), "between")]
+    corners = meshes.compute_outline(wall)
+    sides, inside = [], []
+    for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        length = math.hypot(x1 - x0, y1 - y0) or 1.0
+        normal = ((y1 - y0) / length, (x0 - x1) / length)
+        # the face is thin: a prism of no depth, of which only the side along the edge is kept
+        side = meshes.make_prism([(x0, y0), (x1, y1), (x1 - 1e-3 * normal[0], y1 - 1e-3 * normal[1]),
+                           (x0 - 1e-3 * normal[0], y0 - 1e-3 * normal[1])], 0.0, wall.height)
+        sides.append(meshes.Mesh(side.vertices[:4], side.normals[:4], side.triangles[:2]))
+        x, y = (x0 + x1) / 2 + 0.05 * normal[0], (y0 + y1) / 2 + 0.05 * normal[1]
+        inside.append(any(floor.contains(x, y) for floor in floors))
+    kinds = ["outside" if not inside[i] else "between" if inside[i - 2] else "inside" for i in range(4)]
+    return list(zip(sides, kinds, strict=True))
+
+
+def make_target(instance: RoomInstance, target: Target) -> tuple[Painted, ...]:
+    """A panel: its face, which lights up, its frame, the mat on the floor in front of it, and its mark, if any."""
+    face, frame = meshes.make_panel(target)
+    return (Painted("face", face, palette.OFF.fill), Painted("frame", frame, meshes.PANEL_FRAME),
+            Painted("mat", meshes.make_mat(instance, target), meshes.MAT),
+            *(Painted(f"mark-{number}", mesh, colour)
+              for number, (colour, mesh) in enumerate(meshes.make_badges(instance, target))))
+
+
+def make_exit(instance: RoomInstance) -> tuple[Painted, Painted]:
+    """The exit's area on the floor and its edge."""
+    area, edge = meshes.make_exit_area(instance)
+    return Painted("area", area, palette.EXIT_LOCKED), Painted("edge", edge, palette.EXIT_LOCKED)
+
 
 PropPose = tuple[float, ...]
 
@@ -199,19 +419,19 @@ class RoomScene:
 
     def draw_trail(self, states: Sequence[RoomState]) -> None:
         """Draw the way that the robot has come, on the floor."""
-        self._draw_line("trail", [(s.x, s.y) for s in states[-LONGEST_TRAIL:]], palette.TRAIL, 8 * LAYER)
+        self._draw_line("trail", [(s.x, s.y) for s in states[-LONGEST_TRAIL:]], palette.TRAIL, 8 * meshes.LAYER)
 
     def draw_plan(self, states: Sequence[RoomState]) -> None:
         """Draw the planned way and its final posture."""
-        self._draw_future("plan", states, PLAN, 12 * LAYER)
+        self._draw_future("plan", states, PLAN, 12 * meshes.LAYER)
 
     def draw_preview(self, states: Sequence[RoomState]) -> None:
         """Draw the way of another option and its final posture."""
-        self._draw_future("preview", states, PREVIEW, 16 * LAYER)
+        self._draw_future("preview", states, PREVIEW, 16 * meshes.LAYER)
 
     def draw_path(self, points: Sequence[tuple[float, float]]) -> None:
         """Draw a path planner's path for the body's axis."""
-        self._draw_line("path", points, palette.MUTED, 6 * LAYER)
+        self._draw_line("path", points, palette.MUTED, 6 * meshes.LAYER)
 
     def draw_hand_path(self, points: Sequence[_Point]) -> None:
         """Draw the way of the hand, in the air."""
@@ -293,15 +513,16 @@ class RoomScene:
             return None
         self._door_yaw = door.yaw
         hinge = self._scene.add_frame(f"{ROOT}/door", show_axes=False, wxyz=to_quaternion(0.0, 0.0, door.yaw),
-                                      position=find_hinge(door))
-        self._add(Painted("leaf", make_leaf(door), palette.DOOR, 0.85), "door")
+                                      position=meshes.find_hinge(door))
+        self._add(Painted("leaf", meshes.make_leaf(door), palette.DOOR, 0.85), "door")
         return hinge
 
     def _add_inner_door(self, index: int) -> viser.FrameHandle:
         """A door that fills its cell, or a thing that fills half of it."""
         door, name = self.instance.inner_doors[index], f"{ROOT}/inner-doors/{index}"
         node = self._scene.add_frame(name, show_axes=False)
-        self._add(Painted("leaf", make_inner_door(door), palette.get_inner_colour(door), 0.85), f"inner-doors/{index}")
+        leaf = Painted("leaf", meshes.make_inner_door(door), palette.get_inner_colour(door), 0.85)
+        self._add(leaf, f"inner-doors/{index}")
         return node
 
     def _add_prop(self, index: int) -> viser.FrameHandle:
@@ -309,7 +530,7 @@ class RoomScene:
         prop, name = placed.prop, f"{ROOT}/props/{index}"
         node = self._scene.add_frame(name, show_axes=False)
         colour = palette.PLATE if prop.kind == "plate" else palette.PROP
-        self._add(Painted("shape", make_prop(prop), colour), f"props/{index}")
+        self._add(Painted("shape", meshes.make_prop(prop), colour), f"props/{index}")
         self._scene.add_label(f"{name}/name", prop.name, position=(0.0, 0.0, prop.height / 2 + 0.2),
                               anchor="bottom-center", font_screen_scale=0.8)
         return node

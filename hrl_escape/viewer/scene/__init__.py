@@ -1,1 +1,0 @@
-"""The room as a 3D scene: meshes, robot shapes, poses and their interpolation."""
