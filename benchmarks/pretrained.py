@@ -15,13 +15,11 @@ import tempfile
 from pathlib import Path
 
 from hrl_escape.agents import train
-from hrl_escape.comparison.board.board import describe_score
-from hrl_escape.comparison.board.play import pack_submission
-from hrl_escape.comparison.board.submission import Card
 from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.comparison.runs import get_training_folder
+from hrl_escape.comparison.submission import Card, describe_score, pack_submission
 from hrl_escape.ladder import load_benchmark
 from studies.unseen import make_streams
 

@@ -15,8 +15,8 @@ from rich.console import Console
 
 from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.launching.clusters import RayLauncher
 from hrl_escape.comparison.launching.local import Listener
-from hrl_escape.comparison.launching.ray import RayLauncher
 
 
 @dataclasses.dataclass(frozen=True)

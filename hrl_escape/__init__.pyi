@@ -1,6 +1,6 @@
 from .agents.registry import make_agent
 from .agents.training.train import train
-from .comparison.board.pretrained import load_pretrained
+from .comparison.pretrained import load_pretrained
 from .env.config import RoomConfig
 from .env.escape_room import EscapeRoomEnv
 from .env.instance import RoomInstance

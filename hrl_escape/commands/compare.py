@@ -37,8 +37,7 @@ from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import AgentSpec, Grid, load_grid
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.presets import GRIDS, get_grid
-from hrl_escape.comparison.reporting.report import write_report
-from hrl_escape.comparison.reporting.tables import format_first_escape
+from hrl_escape.comparison.reporting.report import format_first_escape, write_report
 from hrl_escape.comparison.summary import Summary
 from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.errors import UnknownNameError

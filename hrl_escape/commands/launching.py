@@ -9,9 +9,8 @@ from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.comparison.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.comparison.cost import describe_cost
 from hrl_escape.comparison.grid import Grid
+from hrl_escape.comparison.launching.clusters import RayLauncher, SlurmLauncher
 from hrl_escape.comparison.launching.local import Launcher, LocalLauncher
-from hrl_escape.comparison.launching.ray import RayLauncher
-from hrl_escape.comparison.launching.slurm import SlurmLauncher
 from hrl_escape.errors import ConfigError
 
 

@@ -1,7 +1,7 @@
-from .board.pretrained import Pretrained, list_pretrained, load_pretrained
 from .comparison import run_grid
 from .grid import AgentSpec, Grid
 from .places import RoomSpec
+from .pretrained import Pretrained, list_pretrained, load_pretrained
 from .recording import RecordedEpisode, record_episode
 from .reporting.report import write_report
 from .verdict import write_verdict

@@ -24,7 +24,7 @@ from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.env.observations.base import get_observation
 from hrl_escape.errors import EscapeError, GridError, UnknownNameError
 from hrl_escape.files import read_json, read_text, read_toml
-from hrl_escape.ladder.tower import parse_rooms
+from hrl_escape.ladder.room_sets import parse_rooms
 from hrl_escape.names import make_file_name
 from hrl_escape.settings import Range, Settings, replace_settings
 from hrl_escape.synthesis.kinds import find_kind, list_privileges

@@ -22,7 +22,7 @@ from hrl_escape.comparison.statistics import Floats, Scores, compute_iqm
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.errors import ConfigError
 from hrl_escape.ladder.benchmark import Benchmark
-from hrl_escape.ladder.tower import TOWER_HORIZON, join_floors, list_sets
+from hrl_escape.ladder.room_sets import TOWER_HORIZON, join_floors, list_sets
 from hrl_escape.text.settings import TOOLS
 
 LEAST_HEADROOM = 0.05

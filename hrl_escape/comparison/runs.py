@@ -35,8 +35,8 @@ from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.files import read_json, write_json
 from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
 from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.ladder.room_sets import RoomSets, Tower, list_sets
 from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
-from hrl_escape.ladder.tower import RoomSets, Tower, list_sets
 from hrl_escape.settings import read_record
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.text.settings import TOOLS
@@ -186,8 +186,7 @@ def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -
     """
     if agent.name != TOOLS:
         return make_reference(agent.name, env, recorder)
-    from hrl_escape.text.agent import ToolsAgent
-    from hrl_escape.text.managers import make_model
+    from hrl_escape.text.managers import ToolsAgent, make_model
 
     return ToolsAgent(env, make_model(agent.resolve_settings()["model"]))
 

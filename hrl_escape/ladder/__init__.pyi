@@ -1,10 +1,8 @@
-from .benchmark import Benchmark, list_benchmarks, load_benchmark
-from .certificate import certify_rung
+from .benchmark import Benchmark, certify_rung, list_benchmarks, load_benchmark
 from .goals import GoalsEnv
-from .hidden import derive_hidden_seed
 from .instance_set import InstanceSet, InstanceSetEnv
 from .keys import compute_keys
-from .rung import Rung
+from .rung import Rung, derive_hidden_seed
 from .sequence import SequenceEnv
 
 __all__ = [

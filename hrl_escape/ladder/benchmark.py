@@ -1,14 +1,105 @@
-"""Benchmarks: rungs by name, each with its sets of rooms, from a manifest of a few kB."""
+"""Benchmarks: rungs by name, each with its sets of rooms, from a manifest of a few kB; and the proof that they are its.
+
+No room of one set has the content or the layout of a room of another. The tasks of `test_task` occur in no other set.
+The share of `test` whose tasks occur in training is reported, since small rungs have few tasks. By a Merkle tree one
+hash, the root, commits to a whole set.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import dataclasses
+import hashlib
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from hrl_escape.errors import UnknownNameError
-from hrl_escape.ladder.certificate import certify_rung
+from hrl_escape.errors import UnknownNameError, VerificationError
+from hrl_escape.ladder.keys import RoomKeys, SeenLayouts, compute_keys
 from hrl_escape.ladder.manifest import Manifest, list_benchmarks, load_manifest
 from hrl_escape.ladder.rung import Rung
+from hrl_escape.names import count_nouns
+
+
+def _join(left: str, right: str) -> str:
+    return hashlib.sha256(b"\x01" + bytes.fromhex(left) + bytes.fromhex(right)).hexdigest()
+
+
+def _climb(level: Sequence[str]) -> list[str]:
+    """Next level up; a last node without partner rises as it is."""
+    pairs = [_join(left, right) for left, right in zip(level[::2], level[1::2], strict=False)]
+    return pairs + list(level[-1:]) * (len(level) % 2)
+
+
+def compute_root(leaves: Sequence[str]) -> str:
+    """Root of leaves, hexadecimal SHA-256 digests in order; that of no leaves is the hash of nothing."""
+    level = list(leaves)
+    while len(level) > 1:
+        level = _climb(level)
+    return level[0] if level else hashlib.sha256(b"").hexdigest()
+
+
+# --- certificates ------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class RungCertificate:
+    """Facts about a rung that were computed from its rooms."""
+
+    rung: str  # name of the rung
+    rooms: Mapping[str, int]  # number of rooms of each set
+    roots: Mapping[str, str]  # Merkle root of each set
+    task_overlap: float  # share of the test's rooms whose task some training room has
+    tasks: Mapping[str, int]  # number of different tasks in each set
+
+    def __str__(self) -> str:
+        rooms = ", ".join(f"{role} {count} ({count_nouns(self.tasks[role], 'task')})"
+                          for role, count in self.rooms.items())
+        return f"{self.rung}: {rooms}; disjoint in content and layout; task overlap {self.task_overlap:.0%}"
+
+
+def find_overlaps(sets: Mapping[str, Sequence[RoomKeys]]) -> list[str]:
+    """Rooms that two sets share, in words: by content or layout for any two, by task for `test_task` and another."""
+    found = []
+    for (first, those), (second, these) in itertools.combinations(sets.items(), 2):
+        for key in ("content", "layout", "task"):
+            if key == "task" and "test_task" not in (first, second):
+                continue
+            seen = SeenLayouts(getattr(keys, key) for keys in those)  # hashes are found by equality
+            found += [f"room {index} of {second} has the {key} of room {other} of {first}"
+                      for index, keys in enumerate(these) if (other := seen.find(getattr(keys, key))) is not None]
+    return found
+
+
+def compute_task_overlap(train: Sequence[str], test: Sequence[str]) -> float:
+    """Share of test rooms, by the keys of their tasks, whose task some training room has."""
+    known = set(train)
+    return sum(task in known for task in test) / len(test)
+
+
+def _list_tasks(keys: Iterable[RoomKeys]) -> list[str]:
+    return [each.task for each in keys]
+
+
+def certify_rung(rung: Rung) -> RungCertificate:
+    """Generate a rung's rooms and check them against the manifest and each other.
+
+    Raises:
+        VerificationError: a root differs, or two sets share a room.
+    """
+    keys = {role: [compute_keys(room, rung.layouts) for room in rooms] for role, rooms in rung.sets.items()}
+    roots = {role: compute_root([each.content for each in keys[role]]) for role in keys}
+    overlap = compute_task_overlap(_list_tasks(keys["train"]), _list_tasks(keys["test"]))
+    problems = [f"the root of {role} is {root[:16]}..., not {stated[:16]}..." for role, root in roots.items()
+                if root != (stated := getattr(rung.record, role).root)]
+    problems += find_overlaps(keys)
+    if abs(overlap - rung.record.task_overlap) > 1e-9:
+        problems.append(f"the task overlap is {overlap:g}, not {rung.record.task_overlap:g}")
+    if problems:
+        raise VerificationError(f"{rung.benchmark}/{rung.name}: {'; '.join(problems[:5])}"
+                                + (f"; and {len(problems) - 5} more" if len(problems) > 5 else ""))
+    return RungCertificate(rung.name, {role: len(each) for role, each in keys.items()}, roots, overlap,
+                           {role: len(set(_list_tasks(each))) for role, each in keys.items()})
+
 
 __all__ = ["Benchmark", "list_benchmarks", "load_benchmark"]
 

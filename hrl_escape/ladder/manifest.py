@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.files import parse_json, read_json, write_json
-from hrl_escape.ladder.layouts import LATEST_LAYOUTS
+from hrl_escape.ladder.keys import LATEST_LAYOUTS
 from hrl_escape.settings import Range, Settings, read_record
 
 ROLES = ("train", "valid", "test", "test_task")

@@ -1,5 +1,4 @@
-from .agent import ToolsAgent
-from .managers import MANAGERS, Model, make_model
+from .managers import MANAGERS, Model, ToolsAgent, make_model
 from .recordings import (
     Game,
     RecordedModel,

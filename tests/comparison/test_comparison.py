@@ -22,8 +22,7 @@ from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import Comparison, Shard, count_missing, read_comparison
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import LocalLauncher, read_progress
-from hrl_escape.comparison.reporting.report import write_report
-from hrl_escape.comparison.reporting.tables import write_tables
+from hrl_escape.comparison.reporting.report import write_report, write_tables
 from hrl_escape.comparison.runs import get_run_folder, load_run_result, read_episodes
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ComparisonError, ConfigError, EscapeError, FileWriteError, RunBusyError

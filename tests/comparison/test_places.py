@@ -12,8 +12,7 @@ from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RunPlace
-from hrl_escape.comparison.reporting.report import write_report
-from hrl_escape.comparison.reporting.tables import write_markdown
+from hrl_escape.comparison.reporting.report import write_markdown, write_report
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.env.config import Between

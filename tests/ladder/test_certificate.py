@@ -14,12 +14,10 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError, VerificationError
-from hrl_escape.ladder.benchmark import Benchmark, list_benchmarks, load_benchmark
-from hrl_escape.ladder.certificate import certify_rung, find_overlaps
-from hrl_escape.ladder.hidden import derive_hidden_seed, read_beacon
+from hrl_escape.ladder.benchmark import Benchmark, certify_rung, find_overlaps, list_benchmarks, load_benchmark
 from hrl_escape.ladder.keys import RoomKeys, compute_keys, compute_task_key
 from hrl_escape.ladder.manifest import Manifest, RungRecord, SetRecord
-from hrl_escape.ladder.rung import Rung, choose_seeds, is_held_out
+from hrl_escape.ladder.rung import Rung, choose_seeds, derive_hidden_seed, is_held_out, read_beacon
 from studies.ladder.freezing import freeze_manifest
 from tests.command_line import run_here
 from tests.covering import thin

@@ -34,7 +34,7 @@ class Mutation(NamedTuple):
 
     Attributes:
         bug: what is wrong with it.
-        file: path within `hrl_escape`, or of the project if it begins with `studies/`.
+        file: path within `hrl_escape`, or of the project if it begins with `studies/` or `benchmarks/`.
         old: sound text, which occurs once in the file.
         new: text that takes its place.
         tests: modules or single tests, paths within `tests` separated by blanks; one of them must fail.
@@ -49,7 +49,7 @@ class Mutation(NamedTuple):
 
 def find_source(root: Path, file: str) -> Path:
     """Where a mutation's file is in a copy of the project."""
-    return root / file if file.startswith("studies/") else root / "hrl_escape" / file
+    return root / file if file.startswith(("studies/", "benchmarks/")) else root / "hrl_escape" / file
 
 
 class PackageCopy:

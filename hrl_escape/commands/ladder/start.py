@@ -27,7 +27,7 @@ class StartArgs:
 
 def run(args: StartArgs) -> None:
     """Write the folder; nothing that is there is written over."""
-    starter = files("hrl_escape.comparison.board") / "starter"
+    starter = files("hrl_escape.comparison") / "starter"
     with making_folder(args.folder) as made:
         for name in ("agent.py", "card.toml"):
             source = starter / (name + ".txt" * name.endswith(".py"))

@@ -19,10 +19,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from hrl_escape.comparison.board.board import describe_score
-from hrl_escape.comparison.board.play import pack_submission
-from hrl_escape.comparison.board.program import describe_command
-from hrl_escape.comparison.board.submission import Card
+from hrl_escape.comparison.submission import Card, describe_command, describe_score, pack_submission
 from hrl_escape.files import read_toml
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.names import make_console_text

@@ -19,10 +19,18 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from hrl_escape.comparison.board.board import Check, Record, describe_score
-from hrl_escape.comparison.board.play import CheckedCell, verify_cells
-from hrl_escape.comparison.board.program import describe_command
-from hrl_escape.comparison.board.submission import Cell, describe_package, find_rung, read_submission
+from hrl_escape.comparison.submission import (
+    Cell,
+    Check,
+    CheckedCell,
+    Record,
+    describe_command,
+    describe_package,
+    describe_score,
+    find_rung,
+    read_submission,
+    verify_cells,
+)
 from hrl_escape.names import count_nouns, make_console_text
 
 

@@ -10,7 +10,7 @@ from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from hrl_escape.ladder.manifest import AxisRecord
-from hrl_escape.ladder.tower import TOWER_HORIZON
+from hrl_escape.ladder.room_sets import TOWER_HORIZON
 from tests.command_line import call_script
 from tests.ladder.small import make_config, make_manifest
 

@@ -14,8 +14,8 @@ import pytest
 from rich.console import Console
 
 from hrl_escape.comparison.comparison import run_grid
+from hrl_escape.comparison.launching.clusters import RayLauncher
 from hrl_escape.comparison.launching.local import Failure, report_outcome
-from hrl_escape.comparison.launching.ray import RayLauncher
 from hrl_escape.errors import MissingExtraError
 from tests.comparison.small import change, plant_strangers
 
@@ -26,7 +26,7 @@ import json, os, sys
 import torch
 from rich.console import Console
 from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.launching.ray import RayLauncher
+from hrl_escape.comparison.launching.clusters import RayLauncher
 from tests.comparison.small import change
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@ import io
 
 from rich.console import Console
 
+from hrl_escape.comparison.comparison import Monitor
 from hrl_escape.comparison.launching.local import Failure, read_progress
-from hrl_escape.comparison.launching.monitor import Monitor
 from tests.comparison.made_up import compare
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.launching.ray import RayLauncher
+from hrl_escape.comparison.launching.clusters import RayLauncher
 from hrl_escape.errors import ConfigError
 from tests.comparison.small import break_checkpoint, change, run_quietly
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.launching.slurm import SlurmLauncher
+from hrl_escape.comparison.launching.clusters import SlurmLauncher
 from hrl_escape.errors import ConfigError
 from tests.comparison.small import break_checkpoint, change, run_quietly
 

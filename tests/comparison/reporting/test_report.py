@@ -23,8 +23,7 @@ from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.launching.local import Failure
 from hrl_escape.comparison.reporting.figures import draw_curves
-from hrl_escape.comparison.reporting.report import choose_replays, describe_kind, write_report
-from hrl_escape.comparison.reporting.tables import write_markdown
+from hrl_escape.comparison.reporting.report import choose_replays, describe_kind, write_markdown, write_report
 from hrl_escape.comparison.statistics import compute_iqm
 from hrl_escape.comparison.summary import Summary
 from hrl_escape.comparison.verdict import write_verdict

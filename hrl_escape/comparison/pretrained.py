@@ -14,10 +14,19 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.archive import unpack_run
 from hrl_escape.agents.training.results import TrainResult, load_result
 from hrl_escape.agents.training.train import load_agent
-from hrl_escape.comparison.board.board import describe_score
-from hrl_escape.comparison.board.play import CheckedCell, make_view_env, verify_cells
-from hrl_escape.comparison.board.submission import RUN, Card, Submission, find_rung, read_submission, score_cells
 from hrl_escape.comparison.inference import Estimate
+from hrl_escape.comparison.submission import (
+    RUN,
+    Card,
+    CheckedCell,
+    Submission,
+    describe_score,
+    find_rung,
+    make_view_env,
+    read_submission,
+    score_cells,
+    verify_cells,
+)
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.ladder.rung import Rung

@@ -10,13 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from hrl_escape.comparison.board import program
-from hrl_escape.comparison.board.play import make_view_env, pack_submission
-from hrl_escape.comparison.board.program import ProgramAgent
-from hrl_escape.comparison.board.submission import Card
+from hrl_escape.comparison import submission
+from hrl_escape.comparison.submission import Card, ProgramAgent, make_view_env, pack_submission
 from hrl_escape.errors import ContractError
 from hrl_escape.files import read_toml
-from tests.comparison.board.small import get_rung, make_bench, make_card, make_program
+from tests.comparison.submission.small import get_rung, make_bench, make_card, make_program
 
 LISTENER = """
 import json, os, sys
@@ -49,7 +47,7 @@ def test_a_program_sees_observations_masks_and_nothing_else(tmp_path, monkeypatc
 
 @pytest.mark.parametrize("rung", ["one", "five"])
 def test_the_program_to_begin_with_is_the_searcher_of_the_references_to_the_bit(tmp_path, rung):
-    starter = Path(program.__file__).with_name("starter")
+    starter = Path(submission.__file__).with_name("starter")
     (tmp_path / "agent.py").write_text((starter / "agent.py.txt").read_text())
     card = Card.from_dict(read_toml(starter / "card.toml"))
     mine = pack_submission(tmp_path / "it.zip", make_bench()[rung], card, files=tmp_path)
@@ -67,7 +65,7 @@ def test_the_program_to_begin_with_is_the_searcher_of_the_references_to_the_bit(
     ("import time; time.sleep(60)", "it answers within 1 s; found nothing"),
 ])
 def test_a_program_that_does_not_answer_as_agreed_is_told_so(tmp_path, monkeypatch, code, words):
-    monkeypatch.setattr(program, "ANSWER_SECONDS", 1.0 if "sleep" in code else 60.0)
+    monkeypatch.setattr(submission, "ANSWER_SECONDS", 1.0 if "sleep" in code else 60.0)
     card = make_program(tmp_path / "own", code)
     with pytest.raises(ContractError) as error:
         pack_submission(tmp_path / "it.zip", get_rung(), card, files=tmp_path / "own", rooms=1)

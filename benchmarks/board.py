@@ -1,22 +1,58 @@
-"""Boards: records of submissions that were verified, and the page that they make."""
+"""Write the page of a board from its records, which `hrl-escape ladder verify-submission --record` makes.
+
+python -m benchmarks.board docs/board --out docs/board.md
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import re
+import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
-from jinja2 import Environment, PackageLoader
+import jinja2
+import tyro
+from rich.console import Console
 
-from hrl_escape.comparison.board.submission import Cell, Submission, find_rung, score_cells
+from hrl_escape.cli import run_script
 from hrl_escape.comparison.inference import Estimate
 from hrl_escape.comparison.references.registry import BAYES, FLOORS, REFERENCES
+from hrl_escape.comparison.submission import (
+    Cell,
+    Check,
+    Record,
+    Submission,
+    find_rung,
+    format_score,
+    score_cells,
+)
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
-from hrl_escape.files import read_json, write_json
+from hrl_escape.files import read_json, write_text
 from hrl_escape.ladder.rung import Rung
+from hrl_escape.names import count_nouns, make_console_text
 from hrl_escape.settings import read_record
+
+
+@dataclasses.dataclass(frozen=True)
+class Board:
+    """Options of the page."""
+
+    folder: Annotated[Path, tyro.conf.Positional] = Path("docs/board")
+    """Folder of records."""
+    out: Path = Path("docs/board.md")
+    """Page to write."""
+
+
+def run(args: Board) -> None:
+    """Write the page; agents that were not tested in every room are named and left out."""
+    console, records = Console(soft_wrap=True, highlight=False), read_records(args.folder)
+    page, left_out = write_page(records)
+    for name in left_out:
+        console.print(f"left out, as it was not tested in every room: {make_console_text(name)}")
+    write_text(args.out, page)
+    console.print(f"wrote {make_console_text(str(args.out))}: {count_nouns(len(records) - len(left_out), 'agent')}")
 
 
 class Row(NamedTuple):
@@ -26,28 +62,6 @@ class Row(NamedTuple):
     cells: tuple[str, ...]  # further columns, as Markdown
     score: Estimate  # efficiency in the test rooms
     agent: str  # name of the package's agent or reference; empty for a program
-
-
-@dataclasses.dataclass(frozen=True)
-class Check:
-    """Verification of a submission: rooms played again, the seed that drew them, and the package's version."""
-
-    cells: int
-    seed: int
-    version: str
-
-
-@dataclasses.dataclass(frozen=True)
-class Record:
-    """A submission without its agent's files, and how it was verified."""
-
-    submission: Submission
-    check: Check
-
-    def save(self, path: Path) -> None:
-        """Write it as JSON."""
-        value = {"submission": self.submission.to_json(), "check": dataclasses.asdict(self.check)}
-        write_json(path, value, indent=None)
 
 
 def read_records(folder: Path) -> list[Record]:
@@ -62,18 +76,6 @@ def read_records(folder: Path) -> list[Record]:
     return found
 
 
-def describe_score(submission: Submission, rung: Rung) -> str:
-    """Words on a submission's efficiency and escapes."""
-    words = []
-    for role in ("test", "hidden"):
-        cells = [cell for cell in submission.cells if cell.set == role]
-        if cells:
-            score = score_cells(cells, rung.config.dynamics.is_random)
-            words.append(f"efficiency {_format(score)} in {len(cells)} {role} rooms, "
-                         f"{sum(cell.escaped for cell in cells)} escapes")
-    return "; ".join(words)
-
-
 def write_page(records: Sequence[Record]) -> tuple[str, list[str]]:
     """Markdown of a board's page, and names of agents left out because they were not tested in every room."""
     rungs: dict[str, list[Row]] = {}
@@ -86,8 +88,8 @@ def write_page(records: Sequence[Record]) -> tuple[str, list[str]]:
         else:
             rungs.setdefault(f"{entry.benchmark}/{entry.rung}", []).append(_make_row(record, rung))
     tables = {name: sorted(rows, key=lambda row: (-row.score.value, row.name)) for name, rows in sorted(rungs.items())}
-    template = Environment(loader=PackageLoader("hrl_escape.comparison.board", "."), trim_blocks=True,
-                           keep_trailing_newline=True).get_template("board.md.j2")
+    template = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), trim_blocks=True,
+                                  keep_trailing_newline=True).get_template("board.md.j2")
     page = template.render(rungs=tables, findings={name: conclude(rows) for name, rows in tables.items()})
     return page, left_out
 
@@ -101,8 +103,8 @@ def conclude(rows: Sequence[Row]) -> str:
     floor, best = (max(some, key=lambda row: row.score.value) for some in (floors, others))
     ceiling = [row.score.value for row in rows if row.agent == BAYES]
     bar = f"{floor.score.value:.2f} of {floor.name}, which learns nothing"
-    words = (f"{best.name} beats the {bar}: {_format(best.score)}" if best.score.low > floor.score.value else
-             f"No agent is shown to beat the {bar}; the best, {best.name}, has {_format(best.score)}")
+    words = (f"{best.name} beats the {bar}: {format_score(best.score)}" if best.score.low > floor.score.value else
+             f"No agent is shown to beat the {bar}; the best, {best.name}, has {format_score(best.score)}")
     return f"{words}{f'; {BAYES}, which knows how rooms are drawn, has {ceiling[0]:.2f}' if ceiling else ''}."
 
 
@@ -116,17 +118,17 @@ def _make_row(record: Record, rung: Rung) -> Row:
     name = _escape(card.name)
     cost = "" if card.primitives is None else f"{card.primitives:,}"
     hours = "" if card.core_hours is None else f"{card.core_hours:.2g}"
-    cells = (_escape(", ".join(card.authors)), _format(test), "" if hidden is None else _format(hidden),
+    cells = (_escape(", ".join(card.authors)), format_score(test), "" if hidden is None else format_score(hidden),
              f"{sum(cell.escaped for cell in sets['test'])} of {len(sets['test'])}", cost, hours,
              _escape(str(card.view)), _escape(card.told), f"{record.check.cells} of {len(submission.cells)}",
              submission.agent_digest[:12])
     return Row(f"[{name}]({card.link})" if card.link else name, cells, test, submission.entry.agent)
 
 
-def _format(score: Estimate) -> str:
-    return f"{score.value:.3f} ({score.low:.3f} to {score.high:.3f})"
-
-
 def _escape(text: str) -> str:
     """Text of a stranger as Markdown that shows it letter by letter."""
     return re.sub(r"[^\w ,.()/+:;-]|_", lambda sign: f"&#{ord(sign[0])};", text)
+
+
+if __name__ == "__main__":
+    sys.exit(run_script(run))

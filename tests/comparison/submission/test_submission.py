@@ -16,15 +16,18 @@ from hrl_escape.agents.training.archive import RUN_ARCHIVE, pack_parts
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
 from hrl_escape.agents.training.train import load_agent
 from hrl_escape.cli import main
-from hrl_escape.comparison.board.play import make_view_env, pack_submission, read_view, verify_cells
-from hrl_escape.comparison.board.submission import (
+from hrl_escape.comparison.submission import (
     RUN,
     SUBMISSION,
     Card,
     Submission,
     find_rung,
+    make_view_env,
+    pack_submission,
     read_submission,
+    read_view,
     score_cells,
+    verify_cells,
     write_submission,
 )
 from hrl_escape.env.kinematics import Kinematics
@@ -33,7 +36,7 @@ from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.planning.best_known import find_best_known
 from tests.agents.training.test_hostile_runs import Watch
 from tests.agents.training.test_hostile_runs import craft as craft_description
-from tests.comparison.board.small import get_rung, make_bench, make_card, make_program, train_once
+from tests.comparison.submission.small import get_rung, make_bench, make_card, make_program, train_once
 from tests.crafted import craft
 
 ANSWER = "import sys\nfor line in sys.stdin: print(0, flush=True)\n"

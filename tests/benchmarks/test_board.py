@@ -8,14 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from hrl_escape.cli import main
-from hrl_escape.comparison.board.board import Check, Record, Row, conclude, read_records, write_page
-from hrl_escape.comparison.board.play import verify_cells
-from hrl_escape.comparison.board.submission import find_rung, read_submission
+from benchmarks.board import Board, Row, conclude, read_records, run, write_page
 from hrl_escape.comparison.inference import Estimate
+from hrl_escape.comparison.submission import Check, Record, find_rung, read_submission, verify_cells
 from hrl_escape.errors import FileReadError
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 BOARD = ROOT / "docs/board"
 
 
@@ -24,7 +22,7 @@ def make_row(name: str, value: float, agent: str = "", reach: float = 0.05) -> R
 
 
 def test_the_page_is_what_the_command_makes(tmp_path, capsys):
-    assert main(["ladder", "board", str(BOARD), "--out", str(tmp_path / "board.md")]) == 0
+    run(Board(BOARD, tmp_path / "board.md"))
     assert (tmp_path / "board.md").read_text() == (ROOT / "docs/board.md").read_text()
     assert "left out" not in capsys.readouterr().out
 

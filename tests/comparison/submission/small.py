@@ -7,9 +7,8 @@ from functools import cache
 from pathlib import Path
 
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.board.play import make_view_env
-from hrl_escape.comparison.board.submission import Card, RoomView
 from hrl_escape.comparison.grid import OptionsView
+from hrl_escape.comparison.submission import Card, RoomView, make_view_env
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.rung import Rung
 from tests.ladder.small import make_manifest
