@@ -52,12 +52,7 @@ class _Tally:
 
 
 class Monitor:
-    """Listener that shows the progress of runs.
-
-    Args:
-        runs: all of the comparison's.
-        console: shows the progress.
-    """
+    """Listener that shows the progress of a comparison's runs on a console."""
 
     def __init__(self, runs: Sequence[GridRun], console: Console) -> None:
         self.runs, self.workers, self.console = {run.folder: run for run in runs}, 1, console
@@ -184,11 +179,7 @@ class Shard(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """Read `2/8`.
-
-        Raises:
-            ConfigError: it is no part.
-        """
+        """Read `2/8`; `ConfigError` where it is no part."""
         number, _, parts = map(parse_whole, text.partition("/"))
         if number is None or parts is None or not 1 <= number <= parts:
             raise ConfigError("shard", text, "the number of a part and how many there are, such as 2/8")
@@ -246,10 +237,9 @@ def read_comparison(out: str | os.PathLike[str], grid: Grid | None = None) -> Co
 
 
 def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, float | None]:
-    """Count a grid's runs, those not finished in a folder, and the median seconds of training of those that are.
+    """Count a grid's runs, those to be made in a folder, and the median seconds of training of those finished.
 
-    Returns:
-        All runs, runs to be made, and the seconds; None where none has finished.
+    The seconds are None where none has finished.
     """
     (_, runs), out = _make_runs(grid), Path(out).absolute()
     seconds = [result.seconds[-1] for run in runs if (result := load_run_result(out, run)) is not None]

@@ -45,17 +45,14 @@ def count_buttons(config: RoomConfig) -> float:
 
 def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterable[float], runs: int, rates: Rates
                    ) -> tuple[float, list[str]]:
-    """Core hours of training.
+    """Core hours of training, without what learns nothing or has no known rate, and the labels of the latter.
 
     Args:
-        agents: each trains wherever there are `buttons`; what does not learn costs nothing.
+        agents: each trains wherever there are `buttons`.
         primitives: of a run.
         buttons: number of buttons of each room, or mean number of each set.
         runs: of each agent in each place.
         rates: see `load_rates`.
-
-    Returns:
-        The hours of those agents whose rate is known, and the labels of the others.
     """
     seconds, unknown, places = 0.0, [], list(buttons)
     for agent in agents:

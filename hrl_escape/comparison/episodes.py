@@ -90,11 +90,7 @@ class StateRecorder(gymnasium.Wrapper):
 
 
 def find_recorder(env: gymnasium.Env) -> StateRecorder:
-    """The recorder among the wrappers of a room.
-
-    Raises:
-        UnsupportedError: there is none.
-    """
+    """The recorder among the wrappers of a room; `UnsupportedError` where there is none."""
     while isinstance(env, gymnasium.Wrapper):
         if isinstance(env, StateRecorder):
             return env

@@ -101,11 +101,7 @@ GRIDS: dict[str, Grid] = {
 
 
 def get_grid(name: str) -> Grid:
-    """A grid by name.
-
-    Raises:
-        UnknownNameError: there is none; the message names the closest.
-    """
+    """A grid by name; `UnknownNameError` where there is none."""
     if name not in GRIDS:
         raise UnknownNameError("comparison", name, GRIDS)
     return GRIDS[name]

@@ -104,11 +104,7 @@ def load_pretrained(rung: str, agent: str = "") -> Pretrained:
 
 
 def unpack_pretrained(rung: str, folder: Path, agent: str = "") -> tuple[Path, RoomInstance]:
-    """Write the run of a pretrained agent to an empty folder; returns the run's folder and the rung's first test room.
-
-    Raises:
-        UnknownNameError: see `load_pretrained`.
-    """
+    """Write a pretrained agent's run to an empty folder; returns the run's folder and the rung's first test room."""
     submission, run = _unpack(_find_pretrained(rung, agent), folder)
     return run, find_rung(submission.entry).test[0]
 

@@ -30,15 +30,10 @@ LEAST_HEADROOM = 0.05
 
 
 def compute_learned_share(efficiency: float, searcher: float, ceiling: float) -> float | None:
-    """Place on the scale from who learns nothing (0) to the most that could be learned from other rooms (1).
+    """Place on the scale from the best searcher that learns nothing (0) to `smdp-bayes` (1), in efficiency.
 
-    Args:
-        efficiency: of an agent.
-        searcher: of the best searcher that learns nothing and does not know the schematic.
-        ceiling: of who knows how rooms are drawn and what marks mean, and discovers the graph: `smdp-bayes`.
-
-    Returns:
-        Below 0 for who is worse than the searcher; None where less than `LEAST_HEADROOM` lies between the two.
+    That ceiling knows how rooms are drawn and what marks mean, and discovers the graph; the searcher does not know the
+    schematic. Below 0 for an agent worse than the searcher; None where less than `LEAST_HEADROOM` lies between the two.
     """
     return (efficiency - searcher) / (ceiling - searcher) if ceiling - searcher >= LEAST_HEADROOM else None
 
@@ -46,11 +41,8 @@ def compute_learned_share(efficiency: float, searcher: float, ceiling: float) ->
 def compute_ladder_score(rungs: Sequence[Scores], rng: np.random.Generator, resamples: int = RESAMPLES) -> Estimate:
     """Mean over rungs of the interquartile mean over a rung's runs, with its 95 % interval.
 
-    Args:
-        rungs: for each rung one array (runs,) of efficiencies from 0 to 1 for each unit that is drawn as a whole: a
-            room that was learned in, or a run that was tested in unseen rooms.
-        rng: source of the draws.
-        resamples: number of draws.
+    Each rung has one array (runs,) of efficiencies from 0 to 1 for each unit that is drawn as a whole: a room that was
+    learned in, or a run that was tested in unseen rooms.
     """
     value = float(np.mean([compute_iqm(units) for units in rungs]))
     lower, upper = (np.mean(ends, axis=0)
@@ -127,14 +119,7 @@ def name_protocol(protocol: Protocol, source: str | None) -> str:
 
 def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: Sequence[AgentSpec],
                        settings: LadderSettings) -> Grid:
-    """Grid of a rung under a protocol.
-
-    Args:
-        bench: the benchmark.
-        rung: name of the rung.
-        protocol: see `Protocol`.
-        agents: to be compared.
-        settings: numbers to change.
+    """Grid of a rung under a protocol, with some of its numbers changed.
 
     Raises:
         UnknownNameError: no such rung.
@@ -185,13 +170,7 @@ def choose_floors(bench: Benchmark) -> tuple[str, ...]:
 
 def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[AgentSpec], settings: LadderSettings
                     ) -> Grid:
-    """Grid of rungs as the floors of one tower.
-
-    Args:
-        bench: the benchmark.
-        rungs: names of the floors, from the bottom to the top.
-        agents: to be compared.
-        settings: numbers to change; `trials` and `source` are of other protocols.
+    """Grid of rungs, from the bottom to the top, as the floors of one tower; `trials` and `source` have no effect.
 
     Raises:
         UnknownNameError: no such rung.
@@ -249,7 +228,7 @@ class RungStanding(NamedTuple):
 
 
 def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float], bool]:
-    """Return the share of escapes with Wilson's interval over the episodes, and whether the rung is passed.
+    """Share of escapes with Wilson's interval over the episodes, and whether the rung is passed.
 
     It is with the interval's lower end at 0.9 or above and an interquartile mean of efficiency of 0.5 or above.
     """

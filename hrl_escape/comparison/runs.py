@@ -128,8 +128,7 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | RoomSets, observation: str,
         agent: of the comparison.
         rooms: one room, a set of which every episode draws one, or a tower.
         observation: by name.
-        schedule: numbers of episodes by their seeds. They go round a set, or the set of every floor; see
-            `RoomSchedule`.
+        schedule: numbers of episodes by their seeds. They go round a set, or that of every floor; see `RoomSchedule`.
         common: spaces to show it in, together with rooms of another schematic.
         trials: in the same room, an episode; see `SequenceEnv`.
     """
@@ -177,13 +176,7 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
 
 
 def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -> Agent:
-    """Make an agent that is not trained: a reference, or the caller of tools.
-
-    Args:
-        agent: its `is_reference` is true.
-        env: where it acts, from `make_env`.
-        recorder: inside it.
-    """
+    """Make an agent that is not trained, a reference or the caller of tools, for an environment from `make_env`."""
     if agent.name != TOOLS:
         return make_reference(agent.name, env, recorder)
     from hrl_escape.text.managers import ToolsAgent, make_model
@@ -204,13 +197,7 @@ def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> Com
 
 
 def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
-    """Bring a run to its end, from where it was last stopped.
-
-    Args:
-        run: the run.
-        out: the comparison's folder; it holds the room.
-        checkpoint_seconds: between checkpoints of the training run.
-    """
+    """Bring a run to its end, from where it was last stopped, in the comparison's folder, which holds the room."""
     folder, place = get_run_folder(out, run), RunPlace.load(out / "rooms", run.place_id)
     agent, grid = run.agent, run.grid
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(grid.eval_episodes)]
@@ -336,11 +323,7 @@ def load_run_result(out: Path, run: GridRun) -> RunResult | None:
 
 
 def read_episodes(out: Path, run: GridRun) -> list[dict[str, Any]]:
-    """The recorded episodes of a finished run; see `record_episode`.
-
-    Raises:
-        FileReadError: the file is missing or damaged.
-    """
+    """The recorded episodes of a finished run, see `record_episode`; `FileReadError` where they are missing."""
     return read_json(get_run_folder(out, run) / "episodes.json", "record of episodes")
 
 

@@ -81,11 +81,7 @@ Ends = tuple[float, float, float, "float | None"]
 def _find_ends(instance: RoomInstance, state: RoomState, flavour: str | None, cache: Path) -> Ends | None:
     """Best known results from one state, from the cache if it has them; None if no planner finds an escape.
 
-    Args:
-        instance: the room.
-        state: first of an episode.
-        flavour: of the options, where they are the only actions.
-        cache: see `compute_score_range`.
+    `flavour` is that of the options where they are the only actions.
     """
     start = [__version__, flavour, state.x, state.y, state.heading_steps, state.heading_offset, state.joint_steps]
     if _has_noise(instance):

@@ -39,16 +39,9 @@ class Solution:
 
 
 class SolvedProbe(Stateful):
-    """Measures whether an agent has solved its room; see `SolvedRule`.
+    """Measures whether an agent has solved its room, by a rule, in an environment between training episodes.
 
     An agent that learns nothing gets no better, so it is done with its first escape.
-
-    Args:
-        rule: when to measure, and what counts as solved.
-        env: where the policy is checked, between training episodes.
-        instance: the room.
-        spec: the agent.
-        score_range: of the room, for this agent.
     """
 
     STATE = ("_has_escaped", Kept("_structure", pack=lambda steps: list(map(list, steps)),
@@ -123,14 +116,10 @@ class SolvedProbe(Stateful):
 
 
 def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> EdgeSet:
-    """Edges that some order of presses towards the goals can tell from none.
+    """Edges, of a graph that may have cycles, that some order of presses towards the goals can tell from none.
 
-    Those are the edges among the ancestors of the goals that no longer way implies: with a before b and b before c,
-    an edge from a to c changes nothing, so no agent can find it.
-
-    Args:
-        edges: (parent, child) pairs; a believed graph may have cycles.
-        goals: targets that solve the puzzle.
+    Those are the edges among the ancestors of the goals that no longer way implies: with a before b and b before c, an
+    edge from a to c changes nothing, so no agent can find it.
     """
     every = set(edges)
     ancestors = find_ancestors(every, goals)

@@ -48,17 +48,11 @@ def compute_mean_efficiency(escaped: ArrayLike, primitives: ArrayLike, fewest: A
 
 
 def compute_iqm(scores: Scores, weights: Scores | None = None) -> Floats:
-    """Interquartile mean: the mean of the middle half of all runs of all rooms together.
+    """Interquartile mean, (...): the mean of the middle half of all runs of all rooms together.
 
-    The lowest and the highest `floor(n / 4)` of n runs are left out (`scipy.stats.trim_mean`), so with
-    fewer than four runs it is the mean. With weights it is the mean between the quartiles of the weighted runs.
-
-    Args:
-        scores: (..., runs) a room.
-        weights: (..., runs) a room, adding up to 1 in each.
-
-    Returns:
-        Array (...).
+    The lowest and the highest `floor(n / 4)` of n runs are left out (`scipy.stats.trim_mean`), so with fewer than four
+    runs it is the mean. With weights, (..., runs) a room and adding up to 1 in each, it is the mean between the
+    quartiles of the weighted runs.
     """
     pooled = np.concatenate(scores, axis=-1)
     if weights is None:
@@ -81,26 +75,15 @@ def compute_mean(scores: Scores, weights: Scores | None = None) -> Floats:
 
 
 def compute_profile(scores: Scores, thresholds: ArrayLike) -> Floats:
-    """Performance profile: the share of runs that score above each threshold, rooms weighing the same.
-
-    Args:
-        scores: (..., runs) a room.
-        thresholds: (n,).
-
-    Returns:
-        Array (..., n).
-    """
+    """Performance profile, (..., thresholds): the share of runs above each threshold, rooms weighing the same."""
     levels = np.asarray(thresholds, dtype=np.float64)
     return np.mean([np.mean(room[..., np.newaxis, :] > levels[:, np.newaxis], axis=-1) for room in scores], axis=0)
 
 
 def compute_area(x: ArrayLike, y: ArrayLike, end: float) -> float:
-    """Mean height of a learning curve from 0 to `end`: its area over `end`.
+    """Mean height of a learning curve from 0 to `end` > 0: its area over `end`.
 
-    Args:
-        x: (n,) where it was measured, ascending.
-        y: (n,) the values; linear in between, constant before the first and after the last.
-        end: where to stop, above 0.
+    It is linear between its points, (n,) with `x` ascending, and constant before the first and after the last.
     """
     at, values = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     grid = np.concatenate([[0.0], at[(at > 0) & (at < end)], [float(end)]])
@@ -109,15 +92,10 @@ def compute_area(x: ArrayLike, y: ArrayLike, end: float) -> float:
 
 
 def compute_final(x: ArrayLike, y: ArrayLike, end: float) -> float:
-    """Final value of a run: the mean of its evaluations in the last fifth of the budget.
+    """Final value of a run: the mean of what was measured at `x` (n,) in the last fifth of the budget, `end`.
 
-    A policy that is greedy in one room from one start does all or nothing; the mean over a few
-    evaluations says whether it has settled, where the last one alone would leave that to luck.
-
-    Args:
-        x: (n,) when each evaluation was made; the last at `end` or after.
-        y: (n,) what was measured.
-        end: the budget, in units of `x`.
+    A policy that is greedy in one room from one start does all or nothing; the mean over a few evaluations says whether
+    it has settled, where the last one alone would leave that to luck.
     """
     return float(np.mean(np.asarray(y, dtype=np.float64)[np.asarray(x, dtype=np.float64) >= LATE * end]))
 
@@ -130,10 +108,5 @@ class Gap(NamedTuple):
 
 
 def split_gap(score: float, reachable: float) -> Gap:
-    """Split the distance to the best known.
-
-    Args:
-        score: the agent's.
-        reachable: the best known score of any policy over the same actions.
-    """
+    """Split the distance to the best known, where any policy over the same actions may score `reachable`."""
     return Gap(1.0 - reachable, reachable - score)

@@ -208,11 +208,7 @@ class Submission:
 
     @classmethod
     def from_json(cls, value: Any) -> Submission:
-        """Read the value that `to_json` gave.
-
-        Raises:
-            EscapeError: it is damaged.
-        """
+        """Read the value that `to_json` gave; `EscapeError` where it is damaged."""
         found = read_record(cls, value)
         _check_cells(found.entry, found.cells)
         return found
@@ -366,11 +362,7 @@ class ProgramAgent(FixedPolicy):
                 pipe.close()
 
     def act(self, observation: NDArray[np.floating], action_mask: NDArray[np.bool_]) -> int:
-        """Ask the program.
-
-        Raises:
-            ContractError: it has ended, is silent, or answers what is no legal action.
-        """
+        """Ask the program; `ContractError` where it has ended, is silent, or answers what is no legal action."""
         look = {"observation": np.asarray(observation, np.float64).tolist(),
                 "mask": np.asarray(action_mask).astype(int).tolist(), "start": self._is_start}
         look |= {"words": self._words} if self._is_start else {}

@@ -103,11 +103,7 @@ class CommonSpacesEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return self._show(observation), self._mask(info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Take an action of the common space.
-
-        Raises:
-            ActionError: this environment lacks the action.
-        """
+        """Take an action of the common space; `ActionError` where this environment lacks it."""
         if self._actions is not None:
             known = self._actions[action] if 0 <= int(action) < len(self._actions) else -1
             if known < 0:

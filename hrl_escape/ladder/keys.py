@@ -142,10 +142,7 @@ Form = tuple[tuple[int, ...], tuple[tuple[int, int], ...]]
 
 
 def compute_canonical_form(colours: Sequence[int], edges: Iterable[tuple[int, int]]) -> Form:
-    """Colours, in canonical order, and sorted (from, to) edges of a directed graph under its canonical numbering.
-
-    Relabelling keeps the colour of a node.
-    """
+    """Colours in canonical order, and sorted (from, to) edges of a directed graph under its canonical numbering."""
     return _Search(colours, tuple(edges)).find()
 
 

@@ -140,12 +140,8 @@ def repeat_floor(rooms: InstanceSet, floors: int) -> Tower:
 
     Rooms whose motif fewer rooms have than there are floors are left out.
 
-    Args:
-        rooms: a set whose marks have motifs.
-        floors: how many, two or more.
-
     Raises:
-        ConfigError: marks without motifs, fewer floors, or a set of too few rooms.
+        ConfigError: marks without motifs, fewer than two floors, or a set of too few rooms.
     """
     puzzle, name = rooms.config.puzzle, f"{rooms.name} x {floors}"
     if floors < 2 or not isinstance(puzzle, ButtonsConfig) or puzzle.marks.motifs < 2:
@@ -177,11 +173,7 @@ def join_floors(texts: Iterable[str]) -> str:
 
 
 def parse_rooms(text: str) -> RoomSets:
-    """Rooms of a short text: a set, with ` + ` between several the floors of a tower, with ` x 3` one that repeats.
-
-    Raises:
-        EscapeError: see `parse_room_set`.
-    """
+    """Rooms of a short text: a set, with ` + ` between several the floors of a tower, with ` x 3` one that repeats."""
     if repeated := _REPEATED.fullmatch(text):
         return repeat_floor(parse_room_set(repeated[1].strip()), int(repeated[2]))
     first, *above = (parse_room_set(part.strip()) for part in text.split(_ABOVE))

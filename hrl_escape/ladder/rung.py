@@ -58,10 +58,7 @@ def derive_seed(*words: str | int) -> int:
 
 
 def derive_hidden_seed(beacon: Beacon, benchmark: str, rung: str, index: int) -> int:
-    """Seed of one room of a hidden test, numbered from 0.
-
-    The beacon is a round that was announced before, and published after all agents were frozen.
-    """
+    """Seed of one room of a hidden test, numbered from 0, by a round that was published after agents were frozen."""
     return derive_seed(benchmark, rung, "hidden", str(beacon), index)
 
 

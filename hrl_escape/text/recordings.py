@@ -154,11 +154,7 @@ class RecordedModel:
         self.name = f"{path}, {hashlib.sha256(read_text(path).encode()).hexdigest()[:12]}"
 
     def __call__(self, transcript: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) -> ToolCall:
-        """The call that was made here.
-
-        Raises:
-            VerificationError: no recorded game came here, or it ended here.
-        """
+        """The call that was made here; `VerificationError` where no recorded game came here, or it ended here."""
         done, said = len(transcript), tuple(transcript)
         for turns in self._games:
             if turns[:done] == said and len(turns) > done:

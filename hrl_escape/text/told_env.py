@@ -36,12 +36,7 @@ MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200
 
 
 class ToolCall(NamedTuple):
-    """A call of a tool.
-
-    Attributes:
-        name: of the tool.
-        arguments: by name; of a malformed call whatever came, made plain.
-    """
+    """A call of a tool by its name and arguments; of a malformed call whatever came, made plain."""
 
     name: str
     arguments: Any
@@ -49,13 +44,7 @@ class ToolCall(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Turn:
-    """A call, and the room's answer.
-
-    Attributes:
-        call: None for the text that begins a game.
-        text: of the room.
-        is_error: the call was wrong.
-    """
+    """A call, None before a game's first text, and the room's answer; `is_error` where the call was wrong."""
 
     call: ToolCall | None
     text: str
@@ -324,11 +313,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
 
 def find_told_env(env: gymnasium.Env) -> ToldEnv:
-    """The `ToldEnv` among the wrappers of a room.
-
-    Raises:
-        UnsupportedError: there is none.
-    """
+    """The `ToldEnv` among the wrappers of a room; `UnsupportedError` where there is none."""
     inner: Any = env
     while isinstance(inner, gymnasium.Wrapper):
         if isinstance(inner, ToldEnv):
@@ -387,12 +372,7 @@ def _join(parts: Sequence[SMDPTransition]) -> SMDPTransition:
 
 
 class ToolResult(NamedTuple):
-    """Answer to a call.
-
-    Attributes:
-        text: what happened, what it cost and what can be done next.
-        is_error: the call was wrong; the text says what would be valid.
-    """
+    """Answer to a call: what happened, what it cost and what can be done next, or, of a wrong call, would be valid."""
 
     text: str
     is_error: bool = False

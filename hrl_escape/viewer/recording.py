@@ -49,11 +49,7 @@ def record_driver(driver: Driver, seed: int = 0) -> Recording:
 
 
 def record_saved(saved: SavedEpisode, name: str) -> Recording:
-    """Record a saved episode by replaying it.
-
-    Raises:
-        EpisodeFileError: the replay differs from the file.
-    """
+    """Record a saved episode by replaying it; `EpisodeFileError` where the replay differs from the file."""
     episode = Episode(saved.instance, seed=saved.seed)
     try:
         episode.replay(saved)

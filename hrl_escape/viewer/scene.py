@@ -115,11 +115,7 @@ class ArmPose:
                                      _read(joint.find("axis"), "xyz", "1 0 0")))
 
     def compute(self, angles: Sequence[float]) -> dict[str, NDArray[np.float64]]:
-        """Placement (4, 4) of every link in the base's frame.
-
-        Args:
-            angles: angles of the joints that primitives move, rad.
-        """
+        """Placement (4, 4) of every link in the base's frame, for angles, rad, of the joints that primitives move."""
         values = {**self._robot.rest, **dict(zip(self._robot.joint_names, angles, strict=True))}
         found = {BASE_LINK: np.eye(4)}
         for name, kind, parent, child, origin, axis in self._joints:
@@ -322,12 +318,7 @@ _Point = tuple[float, float, float]
 
 
 class RoomScene:
-    """One room on a viser server.
-
-    Args:
-        server: server of the page.
-        instance: the room.
-        is_hidden: panels do not tell which of them wait for others, nor which one opens the exit.
+    """One room on a viser server; `is_hidden` panels do not tell which wait for others, nor which opens the exit.
 
     Attributes:
         instance: the room shown.
@@ -402,12 +393,7 @@ class RoomScene:
             part.color = _to_bytes(colour)
 
     def uncover(self, eyes: Iterable[_Point], pose: RoomPose) -> None:
-        """Show obstacles that hide the robot from any of these cameras as glass, and the others solid.
-
-        Args:
-            eyes: positions of cameras, m.
-            pose: where the robot is.
-        """
+        """Show obstacles that hide the robot from any of these cameras, m, as glass, and the others solid."""
         robot = (pose.x, pose.y, pose.z + self.instance.robot.body_height / 2)
         eyes = tuple(eyes)
         for solid, node in self._obstacles:
@@ -545,9 +531,7 @@ class RoomScene:
 def compute_overview(instance: RoomInstance, aspect: float = 1.6) -> tuple[_Point, _Point]:
     """Position and target of a camera that sees a whole room, m.
 
-    Args:
-        instance: the room.
-        aspect: width of the picture over its height; on an upright one the room fills the upper part, above the panel.
+    `aspect` is the picture's width over its height; on an upright one the room fills the part above the panel.
     """
     if aspect >= 1.0:
         far = max(1.1 * instance.reach_x, 1.2 * instance.reach_y) + 0.6 * instance.wall_height - 1.5

@@ -67,13 +67,7 @@ _DECODER = msgspec.msgpack.Decoder(_Camera | _Update | _Trigger)
 
 
 def is_expected(server: Any, client: int | None, raw: object) -> bool:
-    """True for a message that the viewer's own page could have sent.
-
-    Args:
-        server: the viser server.
-        client: number of the client that sent it; None if it is not known.
-        raw: the message as it came.
-    """
+    """True for a message that the viewer's own page could have sent, by a client whose number is None if not known."""
     if not isinstance(raw, bytes):
         return False
     try:
@@ -119,10 +113,7 @@ _STARTING = threading.Lock()
 
 
 class Guard:
-    """Rules of admission of one server.
-
-    Args:
-        host: address that the server listens on.
+    """Rules of admission of the server that listens on an address.
 
     Attributes:
         token: secret of this server.
@@ -141,13 +132,7 @@ class Guard:
             self._names |= {socket.gethostname().lower(), socket.getfqdn().lower()}
 
     def find_fault(self, path: str, headers: Any, port: int) -> str:
-        """The reason why a request is refused; empty if it is admitted.
-
-        Args:
-            path: path and query of the request.
-            headers: its headers.
-            port: port that the server listens on.
-        """
+        """Reason why a request, by its path with its query, headers and port, is refused; empty if it is admitted."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_own_name(hosts[0]):
             return "this address is not one of this server's names"
@@ -275,15 +260,7 @@ def _make_connection_class(guard: Guard) -> type:
 
 
 class Server(viser.ViserServer):
-    """A viser server behind a guard, without the tunnel that would share it over the internet.
-
-    Args:
-        host: address to listen on.
-        port: port to listen on.
-
-    Attributes:
-        guard: decides whom the server answers.
-    """
+    """A viser server behind a guard, without the tunnel that would share it over the internet."""
 
     def __init__(self, host: str, port: int) -> None:
         self.guard = Guard(host)
@@ -312,11 +289,7 @@ class Server(viser.ViserServer):
 
 
 def open_server(host: str = "127.0.0.1", port: int = 8080) -> Server:
-    """Start serving an empty page.
-
-    Args:
-        host: address to listen on; anything but 127.0.0.1 lets other machines in.
-        port: port to listen on; 0 for any free one.
+    """Start serving an empty page; a host but 127.0.0.1 lets other machines in, and port 0 is any free one.
 
     Raises:
         AddressError: the port is taken, or the address is not this machine's.

@@ -51,12 +51,7 @@ class Listener(Protocol):
         ...
 
     def tick(self, progress: Mapping[str, int], workers: int) -> None:
-        """Called periodically with each run's progress, in primitives, and the number of runs that can run at once.
-
-        Args:
-            progress: primitives by folder.
-            workers: runs at a time.
-        """
+        """Called periodically with each run's primitives by folder, and the number of runs that can run at once."""
         ...
 
 
@@ -196,11 +191,7 @@ def read_progress(out: Path, run: GridRun) -> int:
 
 
 def choose_workers(workers: int | None) -> int:
-    """Number of processes to use: one a core by default.
-
-    Raises:
-        ConfigError: fewer than one.
-    """
+    """Number of processes to use, one a core by default; `ConfigError` for fewer than one."""
     if workers is None:
         return count_cores()
     if workers < 1:

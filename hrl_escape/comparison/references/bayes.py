@@ -56,13 +56,7 @@ in which no graph is left can still find one."""
 
 
 class GraphParticles:
-    """Graphs of a schematic, likely in the light of presses.
-
-    Args:
-        config: the schematic's puzzle.
-        count: number of buttons in the room.
-        rng: draws and moves.
-        marks: of the room's buttons; none without marks.
+    """Graphs of a schematic for a room with so many buttons and these marks, likely in the light of presses.
 
     Raises:
         UnsupportedError: marks of several motifs, wires, or sections.
@@ -103,11 +97,7 @@ class GraphParticles:
                 self._shake()
 
     def learn(self, press: tuple[int, int, bool, bool]) -> None:
-        """Take note of a press of an unlit button.
-
-        Args:
-            press: button, bits of the buttons that were lit before, whether it lit, and whether the exit opened.
-        """
+        """Note a press: the unlit button, bits of those lit before, whether it lit, and whether the exit opened."""
         if press in self._presses:
             return
         self._presses.append(press)
@@ -126,11 +116,7 @@ class GraphParticles:
             setattr(self, name, getattr(self, name)[chosen])
 
     def compute_odds(self, lit: int) -> NDArray[np.float64]:
-        """Probability that each button would light if it were pressed, (buttons,).
-
-        Args:
-            lit: bits of the buttons that are lit.
-        """
+        """Probability that each button would light if it were pressed, (buttons,), `lit` being the bits of those on."""
         weights = np.exp(-8.0 * self._doubts)
         weights = weights / weights.sum()
         return weights @ can_light(self.parents, lit)
@@ -198,7 +184,7 @@ class Ways:
         legs: float (places, buttons), from a place to the press of a button.
         arrivals: int (places, buttons), the place of the robot after that.
         leaving: float (places,), from a place to the open exit.
-        failure: what a failed puzzle costs, in primitives.
+        failure: cost of a failed puzzle.
     """
 
     legs: NDArray[np.floating]
@@ -208,22 +194,19 @@ class Ways:
 
 
 class BeliefGraph:
-    """Every belief that presses can lead to, children before parents.
-
-    Args:
-        family: the graphs with their rules, and how likely they are.
+    """Every belief that presses can lead to in a family of graphs, children before parents.
 
     Raises:
         UnsupportedError: more than `MOST_BELIEFS` beliefs.
 
     Attributes:
         opens: float32 (beliefs, buttons), probability that a press opens the exit.
-        lights: float32 (beliefs, buttons), probability that it lights the button and does not open the exit.
-        lit: int32 (beliefs, buttons), the belief after that; -1 where it cannot be.
-        fails: float32 (beliefs, buttons), probability that it fails the puzzle.
-        resets: float32 (beliefs, buttons), probability that it is seen to turn buttons off.
-        reset: int32 (beliefs, buttons), the belief after that; -1 where it cannot be.
-        dark: int32 (beliefs, buttons), the belief after a press that changes nothing; -1 where it cannot be.
+        lights: that it lights the button and does not open the exit.
+        fails: that it fails the puzzle.
+        resets: that it is seen to turn buttons off.
+        lit: int32 (beliefs, buttons), the belief after a press that lights; -1 where it cannot be.
+        reset: that after one which is seen to turn buttons off.
+        dark: that after one which changes nothing.
     """
 
     def __init__(self, family: GraphFamily) -> None:
@@ -244,9 +227,8 @@ class BeliefGraph:
     def find(self, lit: int, graphs: NDArray[np.int32]) -> int | None:
         """Number of a belief; None for one that no choice between presses of unlit buttons leads to.
 
-        Args:
-            lit: bits of the buttons that are lit.
-            graphs: int32, ascending numbers of the graphs that agree with all presses.
+        `lit` are the bits of the buttons that are on, `graphs` the ascending numbers, int32, of those that all presses
+        agree with.
         """
         return self._numbers.get((lit, hash(graphs.tobytes())))
 
@@ -292,12 +274,9 @@ class BeliefGraph:
         return np.split(order, np.cumsum(np.bincount(levels))[:-1])
 
     def solve(self, ways: Ways) -> NDArray[np.float32]:
-        """Fewest expected primitives to the exit, by the optimal choices, from every belief at every place.
+        """Fewest expected primitives to the exit, by the optimal choices, float32 (beliefs, places).
 
-        A puzzle that is failed counts as `ways.failure` primitives.
-
-        Returns:
-            float32 (beliefs, places); infinite where no press opens the exit any more.
+        A puzzle that is failed counts as `ways.failure` primitives; infinite where no press opens the exit any more.
         """
         costs = np.full((len(self), len(ways.legs)), np.inf, np.float32)
         for beliefs in self._by_level:
@@ -310,11 +289,7 @@ class BeliefGraph:
                             ) -> NDArray[np.float32]:
         """Expected primitives to the exit after a press, float32 (beliefs, places); infinite where it is in vain.
 
-        Args:
-            costs: from the beliefs that the press leads to.
-            beliefs: numbers of the beliefs before it.
-            button: the button that is pressed.
-            ways: lengths of ways.
+        `costs` are those from the beliefs that the press leads to, `beliefs` the numbers of those before it.
         """
         opens, lights, fails, resets = (odds[beliefs, button, None] for odds in
                                         (self.opens, self.lights, self.fails, self.resets))
@@ -332,12 +307,9 @@ def make_belief_graph(family: GraphFamily) -> BeliefGraph:
 
 
 def split_mistakes(rules: NDArray[np.int64], mistaken: NDArray[np.bool_], lit: int) -> list[NDArray[np.bool_]]:
-    """Split graphs under which a press is a mistake by what shows: it fails, buttons go off, or nothing changes.
+    """Split graphs under which a press is mistaken by what shows: it fails, buttons go off, or nothing changes.
 
-    Args:
-        rules: of each graph, (graphs,).
-        mistaken: a press is a mistake, bool (graphs,).
-        lit: bits of the buttons that are lit before it; with none a reset shows nothing.
+    `rules` and `mistaken` are (graphs,). With no button on before it (bits `lit`) a reset shows nothing.
     """
     ignored, resets, fails = (mistaken & (rules == VIOLATION_RULES.index(rule)) for rule in ("ignore", "reset", "fail"))
     return [fails, resets & bool(lit), ignored | resets & (not lit)]

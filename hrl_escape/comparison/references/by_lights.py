@@ -27,11 +27,7 @@ from hrl_escape.planning.goals import PressGoal
 
 
 class Reference(FixedPolicy):
-    """Rule that reads the environment itself.
-
-    Attributes:
-        RULE: what it does, to follow its name and "which".
-    """
+    """Rule that reads the environment itself; `RULE` says what it does, to follow its name and "which"."""
 
     RULE: ClassVar[str]
 

@@ -59,12 +59,7 @@ class GraphFamily:
 
 
 def can_light(parents: NDArray[np.uint64], lit: int) -> NDArray[np.bool_]:
-    """True where a press would light a button: all its parents are lit.
-
-    Args:
-        parents: bits of parents, any shape.
-        lit: bits of the buttons that are lit.
-    """
+    """True where a press would light a button: all its parents, bits of any shape, are among the bits `lit`."""
     return (parents & ~np.uint64(lit)) == 0
 
 
@@ -91,10 +86,9 @@ class _Draws:
 
 
 def iterate_outcomes(draw: Callable[[Any], T]) -> Iterator[tuple[T, float]]:
-    """Yield what a function can draw by `integers` and by `choice` without replacement, with probabilities.
+    """Yield what a function draws from a generator by `integers` and by `choice` without replacement, with probability.
 
-    Args:
-        draw: takes a generator. What it returns must not depend on the order of what it chose.
+    What it returns must not depend on the order of what it chose.
     """
     outcomes: list[int] | None = []
     while outcomes is not None:
@@ -107,11 +101,7 @@ def iterate_outcomes(draw: Callable[[Any], T]) -> Iterator[tuple[T, float]]:
 
 
 def list_graphs(config: GraphConfig, count: int) -> dict[Edges, float]:
-    """Probability of every graph of a family before its buttons are relabelled.
-
-    Args:
-        config: the family; `max_parents` may be a range.
-        count: number of buttons.
+    """Probability of every graph of a family, whose `max_parents` may be a range, before its buttons are relabelled.
 
     Raises:
         UnsupportedError: a family with other draws than those that `iterate_outcomes` follows.
@@ -132,9 +122,7 @@ def list_graphs(config: GraphConfig, count: int) -> dict[Edges, float]:
 def make_family(config: ButtonsConfig, count: int) -> GraphFamily:
     """Every labelled graph that a schematic can give to a room with so many buttons, under each rule that it can draw.
 
-    Args:
-        config: of the puzzle; `count` and `graph.max_parents` may be ranges.
-        count: number of buttons in the room.
+    The schematic's `count` and `graph.max_parents` may be ranges.
 
     Raises:
         UnsupportedError: more buttons than `MOST_BUTTONS`, or a family that cannot be listed.
@@ -177,13 +165,9 @@ def _measure_depths(family: GraphFamily) -> NDArray[np.int64]:
 
 def condition_on_room(family: GraphFamily, config: ButtonsConfig, room: RoomInstance,
                       odds: NDArray[np.float64] | None = None) -> GraphFamily:
-    """The graphs that may be a room's before its first press, by its marks and by where its buttons hang.
+    """The graphs of a schematic that may be a room's before its first press, by its marks and where its buttons hang.
 
-    Args:
-        family: every graph of the schematic.
-        config: its puzzle.
-        room: one of its rooms.
-        odds: probability of each motif of marks, (motifs,); all alike by default.
+    `odds` are those of each motif of marks, (motifs,); all alike by default.
     """
     assert isinstance(room.puzzle, ButtonsPuzzle)
     return condition_on_places(condition_on_marks(family, config.marks, room.puzzle.marks, odds), config.sections,
@@ -223,11 +207,7 @@ def condition_on_marks(family: GraphFamily, rules: MarksConfig, marks: tuple[int
                        odds: NDArray[np.float64] | None = None) -> GraphFamily:
     """The graphs that the marks of a room allow, as likely as these make them; the same family where they say nothing.
 
-    Args:
-        family: every graph of the schematic.
-        rules: the schematic's marks, whose code is known.
-        marks: of the room's buttons; none without marks.
-        odds: probability of each motif, (motifs,); all alike by default.
+    The schematic's marks are known with their code; `odds` are those of each motif, (motifs,), all alike by default.
     """
     if not marks or rules.shuffled:
         return family
@@ -235,13 +215,7 @@ def condition_on_marks(family: GraphFamily, rules: MarksConfig, marks: tuple[int
 
 
 def condition_on_places(family: GraphFamily, rules: SectionsConfig, targets: Sequence[Target]) -> GraphFamily:
-    """The graphs that the places of a room's buttons allow, likewise.
-
-    Args:
-        family: every graph of the schematic.
-        rules: the schematic's sections, whose ranking is known.
-        targets: the room's buttons.
-    """
+    """The graphs that the places of a room's buttons allow by the schematic's sections, whose ranking is known."""
     if not rules.count:
         return family
     places = [(target.x, target.y) for target in targets]

@@ -84,12 +84,10 @@ class Climber(FixedPolicy):
 
 
 def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> FixedPolicy:
-    """Make the reference of this name.
+    """Make the reference of this name, one of `REFERENCES`.
 
-    Args:
-        name: one of `REFERENCES`.
-        env: its environment, with options for all but `planner`.
-        recorder: around the flat room; of a tower the recorders on its floors count.
+    Its environment has options for all but `planner`. The recorder is around the flat room; of a tower those on its
+    floors count.
     """
     if isinstance(env, SequenceEnv) and len(env.floors) > 1:
         return Climber(name, env)

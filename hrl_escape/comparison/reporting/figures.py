@@ -69,11 +69,7 @@ _STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "svg.has
 
 
 def save_figures(summary: Summary, folder: Path) -> None:
-    """Write learning curves, the performance profile and the rooms' maps.
-
-    Raises:
-        FileWriteError: a file cannot be written.
-    """
+    """Write learning curves, the performance profile and the rooms' maps."""
     with matplotlib.rc_context(_STYLE):
         for metric in METRIC_LABELS:
             for against in AXES:
@@ -155,12 +151,7 @@ class AxisScore(NamedTuple):
 
 def make_profiles(axes: Sequence[AxisRecord], efficiencies: Mapping[str, Mapping[str, float]]
                   ) -> dict[str, dict[str, AxisScore]]:
-    """Profile of each agent: axis -> score; axes on no rung of which it was run are left out.
-
-    Args:
-        axes: of the benchmark.
-        efficiencies: agent -> rung -> efficiency.
-    """
+    """Profile of each agent, axis -> score, from its efficiencies by rung; axes on none of these are left out."""
     return {agent: {axis.name: AxisScore(tuple(map(known.get, axis.rungs))) for axis in axes
                     if any(rung in known for rung in axis.rungs)} for agent, known in efficiencies.items()}
 
@@ -173,11 +164,9 @@ def list_references(references: Mapping[str, RungReferences]) -> dict[str, dict[
 
 
 def draw_radar(profiles: Mapping[str, Mapping[str, AxisScore]], axes: Sequence[AxisRecord]) -> Figure:
-    """Radar of profiles, a spoke an axis and a closed line an agent, broken at axes that it was not run on.
+    """Radar of profiles by name, a spoke an axis and a closed line an agent, broken at axes that it was not run on.
 
-    Args:
-        profiles: of each agent, by its name in the legend; references are grey.
-        axes: of the benchmark.
+    References are grey.
     """
     names = [axis.name for axis in axes]
     angles = np.linspace(0, 2 * math.pi, len(names), endpoint=False)

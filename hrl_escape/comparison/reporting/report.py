@@ -47,11 +47,7 @@ _HEADINGS = ("efficiency", "progress", "success", "length")
 
 
 def write_tables(summary: Summary, folder: Path) -> None:
-    """Write `results.csv` (a row a run), `curves.csv` (a row an evaluation), `timings.csv`, and `trials.csv` if any.
-
-    Raises:
-        FileWriteError: a file cannot be written.
-    """
+    """Write `results.csv` (a row a run), `curves.csv` (a row an evaluation), `timings.csv`, and `trials.csv` if any."""
     results, curves, timings, trials = [], [], [], []
     for run, result in summary.runs:
         head = (run.agent.label, run.room, run.place_id, run.seed)
@@ -97,11 +93,7 @@ def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) ->
 
 
 def write_markdown(summary: Summary, verdict: Sequence[Sentence], command: str, path: Path) -> None:
-    """Write the verdict and the table of results, ready for a README or an issue.
-
-    Raises:
-        FileWriteError: the file cannot be written.
-    """
+    """Write the verdict and the table of results, ready for a README or an issue."""
     grid = summary.grid
     lines = [f"# {grid.name}", "", f"**{verdict[0].text}**", ""]
     lines += [f"- {sentence.text}" for sentence in verdict[1:] if sentence.kind == "finding"]
@@ -440,10 +432,8 @@ def make_page_data(summary: Summary, agent_styles: Sequence[AgentStyle], replays
 def choose_replays(comparison: Comparison) -> list[dict[str, Any]]:
     """The best and the median of the last evaluation's episodes, of each agent in each room, over all its runs.
 
-    Returns:
-        Episodes as `record_episode` gives them, with `agent`, `room` (index), `seed`, `episode` and
-        `kinds`: `best`, `median`, or both where they are the same. The median of an even number is the better
-        of the two in the middle.
+    They are as `record_episode` gives them, with `agent`, `room` (index), `seed`, `episode` and `kinds`: `best`,
+    `median`, or both where they are the same. The median of an even number is the better of the two in the middle.
     """
     chosen = []
     for number, spec in enumerate(comparison.grid.agents):

@@ -90,11 +90,7 @@ LONGEST = 2_000
 
 
 def save_replay(path: str | Path, recording: Recording) -> None:
-    """Write the page of a recording, atomically.
-
-    Raises:
-        FileWriteError: the file could not be written.
-    """
+    """Write the page of a recording, atomically."""
     write_text(path, make_replay(recording))
 
 
@@ -177,11 +173,7 @@ MOST_SAMPLES = 12_000
 
 def save_motion(path: str | Path, trajectory: TimedTrajectory, instance: RoomInstance, state: RoomState | None = None
                 ) -> None:
-    """Write the page of a trajectory, atomically; see `make_motion`.
-
-    Raises:
-        FileWriteError: the file could not be written.
-    """
+    """Write the page of a trajectory, atomically; see `make_motion`."""
     write_text(path, make_motion(trajectory, instance, state))
 
 

@@ -19,7 +19,7 @@ _STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;ma
 
 
 class KnownEdges(NamedTuple):
-    """KnownEdges of a graph that somebody knows or believes in, in place of the graph itself."""
+    """Edges of a graph that somebody knows or believes in, in place of the graph itself."""
 
     known: Collection[tuple[int, int]] = ()  # edges (parent, child) taken for certain
     possible: Collection[tuple[int, int]] = ()  # edges that may be there, drawn dashed
@@ -128,13 +128,8 @@ def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, cho
               notes: Mapping[int, str] | None = None) -> str:
     """Actions with their values as bars; the chosen one is marked, masked ones are grey.
 
-    Args:
-        names: names of the actions.
-        values: one number an action, or None.
-        mask: legal actions.
-        chosen: index of the chosen action.
-        meaning: `value`, `preference`, `note`, or empty if there are no values.
-        notes: words in place of numbers, by the index of their action.
+    `meaning` is that of the values: `value`, `preference`, `note`, or empty without any. Notes, by the index of their
+    action, stand in place of numbers.
     """
     notes = notes or {}
     legal = [bool(on) for on in mask]

@@ -43,10 +43,6 @@ _ENDED = {"reached": "", "episode-over": "episode over"}
 class WatchPage:
     """Page that shows a watched driver.
 
-    Args:
-        server: server of the page.
-        watch: the watched driver.
-
     Attributes:
         problem: reason why the driver stopped; empty while it drives.
         finished: set once the driver has stopped.

@@ -45,11 +45,7 @@ class Command(NamedTuple):
 
 
 class Controls:
-    """The keyboard of one player.
-
-    Args:
-        actions: the robot's primitives.
-        options: number of meta-actions, the exit's included; they follow the primitives.
+    """The keyboard of one player of a robot with these primitives, which so many meta-actions follow, the exit's last.
 
     Attributes:
         joint: index of the chosen joint.
@@ -110,16 +106,7 @@ PERSONAL_BESTS = "personal-bests.json"
 
 
 def carry_out(command: Command, episode: Episode, folder: Path, best: float | None = None) -> str:
-    """Do what a key asks for.
-
-    Args:
-        command: from `Controls`.
-        episode: what is played.
-        folder: where episodes are saved.
-        best: best known return of the room, if it is known yet.
-
-    Returns:
-        A message for the player.
+    """Do what a key asks for, and return a message for the player.
 
     Raises:
         UnsupportedError: there is no next room.

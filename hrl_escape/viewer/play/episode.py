@@ -97,11 +97,7 @@ def load_episode(path: str | Path) -> SavedEpisode:
 
 
 class PressEvidence:
-    """Evidence from the presses in one room, over all its episodes.
-
-    Args:
-        instance: the room.
-    """
+    """Evidence from the presses in one room, over all its episodes."""
 
     def __init__(self, instance: RoomInstance) -> None:
         self._puzzle = instance.puzzle
@@ -186,11 +182,7 @@ class Episode:
         self.start = self._env.get_state()
 
     def enter_next_room(self) -> None:
-        """Enter the next room of the schematic.
-
-        Raises:
-            UnsupportedError: the room came from a file, without its schematic.
-        """
+        """Enter the next room of the schematic; `UnsupportedError` where the room came without it, from a file."""
         if self.config is None or self.instance.seed is None:
             raise UnsupportedError("there is no next room: this one was loaded from a file, without its schematic")
         following = generate(self.config, self.instance.seed + 1)

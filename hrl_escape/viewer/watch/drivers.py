@@ -49,11 +49,7 @@ from hrl_escape.text.told_env import ToldEnv
 
 
 class EscapePlan:
-    """Legs of the planner's escapes, by the state that each begins in.
-
-    Args:
-        planner: planner of the room.
-    """
+    """Legs of the planner's escapes, by the state that each begins in."""
 
     def __init__(self, planner: RoomPlanner) -> None:
         self.planner = planner
@@ -66,11 +62,7 @@ class EscapePlan:
         return self._legs.get((get_pose(state), state.puzzle))
 
     def choose(self, state: RoomState) -> Goal:
-        """The next goal from here, by a plan of the whole escape where that can be foreseen.
-
-        Raises:
-            PlanningFailed: there is no escape.
-        """
+        """The next goal from here, by a plan of the whole escape where that can be foreseen."""
         if self.find(state) is None and self._foresees:
             self._plan(state)
         leg = self.find(state)
@@ -113,12 +105,7 @@ def make_legs(plan: EscapePlan) -> tuple[Option, ...]:
 
 
 class PlannerAgent(FixedPolicy):
-    """Agent that chooses what the room's planner would do next.
-
-    Args:
-        env: an `OptionsEnv` over the legs of the plan, without primitives.
-        plan: the plan.
-    """
+    """Agent that chooses the legs of a plan, in an `OptionsEnv` over these legs without primitives."""
 
     def __init__(self, env: gymnasium.Env, plan: EscapePlan) -> None:
         self._room: Any = env.unwrapped
@@ -126,11 +113,7 @@ class PlannerAgent(FixedPolicy):
         self._goals = [*list_goals(plan.planner.instance), ExitGoal()]
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """The leg of the plan that begins here.
-
-        Raises:
-            PlanningFailed: no order leads out.
-        """
+        """The leg of the plan that begins here; `PlanningFailed` where no order leads out."""
         del observation, action_mask
         return self._goals.index(self._plan.choose(self._room.get_state()))
 
@@ -212,9 +195,6 @@ def find_driver(text: str) -> tuple[str, RoomInstance | None]:
 
     Where `text` names a rung with a pretrained agent, such as `lattice`, that agent is unpacked until the process ends,
     and the room is the rung's first test room.
-
-    Raises:
-        CheckpointError: the run is damaged.
     """
     rung = next((rung for rung in list_pretrained() if text in (rung, rung.rpartition("/")[2])), None)
     if rung is None or (Path(text) / "run.json").is_file():
@@ -226,11 +206,7 @@ def find_driver(text: str) -> tuple[str, RoomInstance | None]:
 
 
 def find_run_room(text: str) -> RoomInstance | None:
-    """Room of the run that `text` names; None where it names no run, or a run in many rooms.
-
-    Raises:
-        CheckpointError: the run is damaged.
-    """
+    """Room of the run that `text` names; None where it names no run, or a run in many rooms."""
     if text == PLANNER_NAME or not (Path(text) / "run.json").is_file():
         return None
     described = read_run(text)

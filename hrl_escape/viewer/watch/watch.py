@@ -45,12 +45,7 @@ class Preview(NamedTuple):
 
 
 class Previewer:
-    """Predicts meta-actions of a room without noise, with options of its own so that no running option is disturbed.
-
-    Args:
-        instance: the room.
-        options: its meta-actions.
-    """
+    """Predicts meta-actions of a room without noise, with options of its own so that no running option is disturbed."""
 
     def __init__(self, instance: RoomInstance, options: Iterable[Option]) -> None:
         self._planner = get_planner(instance)
@@ -85,11 +80,7 @@ class Stopped(Exception):
 
 
 class Gate:
-    """Gate that lets primitives through at a pace, one at a time, or not at all.
-
-    Attributes:
-        pace: primitives a second; None for no limit.
-    """
+    """Gate that lets primitives through at a pace a second, None for no limit, one at a time, or not at all."""
 
     def __init__(self, pace: float | None = 5.0, paused: bool = False) -> None:
         self.pace = pace
@@ -239,11 +230,7 @@ class Watch:
         recorder.on_step, recorder.before_step, recorder.on_reset = self._note_step, self._wait, self._note_reset
 
     def run(self, episodes: int | None = None) -> None:
-        """Drive until `gate.stop()` or for a number of episodes; an agent in training learns.
-
-        Raises:
-            PlanningFailed: the planner finds no way.
-        """
+        """Drive until `gate.stop()` or for a number of episodes; an agent in training learns."""
         agent, env = _WatchedAgent(self), _WatchedEnv(self)
         try:
             if self.driver.trains:

@@ -99,8 +99,7 @@ def test_the_hash_of_an_agent_is_of_the_agent_alone(run, packed, tmp_path):
 
 
 def test_hidden_rooms_are_those_of_the_round_that_was_announced(tmp_path, monkeypatch):
-    for module in ("play", "submission"):
-        monkeypatch.setattr(f"hrl_escape.comparison.board.{module}.HIDDEN_ROOMS", 2)
+    monkeypatch.setattr("hrl_escape.comparison.submission.HIDDEN_ROOMS", 2)
     rung, value = get_rung(), "5" * 64
     beacon = f"quicknet 7 {value}"
     made = pack_submission(tmp_path / "it.zip", rung, make_card(), "smdp-untried", rooms=1, beacon=beacon)
