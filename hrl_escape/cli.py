@@ -1,6 +1,7 @@
 """The command line `hrl-escape`: finds the commands in `hrl_escape/commands` and runs the one that is asked for.
 
-`run_script` gives a single module, such as a benchmark, the same front.
+A command is a function of a module there, `run` for the module's own name or `run_NAME`, and a folder is a group of
+commands. `run_script` gives a single module, such as a benchmark, the same front.
 
 Help is read from the files without importing them, and only the command that runs is
 imported: help is quick, and a missing optional package stops no other command. What the
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import ast
 import errno
+import inspect
 import os
 import re
 import signal
@@ -31,6 +33,7 @@ _FOLDER = Path(__file__).parent / "commands"
 _UNWRITABLE_OUTPUT = (errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EDQUOT)
 _IMPOSSIBLE_PATH = (errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.ELOOP, errno.ENOTDIR, errno.EROFS)
 _HELP, _VERSION = ("-h", "--help", "help"), ("--version", "-V")
+_RUNS = re.compile(r"^def (run(?:_\w+)?)\(args", re.MULTILINE)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -150,42 +153,49 @@ def _run(arguments: list[str], folder: Path, package: str, words: list[str]) -> 
         return 0 if arguments else 2
     if verb not in commands:
         raise UnknownNameError(f"command {' '.join([*words[1:], ''])}".rstrip(), verb, commands)
-    name = f"{package}.{commands[verb].stem}"
-    if commands[verb].is_dir():
-        return _run(arguments[1:], commands[verb], name, [*words, verb])
-    return _run_command(import_module(name).run, arguments[1:], [*words, verb])
+    path, function = commands[verb]
+    name = f"{package}.{path.stem}"
+    if not function:
+        return _run(arguments[1:], path, name, [*words, verb])
+    return _run_command(getattr(import_module(name), function), arguments[1:], [*words, verb])
 
 
 def _run_command(run: Callable[..., int | None], arguments: list[str], words: list[str]) -> int:
     import tyro  # not for `hrl-escape --help`
 
     args_type = typing.get_type_hints(run)["args"]
-    document = sys.modules[run.__module__].__doc__
+    document = sys.modules[run.__module__].__doc__ if run.__name__ == "run" else inspect.getdoc(run)
     args = tyro.cli(args_type, prog=" ".join(words), args=arguments, description=document,
                     config=(tyro.conf.FlagCreatePairsOff,))
     return run(args) or 0
 
 
-def find_commands(folder: Path) -> dict[str, Path]:
-    """Names of the commands and groups in a folder, and where they are."""
+def find_commands(folder: Path) -> dict[str, tuple[Path, str]]:
+    """Commands and groups in a folder by name: the module and function of each, or a group's folder and no function."""
     found = {}
-    for path in sorted(folder.iterdir()):
-        is_group = (path / "__init__.py").is_file()
-        if is_group or (path.suffix == ".py" and "\ndef run(" in path.read_text(encoding="utf-8")):
-            found[path.stem.replace("_", "-")] = path
-    return found
+    for path in folder.iterdir():
+        if (path / "__init__.py").is_file():
+            found[path.stem] = path, ""
+        elif path.suffix == ".py":
+            for function in _RUNS.findall(path.read_text(encoding="utf-8")):
+                verb = function.removeprefix("run_") if function != "run" else path.stem
+                found[verb.replace("_", "-")] = path, function
+    return dict(sorted(found.items()))
 
 
-def _get_document(path: Path) -> str:
+def _summarise(path: Path, function: str = "") -> str:
+    """First line of the docstring of a command or a group."""
     file = path / "__init__.py" if path.is_dir() else path
-    return ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+    module = ast.parse(file.read_text(encoding="utf-8"))
+    inner = [node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == function]
+    return (ast.get_docstring(module if function in ("", "run") else inner[0]) or "").splitlines()[0]
 
 
-def _format_help(commands: dict[str, Path], folder: Path, words: list[str]) -> str:
+def _format_help(commands: dict[str, tuple[Path, str]], folder: Path, words: list[str]) -> str:
     width = max(map(len, commands), default=0)
-    lines = [f"  {verb:<{width}}  {_get_document(path).splitlines()[0]}" for verb, path in commands.items()]
+    lines = [f"  {verb:<{width}}  {_summarise(*found)}" for verb, found in commands.items()]
     about = (f"{_PROGRAM} {__version__}: escape rooms for hierarchical reinforcement learning." if words == [_PROGRAM]
-             else _get_document(folder).splitlines()[0])
+             else _summarise(folder))
     usage = f"usage: {' '.join(words)} COMMAND [OPTIONS]"
     more = f"`{' '.join(words)} COMMAND --help` explains a command and its options."
     return "\n".join([about, "", usage, "", *lines, "", more])

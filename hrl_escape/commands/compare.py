@@ -141,6 +141,28 @@ def run(args: CompareArgs) -> int:
     return 1 if comparison.failures else 0
 
 
+@dataclasses.dataclass(frozen=True)
+class DemoArgs:
+    """Options of `hrl-escape demo`."""
+
+    workers: int | None = None
+    """Runs at a time; one a core by default."""
+    open: bool = False
+    """Open the report in a browser at the end."""
+    dry_run: bool = False
+    """Run nothing: print how many runs are to be made and about how long they take."""
+
+
+def run_demo(args: DemoArgs) -> int:
+    """Compare five agents in a room with two buttons: the same as `hrl-escape compare quickstart`.
+
+    Examples:
+        hrl-escape demo
+        hrl-escape demo --open
+    """
+    return run(CompareArgs(what=DEFAULT, **vars(args)))
+
+
 # --- what is printed -------------------------------------------------------------------
 
 

@@ -12,11 +12,12 @@ import shlex
 import typing
 from collections.abc import Sequence
 from importlib import import_module
-from inspect import isroutine
 from pathlib import Path
 from typing import NamedTuple
 
 import tyro
+
+from hrl_escape.cli import find_commands
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "examples/README.md", *ROOT.glob("docs/**/*.md")])
@@ -57,13 +58,13 @@ def parse(arguments: Sequence[str]) -> None:
     """Parse `hrl-escape ARGUMENTS` as the command line would, without running it. Raises SystemExit if wrong."""
     if "--help" in arguments:
         return
-    module, words = "hrl_escape.commands", list(arguments)
-    while words and not isroutine(getattr(import_module(module), "run", None)):  # a folder may hold a module `run`
-        module = f"{module}.{words.pop(0).replace('-', '_')}"
-    parse_options(module, words)
+    place, function, words = ROOT / "hrl_escape/commands", "", list(arguments)
+    while not function:
+        place, function = find_commands(place)[words.pop(0)]
+    parse_options(".".join(place.relative_to(ROOT).with_suffix("").parts), words, function)
 
 
-def parse_options(module: str, words: Sequence[str]) -> None:
-    """Parse the options of a module's `run`, without running it. Raises SystemExit if wrong."""
-    options = typing.get_type_hints(import_module(module).run)["args"]
+def parse_options(module: str, words: Sequence[str], function: str = "run") -> None:
+    """Parse the options of a module's function, without running it. Raises SystemExit if wrong."""
+    options = typing.get_type_hints(getattr(import_module(module), function))["args"]
     tyro.cli(options, args=words, config=(tyro.conf.FlagCreatePairsOff,))

@@ -1,0 +1,174 @@
+"""Commands on the tapes of data sets."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from hrl_escape.data.catalogue import FOLDER, TAPE_KINDS, find_tape, list_specs, parse_spec
+from hrl_escape.data.tape import load_tape, save_tape
+from hrl_escape.errors import ConfigError, FileReadError
+from hrl_escape.names import make_file_name
+
+
+@dataclasses.dataclass(frozen=True)
+class ExportArgs:
+    """Options of `hrl-escape data export`."""
+
+    name: Annotated[str, tyro.conf.Positional]
+    """Data set, or the path of a tape."""
+    to: Literal["minari", "ogbench"] = "ogbench"
+    """Form: Minari's two sets in its own folder, or OGBench's two files."""
+    level: Literal["decisions", "primitives"] = "decisions"
+    """Rows of OGBench's files; Minari gets both."""
+    observation: str = "features"
+    """Observation, by name."""
+    out: Path = Path("exported")
+    """Folder of OGBench's files."""
+
+
+def run_export(args: ExportArgs) -> None:
+    """Write a data set in the form of another library: Minari's (extra `data`) or OGBench's.
+
+    Examples:
+        hrl-escape data export pair-play-v1 --to ogbench --out exported
+        hrl-escape data export pair-play-v1 --to minari --observation features
+    """
+    from hrl_escape.data.export import to_minari, to_ogbench  # these load torch
+    from hrl_escape.data.materialise import load_data
+
+    data = load_data(args.name, observation=args.observation, level=args.level)
+    if args.to == "minari":
+        written = [f"{made.spec.dataset_id} ({made.total_episodes:,} episodes)" for made in to_minari(data)]
+    else:
+        written = [str(path) for path in to_ogbench(data, args.out)]
+    Console(soft_wrap=True, highlight=False).print("wrote " + " and ".join(written), markup=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class DataListArgs:
+    """Options of `hrl-escape data list`."""
+
+    rung: str | None = None
+    """Show this rung's alone."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def run_list(args: DataListArgs) -> None:
+    """List the data sets of the catalogue: what behaved, how much, and whether a tape is there.
+
+    Examples:
+        hrl-escape data list
+        hrl-escape data list --rung lattice --json
+    """
+    rows = []
+    for spec in list_specs():
+        try:
+            size: int | None = find_tape(spec.name).stat().st_size
+        except FileReadError:
+            size = None
+        if args.rung in (None, spec.rung) and (size is not None or not spec.size):
+            what = TAPE_KINDS[spec.kind]
+            rows.append({"name": spec.name, "primitives": spec.primitives, "bytes": size, "what": what})
+    if args.json:
+        print(json.dumps(rows, indent=2))
+        return
+    table = Table("data set", "primitives", "bytes", "behaviour", box=None, pad_edge=False)
+    for row in rows:
+        stored = "-" if row["bytes"] is None else f"{row['bytes']:,}"
+        table.add_row(str(row["name"]), f"{row['primitives']:,}", stored, str(row["what"]))
+    console = Console(width=120)
+    console.print(table)
+    console.print("Names with 1m or 10m before v1 hold ten or a hundred times as much; to record one: "
+                  "hrl-escape data make NAME", highlight=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class MakeArgs:
+    """Options of `hrl-escape data make`."""
+
+    names: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Data sets of the catalogue, see `hrl-escape data list`; with --played the name of yours."""
+    out: Path = FOLDER
+    """Folder of the tapes; `train --data NAME` looks into `data`."""
+    primitives: int | None = None
+    """Another number of primitives than the name says, for a trial."""
+    rooms: str | None = None
+    """With --played: the rooms, such as paper-two-button#0 or ladder-1/pair/train[:4]."""
+    played: tuple[Path, ...] = ()
+    """Episodes saved by `hrl-escape play`, to make a data set of."""
+
+
+def run_make(args: MakeArgs) -> None:
+    """Record data sets of six kinds of behaviour in the training rooms of a rung, or make one of your own play.
+
+    The kinds are play, noisy, expert, medium, stitch and explore. A tape of 10^5 primitives takes some ten seconds to a
+    minute, 20 to 120 kB on disk, and replays to the bit. A recording that was killed goes on where it was.
+
+    Examples:
+        hrl-escape data make pair-play-1m-v1
+        hrl-escape data make lattice-play-v1 lattice-expert-v1 --out data
+        hrl-escape data make mine --rooms paper-two-button#0 --played episodes/*.json
+    """
+    from hrl_escape.data.record import make_played_tape, record  # loads torch
+
+    console = Console(soft_wrap=True, highlight=False)
+    if args.played or args.rooms:
+        if len(args.names) != 1 or not (args.played and args.rooms):
+            raise ConfigError("names", args.names, "one name, with both --rooms and --played")
+        name = make_file_name(args.names[0])
+        tape = make_played_tape(name, args.rooms, args.played)
+        save_tape(args.out / f"{name}.npz", tape)
+        console.print(f"{tape}; wrote {args.out / f'{name}.npz'}", markup=False)
+        return
+    if not args.names:
+        raise ConfigError("names", "none", "at least one data set of `hrl-escape data list`")
+    if args.primitives is not None and args.primitives < 1:
+        raise ConfigError("--primitives", args.primitives, "at least 1")
+    for spec in [parse_spec(name) for name in args.names]:
+        path = args.out / f"{spec.name}.npz"
+        tape = load_tape(path) if path.is_file() else record(spec, path, primitives=args.primitives)
+        console.print(f"{tape}; {path}, {path.stat().st_size:,} bytes", markup=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class DataShowArgs:
+    """Options of `hrl-escape data show`."""
+
+    name: Annotated[str, tyro.conf.Positional]
+    """Data set, or the path of a tape."""
+    draw: Path | None = None
+    """Draw its first episodes and its durations into this file: png, svg or pdf."""
+    json: bool = False
+    """Print JSON."""
+
+
+def run_show(args: DataShowArgs) -> None:
+    """Show the card of a data set: what it is, how it was made, its scores with references, and a picture if asked.
+
+    Examples:
+        hrl-escape data show pair-play-v1
+        hrl-escape data show lattice-expert-v1 --draw card.png
+    """
+    from hrl_escape.data.card import describe, save_card  # loads torch and matplotlib
+
+    tape = load_tape(find_tape(args.name))
+    if args.draw is not None:
+        save_card(args.draw, tape)
+    card = describe(tape)
+    if args.json:
+        print(json.dumps(card, indent=2))
+        return
+    console = Console(soft_wrap=True, highlight=False)
+    for name, value in card.items():
+        console.print(f"[bold]{name.replace('_', ' ')}[/bold]", end=": ")
+        console.print(str(value), markup=False)
+    if args.draw is not None:
+        console.print(f"wrote {args.draw}", markup=False)
