@@ -10,7 +10,7 @@ much alike: ten seeds in one room say nothing of the next room. Draws are those 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -140,26 +140,25 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     given = next((axis.observation for axis in bench.manifest.axes if rung in axis.rungs), "")
     observation = settings.observation or given or ("features" if is_plain else "objects")
     if protocol == "per-instance":
-        return Grid(
-            name=f"{bench.name}-{rung}-per-instance", description=f"Each of {count} rooms of {name} from nothing.",
-            agents=tuple(agents), rooms=tuple(RoomSpec(set=f"{name}/test[{index}]") for index in range(count)),
-            runs=settings.runs, first_seed=settings.first_seed, primitives=primitives,
-            eval_every=max(1, primitives // EVALUATIONS),
-            eval_episodes=settings.eval_episodes or 20, observation=observation,
-        )
+        return _make_grid(
+            f"{bench.name}-{rung}-per-instance", f"Each of {count} rooms of {name} from nothing.", agents, settings,
+            primitives, 20, observation, rooms=tuple(RoomSpec(set=f"{name}/test[{index}]") for index in range(count)))
     train, most = f"{bench.source}/{source}", bench[source].record.train.count
     for size in settings.train_sizes:
         if not 1 <= size <= most:
             raise ConfigError("train_sizes", size, f"from 1 to {most}, the rooms of {train}/train")
     tested = f"{count} others" if source == rung else f"{count} of {name}, without learning there"
-    return Grid(
-        name=f"{bench.name}-{rung}-{label}", description=f"Trained in rooms of {train}, tested in {tested}.",
-        agents=tuple(agents), train_rooms=tuple(f"{train}/train[:{size}]" for size in settings.train_sizes),
-        test_rooms=(f"{name}/test[:{count}]",), runs=settings.runs, first_seed=settings.first_seed,
-        primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
-        eval_episodes=settings.eval_episodes or count, observation=observation,
-        trials=settings.trials if protocol == "few-shot" else 1,
-    )
+    return _make_grid(
+        f"{bench.name}-{rung}-{label}", f"Trained in rooms of {train}, tested in {tested}.", agents, settings,
+        primitives, count, observation, train_rooms=tuple(f"{train}/train[:{size}]" for size in settings.train_sizes),
+        test_rooms=(f"{name}/test[:{count}]",), trials=settings.trials if protocol == "few-shot" else 1)
+
+
+def _make_grid(name: str, description: str, agents: Sequence[AgentSpec], settings: LadderSettings, primitives: int,
+               episodes: int, observation: str, **rooms: Any) -> Grid:
+    return Grid(name, description, tuple(agents), runs=settings.runs, first_seed=settings.first_seed,
+                primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
+                eval_episodes=settings.eval_episodes or episodes, observation=observation, **rooms)
 
 
 def choose_floors(bench: Benchmark) -> tuple[str, ...]:
@@ -201,14 +200,11 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
     primitives = settings.primitives or max(map(get_budget, rungs))
     rooms = (f"{settings.floors} rooms of {bench.name}/{rungs[0]} with one motif" if repeats else
              f"A room of each of {len(rungs)} rungs of {bench.name}, from {rungs[0]} to {rungs[-1]},")
-    return Grid(
-        name=f"{bench.name}-{TOWER}", description=f"{rooms} in an episode of {TOWER_HORIZON:,} primitives; "
-        "tested in others than those trained in.",
-        agents=tuple(agents), train_rooms=tuple(name_rooms("train", size) for size in settings.train_sizes),
-        test_rooms=(name_rooms("test", count),), runs=settings.runs, first_seed=settings.first_seed,
-        primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
-        eval_episodes=settings.eval_episodes or count, observation=settings.observation or "objects",
-    )
+    return _make_grid(
+        f"{bench.name}-{TOWER}", f"{rooms} in an episode of {TOWER_HORIZON:,} primitives; tested in others than those "
+        "trained in.", agents, settings, primitives, count, settings.observation or "objects",
+        train_rooms=tuple(name_rooms("train", size) for size in settings.train_sizes),
+        test_rooms=(name_rooms("test", count),))
 
 
 class RungStanding(NamedTuple):

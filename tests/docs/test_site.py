@@ -14,6 +14,7 @@ import pytest
 import hrl_escape
 from hrl_escape.agents.registry import SMDP_PREFIX, list_agents
 from hrl_escape.agents.training.results import METRICS
+from hrl_escape.cli import find_commands
 from hrl_escape.env.presets import PRESETS
 from tests.forks import run_module
 
@@ -94,8 +95,7 @@ def test_every_metric_and_preset_is_explained(site: Path):
 
 
 def test_every_command_is_on_the_page_of_the_command_line(site: Path):
-    commands = {path.stem.replace("_", "-") for path in (ROOT / "hrl_escape/commands").iterdir()
-                if (path / "__init__.py").is_file() or (path.suffix == ".py" and "\ndef run(" in path.read_text())}
+    commands = set(find_commands(ROOT / "hrl_escape/commands"))
     assert commands <= set(re.findall(r"<h2>([\w-]+)<", (site / "cli.html").read_text()))
 
 
