@@ -25,7 +25,6 @@ from hrl_escape.comparison.submission import (
     Record,
     Submission,
     find_rung,
-    format_score,
     score_cells,
 )
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
@@ -103,8 +102,8 @@ def conclude(rows: Sequence[Row]) -> str:
     floor, best = (max(some, key=lambda row: row.score.value) for some in (floors, others))
     ceiling = [row.score.value for row in rows if row.agent == BAYES]
     bar = f"{floor.score.value:.2f} of {floor.name}, which learns nothing"
-    words = (f"{best.name} beats the {bar}: {format_score(best.score)}" if best.score.low > floor.score.value else
-             f"No agent is shown to beat the {bar}; the best, {best.name}, has {format_score(best.score)}")
+    words = (f"{best.name} beats the {bar}: {best.score:.3f}" if best.score.low > floor.score.value else
+             f"No agent is shown to beat the {bar}; the best, {best.name}, has {best.score:.3f}")
     return f"{words}{f'; {BAYES}, which knows how rooms are drawn, has {ceiling[0]:.2f}' if ceiling else ''}."
 
 
@@ -118,7 +117,7 @@ def _make_row(record: Record, rung: Rung) -> Row:
     name = _escape(card.name)
     cost = "" if card.primitives is None else f"{card.primitives:,}"
     hours = "" if card.core_hours is None else f"{card.core_hours:.2g}"
-    cells = (_escape(", ".join(card.authors)), format_score(test), "" if hidden is None else format_score(hidden),
+    cells = (_escape(", ".join(card.authors)), f"{test:.3f}", "" if hidden is None else f"{hidden:.3f}",
              f"{sum(cell.escaped for cell in sets['test'])} of {len(sets['test'])}", cost, hours,
              _escape(str(card.view)), _escape(card.told), f"{record.check.cells} of {len(submission.cells)}",
              submission.agent_digest[:12])

@@ -21,14 +21,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 
 from hrl_escape.cli import run_script
 from hrl_escape.commands.room_choice import change_field, split_assignment
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.references.graph_family import measure_information
+from hrl_escape.comparison.references.bayes import condition_on_room, make_family
 from hrl_escape.comparison.references.registry import BAYES, FLOORS, PLANNER
 from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import read_json, read_toml, write_json
@@ -73,6 +75,20 @@ def play(agent: str, rooms: InstanceSet) -> float | None:
         return play_agent(spec, make_unseen(rooms), rooms[:1])[0]
     except UnsupportedError:
         return None
+
+
+def measure_information(config: ButtonsConfig, rooms: Sequence[RoomInstance]) -> tuple[float, float]:
+    """Bits that marks and places of rooms tell of the hidden graph, and bits that there are to tell of graph and rule.
+
+    Means over rooms.
+
+    Raises:
+        UnsupportedError: the graphs cannot be listed, see `make_family`.
+    """
+    families = [make_family(config, len(room.targets)) for room in rooms]
+    told = [family.entropy - condition_on_room(family, config, room).entropy
+            for family, room in zip(families, rooms, strict=True)]
+    return float(np.mean(told)), float(np.mean([family.entropy for family in families]))
 
 
 def measure_rung(rung: Rung, rooms: int) -> RungReferences:

@@ -35,11 +35,14 @@ class Statistic(Protocol):
 
 
 class Estimate(NamedTuple):
-    """A number and its 95 % interval."""
+    """A number and its 95 % interval; `f"{estimate:.2f}"` is `0.91 (0.87 to 0.94)`."""
 
     value: float
     low: float
     high: float
+
+    def __format__(self, spec: str) -> str:
+        return f"{self.value:{spec}} ({self.low:{spec}} to {self.high:{spec}})"
 
 
 def compute_interval(statistic: Statistic, scores: Scores, bounds: tuple[float, float], rng: np.random.Generator,

@@ -103,13 +103,13 @@ def load_pretrained(rung: str, agent: str = "") -> Pretrained:
         return Pretrained(loaded, load_result(run), submission, found, path)
 
 
-def unpack_pretrained(rung: str, folder: Path, agent: str = "") -> tuple[Path, RoomInstance]:
-    """Write a pretrained agent's run to an empty folder; returns the run's folder and the rung's first test room."""
-    submission, run = _unpack(_find_pretrained(rung, agent), folder)
+def unpack_pretrained(rung: str, folder: Path) -> tuple[Path, RoomInstance]:
+    """Write the run of a rung's first agent to an empty folder; returns the run's folder and the first test room."""
+    submission, run = _unpack(_find_pretrained(rung), folder)
     return run, find_rung(submission.entry).test[0]
 
 
-def _find_pretrained(rung: str, agent: str) -> Path:
+def _find_pretrained(rung: str, agent: str = "") -> Path:
     known = list_pretrained()
     if rung not in known:
         raise UnknownNameError("rung with a pretrained agent", rung, known)

@@ -212,7 +212,7 @@ class RungStanding(NamedTuple):
 
     rung: str  # name of the rung
     agent: AgentSummary  # its summary
-    escapes: tuple[float, float, float]
+    escapes: Estimate
     """Share of final test episodes that escaped, with Wilson's interval over all of them."""
     is_passed: bool  # the rung is passed, see `judge`
     units: Scores
@@ -223,14 +223,13 @@ class RungStanding(NamedTuple):
     were not run on the rung, or are alike."""
 
 
-def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float], bool]:
+def judge(agent: AgentSummary, episodes: int) -> tuple[Estimate, bool]:
     """Share of escapes with Wilson's interval over the episodes, and whether the rung is passed.
 
     It is with the interval's lower end at 0.9 or above and an interquartile mean of efficiency of 0.5 or above.
     """
-    low, high = compute_wilson_interval(agent.success.value, episodes)
-    escapes = (agent.success.value, float(low), float(high))
-    return escapes, escapes[1] >= PASSED_ESCAPES and agent.efficiency.value >= PASSED_EFFICIENCY
+    escapes = Estimate(agent.success.value, *compute_wilson_interval(agent.success.value, episodes))
+    return escapes, escapes.low >= PASSED_ESCAPES and agent.efficiency.value >= PASSED_EFFICIENCY
 
 
 def list_standings(rung: str, summary: Summary) -> list[RungStanding]:

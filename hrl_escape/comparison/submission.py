@@ -600,11 +600,6 @@ def describe_score(submission: Submission, rung: Rung) -> str:
         cells = [cell for cell in submission.cells if cell.set == role]
         if cells:
             score = score_cells(cells, rung.config.dynamics.is_random)
-            words.append(f"efficiency {format_score(score)} in {len(cells)} {role} rooms, "
+            words.append(f"efficiency {score:.3f} in {len(cells)} {role} rooms, "
                          f"{sum(cell.escaped for cell in cells)} escapes")
     return "; ".join(words)
-
-
-def format_score(score: Estimate) -> str:
-    """Score and interval, as in `0.912 (0.874 to 0.943)`."""
-    return f"{score.value:.3f} ({score.low:.3f} to {score.high:.3f})"

@@ -106,7 +106,7 @@ def _compare_views(summary: Summary) -> list[str]:
         return [f"Options do not help here: {_describe_odds(summary, best_flat, best)}; the first "
                 f"{_describe_escapes(best_flat)}, the second {_describe_escapes(best)}."]
     return [f"Whether options help cannot be told from these runs: `{best.label}` has an efficiency of "
-            f"{_describe_efficiency(best)}, `{best_flat.label}` {_describe_efficiency(best_flat)}."]
+            f"{best.efficiency:.3f}, `{best_flat.label}` {best_flat.efficiency:.3f}."]
 
 
 def _prefer_learners(agents: Sequence[AgentSummary]) -> list[AgentSummary]:
@@ -141,7 +141,7 @@ def _compare_with_chance(summary: Summary) -> list[str]:
                              f"{_describe_escapes(best)}.")
         else:
             sentences.append(f"{start}. These runs do not show that learning adds anything: `{best.label}` has an "
-                             f"efficiency of {_describe_efficiency(best)}, chance {_describe_efficiency(chance)}.")
+                             f"efficiency of {best.efficiency:.3f}, chance {chance.efficiency:.3f}.")
         worse = [agent for agent in learners if agent is not best and _beats(summary, chance, agent)]
         if worse:
             names = join_words([f"`{agent.label}`" for agent in worse])
@@ -288,13 +288,8 @@ def _get_choices(agent: AgentSummary) -> OptionsView:
 
 def _describe_odds(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:
     pair = summary.get_pair(first, second)
-    gain = pair.difference
-    return (f"`{first.label}` is more efficient than `{second.label}` by {gain.value:.2f} ({gain.low:.2f} to "
-            f"{gain.high:.2f}) with the same room and seed, in {pair.improvement.value:.0%} of {pair.count} pairs")
-
-
-def _describe_efficiency(agent: AgentSummary) -> str:
-    return f"{agent.efficiency.value:.3f} ({agent.efficiency.low:.3f} to {agent.efficiency.high:.3f})"
+    return (f"`{first.label}` is more efficient than `{second.label}` by {pair.difference:.2f} with the same room and "
+            f"seed, in {pair.improvement.value:.0%} of {pair.count} pairs")
 
 
 def tell_privileges(agents: Iterable[AgentSpec]) -> list[str]:

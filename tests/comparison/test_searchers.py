@@ -10,20 +10,23 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.references import measure_information
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.references import bayes
-from hrl_escape.comparison.references.bayes import BeliefGraph, GraphParticles, Ways, measure_ways
-from hrl_escape.comparison.references.graph_family import (
+from hrl_escape.comparison.references.bayes import (
+    BeliefGraph,
     GraphFamily,
+    GraphParticles,
+    Ways,
     condition_on_marks,
     condition_on_room,
     find_schematic,
     iterate_outcomes,
     list_graphs,
     make_family,
-    measure_information,
+    measure_ways,
 )
 from hrl_escape.comparison.references.registry import (
     BAYES,

@@ -21,7 +21,7 @@ MUTATIONS = [
     ),
     Mutation(
         "the ceiling does not read marks",
-        "comparison/references/graph_family.py",
+        "comparison/references/bayes.py",
         "if not marks or rules.shuffled:",
         "if True:",
         "comparison/test_searchers.py::test_marks_are_worth_what_follows_by_hand",
@@ -35,7 +35,7 @@ MUTATIONS = [
     ),
     Mutation(
         "the ceiling does not know where buttons may hang",
-        "comparison/references/graph_family.py",
+        "comparison/references/bayes.py",
         "    if not rules.count:\n        return family",
         "    if True:\n        return family",
         "comparison/test_searchers.py::test_places_tell_a_whole_chain_and_of_other_graphs_what_their_depths_tell",
@@ -121,14 +121,14 @@ MUTATIONS = [
     ),
     Mutation(
         "all rooms have the first rule in beliefs, whatever is drawn",
-        "comparison/references/graph_family.py",
+        "comparison/references/bayes.py",
         'if config.on_violation in (rule, "drawn")]',
         'if config.on_violation == rule or (config.on_violation, rule) == ("drawn", "ignore")]',
         "comparison/test_searchers.py",
     ),
     Mutation(
         "outcomes of a draw are all as likely",
-        "comparison/references/graph_family.py",
+        "comparison/references/bayes.py",
         "        self.probability /= count\n",
         "        self.probability = 1.0 / count\n",
         "comparison/test_searchers.py",

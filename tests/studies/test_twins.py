@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.agents.registry import find_agent_module
-from hrl_escape.comparison.references.graph_family import find_schematic
+from hrl_escape.comparison.references.bayes import find_schematic
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.synthesis.kinds import KINDS
 from studies.__main__ import main

@@ -18,6 +18,7 @@ Examples:
 from __future__ import annotations
 
 import dataclasses
+import json
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,20 +26,30 @@ from typing import Annotated
 
 import tyro
 from rich.console import Console
+from rich.table import Table
 
 from hrl_escape.commands.launching import LaunchArgs
+from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.protocols import (
     TOWER,
     LadderSettings,
     Protocol,
+    RungStanding,
     choose_floors,
+    list_standings,
     make_protocol_grid,
     make_tower_grid,
     name_protocol,
+    score_standings,
 )
+from hrl_escape.comparison.reporting.figures import AxisScore, draw_radar, list_references, make_profiles
 from hrl_escape.comparison.reporting.report import write_report
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.comparison.summary import summarise
+from hrl_escape.errors import FileReadError
+from hrl_escape.figures import save_figure
+from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
+from hrl_escape.ladder.manifest import load_references
 
 FROM = {"word": "from"}
 """Word on the command line of a field whose name Python reserves."""
@@ -112,3 +123,139 @@ def run(args: RunArgs) -> int:
         console.print(f"{name}: {len(comparison.runs)} runs finished, {len(comparison.failures)} failed; "
                       f"{comparison.out}")
     return 1 if failed else 0
+
+
+# --- results ---------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportArgs:
+    """Options of `hrl-escape ladder report`."""
+
+    folder: Annotated[Path, tyro.conf.Positional] = Path("runs/ladder")
+    """Folder given to `hrl-escape ladder run --out`."""
+    protocol: Protocol = "per-instance"
+    """Protocol to sum up."""
+    source: Annotated[str | None, tyro.conf.arg(name="from")] = None
+    """Rung that was trained on, with transfer."""
+    benchmark: str = "ladder-1"
+    """Benchmark that comes with the package, or a manifest file."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+
+def run_report(args: ReportArgs) -> None:
+    """Sum up what `hrl-escape ladder run` has finished: efficiency and escapes of every agent on every rung.
+
+    A rung is passed where the lower end of the escapes' 95 % interval is 0.9 or more and efficiency 0.5 or more. The
+    ladder score is the mean over rungs of the interquartile mean of efficiency, over the rungs that every agent was run
+    on. The learned share is 0 for the best searcher that learns nothing, such as smdp-untried-nearest, and 1 for
+    smdp-bayes, which knows how rooms are drawn: run both beside the learners.
+
+    A benchmark with axes, such as ladder-2, gives a profile besides: a table of efficiency by axis, with its
+    references, and a radar, profile.svg in the protocol's folder.
+
+    Examples:
+        hrl-escape ladder report
+        hrl-escape ladder report runs/ladder --protocol generalise --json
+        hrl-escape ladder report runs/ladder --protocol transfer --from chain
+        hrl-escape ladder report runs/ladder --protocol tower
+        hrl-escape ladder report runs/ladder --benchmark ladder-2
+    """
+    bench = load_benchmark(args.benchmark)
+    rungs = [TOWER] if args.protocol == TOWER else [rung.name for rung in bench]
+    base = args.folder / name_protocol(args.protocol, args.source)
+    folders = {rung: base / rung for rung in rungs}
+    found = {rung: folder for rung, folder in folders.items() if (folder / "grid.json").exists()}
+    if not found:
+        raise FileReadError(f"{base}: no rung was run here; see hrl-escape ladder run --help")
+    standings = [standing for rung, folder in found.items()
+                 for standing in list_standings(rung, summarise(read_comparison(folder)))]
+    highest = {standing.agent.label: "none" for standing in standings}
+    highest |= {standing.agent.label: standing.rung for standing in standings if standing.is_passed}
+    common, scores = score_standings(standings)
+    profiles = _make_profiles(bench, standings)
+    if args.json:
+        print(json.dumps({"protocol": args.protocol, "highest": highest, "rungs": list(map(_to_json, standings)),
+                          "score_rungs": common, **_profiles_to_json(profiles),
+                          "scores": {label: score._asdict() for label, score in scores.items()}}, indent=2))
+        return
+    console = Console(width=120, highlight=False)
+    table = Table("rung", "agent", "runs", "efficiency", "learned", "trained in", "escapes", "passed",
+                  "core hours",
+                  *(("floors climbed",) if args.protocol == TOWER else ()), box=None, pad_edge=False)
+    for standing in standings:
+        agent = standing.agent
+        table.add_row(
+            standing.rung, agent.label, str(agent.runs),
+            f"{agent.efficiency:.3f}",
+            "" if standing.learned is None else f"{standing.learned:.2f}",
+            "" if agent.seen is None else f"{agent.seen.value:.3f}", f"{standing.escapes:.0%}",
+            "yes" if standing.is_passed else "no", f"{_count_hours(standing):.2g}",
+            *([f"{_count_floors(standing):.2f} of {standing.floors}"] if args.protocol == TOWER else []))
+    console.print(table)
+    if any(standing.agent.trials for standing in standings):
+        console.print(_make_trial_table(standings))
+    if profiles:
+        _tell_profiles(console, bench, profiles, base / "profile.svg")
+    for label, rung in highest.items():
+        console.print(f"Highest rung that {label} passed: {rung}", markup=False)
+    over = f"over {', '.join(common)}:" if common else "over no rung: none has runs of every agent"
+    console.print(f"Ladder score {over}")
+    for label, score in scores.items():
+        console.print(f"{label}: {score:.3f}", markup=False)
+
+
+def _make_profiles(bench: Benchmark, standings: Sequence[RungStanding]) -> dict[str, dict[str, AxisScore]]:
+    """Profiles of the agents, then of the benchmark's references; empty where it has no axes."""
+    found: dict[str, dict[str, float]] = {}
+    for standing in standings:
+        found.setdefault(standing.agent.label, {})[standing.rung] = standing.agent.efficiency.value
+    known = list_references(load_references(bench.name))
+    return make_profiles(bench.manifest.axes, found | known) if bench.manifest.axes else {}
+
+
+def _tell_profiles(console: Console, bench: Benchmark, profiles: dict[str, dict[str, AxisScore]], path: Path) -> None:
+    """Print a row an axis, each rung in parentheses, and draw the radar."""
+    axes = bench.manifest.axes
+    table = Table("axis", *profiles, box=None, pad_edge=False)
+    for axis in axes:
+        table.add_row(axis.name, *(str(profile.get(axis.name, "")) for profile in profiles.values()))
+    console.print(table)
+    save_figure(path, draw_radar(profiles, axes))
+    console.print(f"wrote {path}", markup=False)
+
+
+def _profiles_to_json(profiles: dict[str, dict[str, AxisScore]]) -> dict[str, object]:
+    return {"profiles": {agent: {axis: score.levels for axis, score in profile.items()}
+                         for agent, profile in profiles.items()}} if profiles else {}
+
+
+def _count_hours(standing: RungStanding) -> float:
+    """Core hours of training of all its runs."""
+    return standing.agent.seconds * standing.agent.runs / 3600
+
+
+def _count_floors(standing: RungStanding) -> float:
+    """Floors of a tower climbed, on average."""
+    return standing.escapes.value * standing.floors
+
+
+def _make_trial_table(standings: Sequence[RungStanding]) -> Table:
+    """Efficiency trial by trial, a row an agent and rung."""
+    most = max(len(standing.agent.trials) for standing in standings)
+    table = Table("rung", "agent", *(f"trial {number}" for number in range(1, most + 1)), box=None, pad_edge=False)
+    for standing in standings:
+        table.add_row(standing.rung, standing.agent.label, *(f"{trial.value:.3f}" for trial in standing.agent.trials))
+    return table
+
+
+def _to_json(standing: RungStanding) -> dict[str, object]:
+    agent = standing.agent
+    return {"rung": standing.rung, "agent": agent.label, "runs": agent.runs,
+            "efficiency": agent.efficiency._asdict(), "seen": None if agent.seen is None else agent.seen._asdict(),
+            "escapes": standing.escapes, "passed": standing.is_passed, "learned": standing.learned,
+            "core_hours": _count_hours(standing),
+            "trials": [trial._asdict() for trial in agent.trials],
+            **({"floors": standing.floors, "climbed": _count_floors(standing)}
+               if standing.floors > 1 else {})}

@@ -116,17 +116,10 @@ def write_markdown(summary: Summary, verdict: Sequence[Sentence], command: str, 
 
 
 def _make_line(agent: AgentSummary, are_sets: bool) -> str:
-    return (f"| {agent.label} | {agent.efficiency.value:.3f} ({agent.efficiency.low:.3f} to "
-            f"{agent.efficiency.high:.3f}) | {_format_seen(agent) * are_sets}{agent.progress.value:.2f} "
-            f"| {agent.success.value:.0%} ({agent.success.low:.0%} to {agent.success.high:.0%}) "
-            f"| {agent.length.value:.0f} | {format_first_escape(agent)} | {agent.score.value:.3f} | {agent.stuck:.0%} "
-            f"| {agent.gap.options:.3f} + {agent.gap.learning:.3f} |")
-
-
-def _format_seen(agent: AgentSummary) -> str:
-    if agent.seen is None:
-        return "- | "
-    return f"{agent.seen.value:.3f} ({agent.seen.low:.3f} to {agent.seen.high:.3f}) | "
+    seen = "- | " if agent.seen is None else f"{agent.seen:.3f} | "
+    return (f"| {agent.label} | {agent.efficiency:.3f} | {seen * are_sets}{agent.progress.value:.2f} "
+            f"| {agent.success:.0%} | {agent.length.value:.0f} | {format_first_escape(agent)} "
+            f"| {agent.score.value:.3f} | {agent.stuck:.0%} | {agent.gap.options:.3f} + {agent.gap.learning:.3f} |")
 
 
 def describe_place(place: RunPlace) -> str:
@@ -344,7 +337,7 @@ def _make_odds_cell(first: AgentSummary, second: AgentSummary, pair: Pair) -> di
         "text": f"{odds.value:.2f}",
         "style": tint + (";font-weight:700" if pair.p < ALPHA else ""),
         "title": f"{first.label} above {second.label} in {odds.value:.3f} of {pair.count} pairs; difference of "
-                 f"efficiency {gain.value:+.3f} ({gain.low:+.3f} to {gain.high:+.3f}), corrected p {pair.p:.3g}",
+                 f"efficiency {gain:+.3f}, corrected p {pair.p:.3g}",
     }
 
 
