@@ -148,21 +148,13 @@ class Monitor:
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Pictured):
-    """Runs of a grid that have ended.
+    """Runs of a grid that have ended."""
 
-    Attributes:
-        grid: the settings.
-        places: rooms, or sets of rooms, in the grid's order.
-        runs: finished runs with their results, in the grid's order.
-        failures: runs that failed.
-        out: its folder.
-    """
-
-    grid: Grid
-    places: tuple[RunPlace, ...]
-    runs: tuple[tuple[GridRun, RunResult], ...]
-    failures: tuple[Failure, ...]
-    out: Path
+    grid: Grid  # the settings
+    places: tuple[RunPlace, ...]  # rooms, or sets of rooms, in the grid's order
+    runs: tuple[tuple[GridRun, RunResult], ...]  # finished runs with their results, in the grid's order
+    failures: tuple[Failure, ...]  # runs that failed
+    out: Path  # its folder
 
     _picture = "hrl_escape.comparison.reporting.figures:draw_comparison"
 

@@ -395,19 +395,12 @@ MOST_BELIEFS = 3_000_000
 
 @dataclasses.dataclass(frozen=True)
 class Ways:
-    """Lengths of ways between places, in primitives.
+    """Lengths of ways between places, in primitives."""
 
-    Attributes:
-        legs: float (places, buttons), from a place to the press of a button.
-        arrivals: int (places, buttons), the place of the robot after that.
-        leaving: float (places,), from a place to the open exit.
-        failure: cost of a failed puzzle.
-    """
-
-    legs: NDArray[np.floating]
-    arrivals: NDArray[np.int64]
-    leaving: NDArray[np.floating]
-    failure: float = 0.0
+    legs: NDArray[np.floating]  # float (places, buttons), from a place to the press of a button
+    arrivals: NDArray[np.int64]  # int (places, buttons), the place of the robot after that
+    leaving: NDArray[np.floating]  # float (places,), from a place to the open exit
+    failure: float = 0.0  # cost of a failed puzzle
 
 
 class BeliefGraph:
