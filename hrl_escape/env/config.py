@@ -19,8 +19,7 @@ from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
-from hrl_escape.ranges import Between
-from hrl_escape.settings import Range
+from hrl_escape.settings import Between, Range
 
 __all__ = ["CONTACT_SKIN", "PASSAGE_SLACK", "Between", "DynamicsConfig", "ExitConfig", "ObstaclesConfig",
            "RewardConfig", "RobotConfig", "RoomConfig", "ShapeConfig", "StartConfig", "Wall", "compute_resolution"]

@@ -51,7 +51,7 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.planning.planner import RoomPlanner
-from hrl_escape.ranges import Between
+from hrl_escape.settings import Between
 
 LADDER = load_benchmark("ladder-1")
 

@@ -52,7 +52,7 @@ from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import PlanningFailed, UnknownNameError, UnsupportedError
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
-from hrl_escape.ranges import Between
+from hrl_escape.settings import Between
 
 MOST_BUTTONS = 6
 """Buttons up to which every graph of a family is listed."""

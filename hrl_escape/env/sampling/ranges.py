@@ -7,7 +7,7 @@ import numpy as np
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.ranges import fill_ranges, list_ranges
+from hrl_escape.settings import fill_ranges, list_ranges
 
 
 def sample_puzzle(config: RoomConfig, seed: int) -> tuple[RoomConfig, Puzzle]:

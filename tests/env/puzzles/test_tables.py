@@ -19,7 +19,7 @@ from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.traits import Barring
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import StateError, UnsupportedError
-from hrl_escape.ranges import Between
+from hrl_escape.settings import Between
 
 # --- a stranger's puzzle with all that a table may hold: presses, grips, chance, rewards, failure, doors ---
 
