@@ -37,14 +37,10 @@ _RUNS = re.compile(r"^def (run(?:_\w+)?)\(args", re.MULTILINE)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line.
+    """Run a command line, by default this process's, and return the exit code.
 
-    Args:
-        arguments: what follows the program's name; None takes this process's.
-
-    Returns:
-        The exit code: 0 for success, 2 for a mistake of the user's or output that cannot be written, 128 and the
-        signal's number if a signal or a closed pipe ended it.
+    It is 0 for success, 2 for a mistake of the user's or output that cannot be written, 128 and the signal's number if
+    a signal or a closed pipe ended it.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     return run_in_order(_PROGRAM, lambda: _run(words, _FOLDER, _COMMANDS, [_PROGRAM]))
@@ -53,12 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run_script(run: Callable[..., int | None], arguments: Sequence[str] | None = None) -> int:
     """Run a module's `run` as `python -m MODULE`: its options, help and errors are made as those of `hrl-escape` are.
 
-    Args:
-        run: takes the options, one dataclass; its module's docstring is the help.
-        arguments: what follows the module's name; None takes this process's.
-
-    Returns:
-        The exit code, as of `main`.
+    It takes one dataclass of options; its module's docstring is the help. Returns the exit code, as `main`.
     """
     spec = sys.modules[run.__module__].__spec__
     words = ["python", "-m", spec.name if spec else run.__module__]

@@ -42,15 +42,7 @@ class Pictured:
 
 
 def check_picture_name(path: Path, *others: str) -> None:
-    """Check the ending of a file that is to hold a map.
-
-    Args:
-        path: the file.
-        others: further endings that will do.
-
-    Raises:
-        UnsupportedError: it is neither of these nor of `FORMATS`.
-    """
+    """Check that the ending of a file that is to hold a map is one of `FORMATS`, or of the others."""
     _get_ending(path, *FORMATS, *others)
 
 
@@ -63,12 +55,7 @@ def get_figure_class() -> type[Figure]:
 
 
 def save_figure(path: str | Path, figure: Figure) -> None:
-    """Write a figure atomically, without date: the same figure gives the same bytes.
-
-    Raises:
-        UnsupportedError: the ending of `path` is not one of `FORMATS`.
-        FileWriteError: the file could not be written.
-    """
+    """Write a figure atomically, without date, in one of `FORMATS`: the same figure gives the same bytes."""
     write_bytes(path, _render(figure, _get_ending(Path(path), *FORMATS)))
 
 

@@ -42,14 +42,9 @@ DOTTED_KEY = re.compile(r"""(?<![\w.-])(?<!\.[ \t])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n
 
 @contextmanager
 def atomic_writer(path: str | os.PathLike[str], *, parents: bool = True) -> Iterator[IO[bytes]]:
-    """Open a binary file that takes its name only once it is complete and on disk.
+    """Open a binary file that takes its name only once it is complete and on disk; if the body raises, nothing changes.
 
-    Args:
-        path: path of the file.
-        parents: make missing parent folders.
-
-    Yields:
-        A binary file object. If the body raises, nothing changes at `path`.
+    Missing folders are made where `parents` says so.
 
     Raises:
         FileWriteError: the folder cannot be made or written, the disk is full, or no plain file stands there.
@@ -81,11 +76,7 @@ def atomic_writer(path: str | os.PathLike[str], *, parents: bool = True) -> Iter
 
 
 def open_for_writing(path: str | os.PathLike[str], mode: Literal["ab", "wb"] = "ab") -> IO[bytes]:
-    """Open a plain file that grows in place, such as a log or a lock, never through a link to another.
-
-    Raises:
-        FileWriteError: a link or no plain file stands there; else as `atomic_writer`.
-    """
+    """Open a plain file that grows in place, such as a log, never through a link; errors as `atomic_writer`."""
     try:
         _check_replaceable(Path(path))
         return open(path, mode, opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW, 0o666))
@@ -126,13 +117,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def write_json(path: str | os.PathLike[str], value: Any, indent: int | None = 2, *, parents: bool = True) -> None:
-    """Write a JSON value atomically; floats come back bit for bit, NaN is refused.
-
-    Raises:
-        FileWriteError: see `atomic_writer`.
-        TypeError: the value holds something JSON has no form for.
-        ValueError: the value holds NaN or an infinity, which JSON has no form for.
-    """
+    """Write a JSON value atomically; floats come back bit for bit, NaN and infinities are a `ValueError`."""
     text = json.dumps(value, indent=indent, allow_nan=False) + "\n"
     with atomic_writer(path, parents=parents) as file:
         file.write(text.encode())
@@ -183,9 +168,6 @@ def check_files(paths: Iterable[str], what: str, endings: Sequence[str], largest
         what: kind of file, in words, for the message.
         endings: endings of the known kinds, such as `.stl`; an archive could unpack to anything.
         largest: most bytes that they may have together.
-
-    Raises:
-        FileReadError: the message names the file.
     """
     left = largest
     for name in sorted(set(paths)):
@@ -213,11 +195,7 @@ def read_text(path: str | os.PathLike[str], what: str = "file", largest: int = L
 
 
 def read_json(path: str | os.PathLike[str], what: str = "JSON file") -> Any:
-    """Read one JSON value of finite numbers, at most `DEEPEST` levels deep.
-
-    Raises:
-        FileReadError: the file is missing, unreadable or not such JSON; the message gives the place.
-    """
+    """Read one JSON value of finite numbers, at most `DEEPEST` levels deep; the error gives the place."""
     return parse_json(read_text(path, what), path, what)
 
 
@@ -239,11 +217,7 @@ def parse_json(text: str | bytes, path: str | os.PathLike[str], what: str) -> An
 
 
 def read_toml(path: str | os.PathLike[str], what: str = "TOML file") -> dict[str, Any]:
-    """Read a TOML document, at most `DEEPEST` levels deep.
-
-    Raises:
-        FileReadError: the file is missing, unreadable or not TOML; the message gives line and column.
-    """
+    """Read a TOML document, at most `DEEPEST` levels deep; the error gives line and column."""
     text = read_text(path, what, LARGEST_TOML)
     if DOTTED_KEY.search(text):
         raise FileReadError(f"{path}: this {what} cannot be read: {_describe_extreme(RecursionError())}")

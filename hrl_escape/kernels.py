@@ -93,11 +93,7 @@ def add_sources(files: Iterable[Path]) -> None:
 
 
 def find_cache_folder(more: Iterable[Path] = ()) -> Path:
-    """Folder of this version's compiled kernels; the variable NUMBA_CACHE_DIR moves it.
-
-    Args:
-        more: files besides `SOURCES` that compiled code is made of.
-    """
+    """Folder of compiled kernels, made of `SOURCES` and `more` files; the variable NUMBA_CACHE_DIR moves it."""
     package = Path(__file__).parent
     sources = hashlib.sha256()
     for file in (*(package / name for name in SOURCES), *more):

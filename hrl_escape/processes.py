@@ -34,12 +34,9 @@ def die_with_parent() -> None:
 
 
 def take_lock(file: IO[bytes]) -> bool:
-    """Lock an open file; the lock falls with the process, however it ends.
+    """Lock an open file until the process ends, however it does; False where another process holds the lock.
 
     A file system without locks is warned of, and its files count as free.
-
-    Returns:
-        False where another process holds the lock.
     """
     return _lock(file.fileno(), file.name, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
@@ -50,9 +47,6 @@ def taking_turns(folder: Path) -> Iterator[None]:
 
     For what is read, changed and written again: each then reads what the one before has written. It leaves no file, and
     a process that dies is in no block any more. A file system without locks is warned of.
-
-    Raises:
-        FileWriteError: the folder cannot be made.
     """
     make_folder(folder)
     descriptor = os.open(folder, os.O_RDONLY)

@@ -35,10 +35,6 @@ class Between:
 
     Its text is `3..5`, in JSON and on the command line alike. To a type checker it is `Any`, for it stands where a
     number is declared.
-
-    Attributes:
-        low: smallest number.
-        high: largest number.
     """
 
     low: float
@@ -51,11 +47,7 @@ class Between:
 
     @classmethod
     def parse(cls, text: str) -> Any:
-        """Range from its text.
-
-        Raises:
-            ValueError: the text is no range.
-        """
+        """Range from its text; `ValueError` where it is none."""
         low, _, high = text.partition("..")
         return cls(_read_number(low), _read_number(high))
 
@@ -108,15 +100,7 @@ def _list_names(kind: type) -> tuple[str, ...]:
 
 
 def fill_ranges(settings: Dataclass, values: Mapping[str, Any]) -> Dataclass:
-    """Copy of settings with numbers in place of ranges.
-
-    Args:
-        settings: a dataclass.
-        values: a number for each path that `list_ranges` gives.
-
-    Raises:
-        ConfigError: these numbers do not go together.
-    """
+    """Copy of a dataclass with a number in place of each range, by the paths that `list_ranges` gives."""
     changes: dict[str, Any] = {}
     inner: dict[str, dict[str, Any]] = {}
     for path, value in values.items():
@@ -243,10 +227,7 @@ RecordType = TypeVar("RecordType")
 def read_record(kind: type[RecordType], data: Any, path: str = "") -> RecordType:
     """Make a dataclass from a JSON table, with every field checked against its annotation.
 
-    Args:
-        kind: the dataclass.
-        data: the table.
-        path: dotted path of the table in messages; the class's name by default.
+    `path` is the table's in messages, dotted; the class's name by default.
 
     Raises:
         UnknownNameError: there is no such field; the message names the closest.

@@ -84,11 +84,7 @@ class CompareArgs(LaunchArgs):
     """Print the results as JSON instead of words and a table."""
 
     def make_grid(self) -> Grid:
-        """The grid that is asked for.
-
-        Raises:
-            EscapeError: no such comparison, an unreadable file, an impossible value.
-        """
+        """The grid that is asked for; `EscapeError` where it cannot be read or has an impossible value."""
         if Path(self.what).suffix.lower() in (".toml", ".json"):
             grid = load_grid(self.what)
         elif self.what in GRIDS:

@@ -37,21 +37,13 @@ class LaunchArgs:
     """Run nothing: print how many runs are to be made and about how long they take."""
 
     def make_runs(self, grid: Grid, out: Path) -> Comparison:
-        """Make the part of a grid's runs that is asked for, or read all that are finished.
-
-        Raises:
-            EscapeError: the grid, the part or the resources are impossible.
-        """
+        """Make the part of a grid's runs that is asked for, or read all that are finished."""
         if self.report:
             return read_comparison(out, grid)
         return run_grid(grid, out, self._make_launcher(), shard=Shard.parse(self.shard or "1/1"))
 
     def format_options(self, *known: str) -> list[str]:
-        """Words of the command line for what is not at its default, without the fields that are known or decide no run.
-
-        Args:
-            known: names of fields to leave out.
-        """
+        """Words of the command line for what is not at its default and decides runs, without fields that are `known`."""
         words = []
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)

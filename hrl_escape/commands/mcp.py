@@ -40,11 +40,7 @@ class McpArgs(RoomChoice):
     """File for the game, written anew after every call, in JSON Lines."""
 
     def make_instance(self) -> RoomInstance:
-        """The room, of a rung or as the other options say.
-
-        Raises:
-            EscapeError: there is no such room.
-        """
+        """The room, of a rung or as the other options say."""
         if self.rung is None:
             return super().make_instance()
         from hrl_escape.ladder.room_sets import parse_room_set

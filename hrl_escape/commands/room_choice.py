@@ -38,11 +38,7 @@ class RoomChoice:
     """Instance in a JSON file written by --save, in place of a schematic."""
 
     def make_config(self) -> RoomConfig:
-        """Build the schematic.
-
-        Raises:
-            EscapeError: an unknown preset or field, an impossible value, or an unreadable file.
-        """
+        """Build the schematic; `EscapeError` for an unknown preset or field, or an impossible value."""
         if self.config is None:
             arguments = dict(split_assignment(text, "--arguments", "size=3") for text in self.arguments)
             config = get_preset(self.preset, **arguments)
@@ -63,11 +59,7 @@ class RoomChoice:
         return RoomConfig.from_dict(fields)
 
     def make_instance(self) -> RoomInstance:
-        """Load the instance, or generate it.
-
-        Raises:
-            EscapeError: as `make_config`; no solvable room; a damaged file.
-        """
+        """Load the instance, or generate it."""
         if self.load is None:
             return generate(self.make_config(), self.seed)
         if self.config or self.set or self.arguments:
@@ -90,12 +82,7 @@ def _read_urdf(fields: dict[str, Any], folder: Path) -> None:
 
 
 def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
-    """Read `name=value` given to an option; a value that is not JSON is text.
-
-    Raises:
-        ConfigError: there is no name or no value.
-        FileReadError: the value is JSON without bounds.
-    """
+    """Read `name=value` given to an option; a value that is not JSON is text, and one without bounds is refused."""
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise ConfigError(option, text, f"name=value is needed, such as {example}")

@@ -26,12 +26,7 @@ class PageAddress:
     """Only print the page's address; by default your browser opens it."""
 
     def open_server(self) -> Server:
-        """Start serving an empty page.
-
-        Raises:
-            MissingExtraError: the extra `viewer` is not installed.
-            AddressError: the address cannot be served on.
-        """
+        """Start serving an empty page, see `viewer.server`, which needs the extra `viewer`."""
         from hrl_escape.viewer.server import open_server  # needs the extra
 
         return open_server(self.host, self.port)

@@ -114,9 +114,7 @@ class AgentSpec(Settings):
         """All its settings, as a JSON value; of the references only `smdp-tools` has some.
 
         Raises:
-            UnknownNameError: no such agent, recipe or setting.
-            AgentSettingsError: a value is not possible.
-            UnsupportedError: no hierarchy is synthesised for this agent.
+            EscapeError: no such agent, recipe or setting, an impossible value, or no hierarchy for this agent.
         """
         if self.leaves is not None:
             find_kind(self.name)

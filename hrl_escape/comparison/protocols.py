@@ -107,11 +107,7 @@ class LadderSettings(NamedTuple):
 
 
 def name_protocol(protocol: Protocol, source: str | None) -> str:
-    """Name of a protocol's folder, such as `generalise` or `transfer-from-chain`.
-
-    Raises:
-        ConfigError: `transfer` without a rung to train on, or another protocol with one.
-    """
+    """Name of a protocol's folder, such as `generalise` or, with a rung to train on, `transfer-from-chain`."""
     if (protocol == "transfer") != (source is not None):
         raise ConfigError("from", source, "the rung to train on with the protocol transfer, and with no other")
     return protocol if source is None else f"{protocol}-from-{source}"
@@ -119,12 +115,7 @@ def name_protocol(protocol: Protocol, source: str | None) -> str:
 
 def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: Sequence[AgentSpec],
                        settings: LadderSettings) -> Grid:
-    """Grid of a rung under a protocol, with some of its numbers changed.
-
-    Raises:
-        UnknownNameError: no such rung.
-        ConfigError: more rooms than the rung has, or a rung to train on that does not go with the protocol.
-    """
+    """Grid of a rung under a protocol, with some of its numbers changed; `ConfigError` for impossible ones."""
     label = name_protocol(protocol, settings.source)
     if protocol == "few-shot" and settings.trials < 2:
         raise ConfigError("trials", settings.trials, "2 or more; with one it is the protocol generalise")
@@ -172,7 +163,6 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
     """Grid of rungs, from the bottom to the top, as the floors of one tower; `trials` and `source` have no effect.
 
     Raises:
-        UnknownNameError: no such rung.
         ConfigError: fewer than two floors, one twice but by `floors`, more rooms than a rung has, or an agent that
             follows the numbers of one room's options.
     """

@@ -303,11 +303,7 @@ def find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int
 
 
 def load_run_result(out: Path, run: GridRun) -> RunResult | None:
-    """The result of a finished run, or None if it is not finished.
-
-    Raises:
-        FileReadError: the file is damaged or belongs to another run.
-    """
+    """The result of a finished run, None if it is not finished; `FileReadError` where it is damaged or another's."""
     path = get_run_folder(out, run) / "run_result.json"
     if not path.exists():
         return None

@@ -124,18 +124,7 @@ def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int
     every = set(edges)
     ancestors = find_ancestors(every, goals)
     kept = {(parent, child) for parent, child in every if child in ancestors}
-
-    def is_implied(edge: tuple[int, int]) -> bool:
-        reached, frontier = {edge[0]}, [edge[0]]
-        while frontier:
-            node = frontier.pop()
-            for following in (other for other in kept if other[0] == node and other != edge):
-                if following[1] not in reached:
-                    reached.add(following[1])
-                    frontier.append(following[1])
-        return edge[1] in reached
-
-    return frozenset(edge for edge in kept if not is_implied(edge))
+    return frozenset(edge for edge in kept if edge[0] not in find_ancestors(kept - {edge}, [edge[1]]))
 
 
 def compare_graphs(found: EdgeSet, true: EdgeSet) -> tuple[float, float]:

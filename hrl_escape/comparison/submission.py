@@ -449,9 +449,7 @@ def play_cells(entry: Entry, folder: Path, rooms: InstanceSet, role: str, number
                ) -> Iterator[Cell]:
     """Play an episode in each of some rooms of a set; which others are played makes no difference.
 
-    Raises:
-        TrustError: the agent is a program, and is not trusted.
-        ContractError: the program does not answer as agreed.
+    A program must be trusted (`TrustError`) and answer as agreed (`ContractError`).
     """
     seeds = {number: compute_episode_seed(0, "evaluation" if role == "test" else role, number) for number in numbers}
     env, recorder = make_view_env(entry.card.view, rooms, {str(seed): number for number, seed in seeds.items()})
@@ -542,13 +540,7 @@ def _list_sets(entry: Entry, rung: Rung) -> dict[str, InstanceSet]:
 
 
 def verify_cells(path: Path, rung: Rung, count: int, seed: int, trust: bool = False) -> list[CheckedCell]:
-    """Play some cells of a submission again, drawn by a seed that whoever submits must not know.
-
-    Raises:
-        TrustError: it is needed, and not given; nothing was started.
-        CheckpointError: the submission is damaged.
-        ContractError: the program does not answer as agreed.
-    """
+    """Play some cells of a submission again, drawn by a seed that whoever submits must not know; see `play_cells`."""
     with tempfile.TemporaryDirectory() as made:
         submission = read_submission(path, Path(made))
         drawn = draw_cells(submission.cells, count, seed)

@@ -149,11 +149,7 @@ class Summary:
 
 
 def summarise(comparison: Comparison) -> Summary:
-    """Summarise the finished runs.
-
-    Raises:
-        ComparisonError: no run has finished.
-    """
+    """Summarise the finished runs; `ComparisonError` where there are none."""
     if not comparison.runs:
         reasons = "; ".join(sorted({failure.message for failure in comparison.failures})) or "none was run"
         raise ComparisonError(f"{comparison.out}: no run has finished, so there is nothing to report: {reasons}")

@@ -146,11 +146,7 @@ class DataSet:
 
     def _replay(self, player: _Player, episode: _Episode, every: bool, seen: list[NDArray[Any]], rewards: list[float]
                 ) -> None:
-        """Append the rewards of an episode, and the observations of its states; of every one, or where decisions begin.
-
-        Raises:
-            FileReadError: the episode does not end as it was recorded.
-        """
+        """Append an episode's rewards, and observations of every state, or where decisions begin; check how it ends."""
         durations = self.tape.duration[episode.decisions].tolist()
         actions = self.tape.action[episode.primitives].tolist()
         state = player.begin(int(self.tape.episode_seed[episode.number]))

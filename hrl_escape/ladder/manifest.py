@@ -124,12 +124,7 @@ def list_benchmarks() -> tuple[str, ...]:
 
 
 def load_manifest(name: str | Path) -> Manifest:
-    """Load a manifest that comes with the package, or one from a JSON file.
-
-    Raises:
-        UnknownNameError: there is none of that name.
-        EscapeError: the file is damaged.
-    """
+    """Load a manifest that comes with the package, or one from a JSON file."""
     if isinstance(name, Path) or name.endswith(".json"):
         return Manifest.from_dict(read_json(name, "manifest"))
     if name not in list_benchmarks():

@@ -39,11 +39,7 @@ class Beacon(NamedTuple):
 
 
 def read_beacon(text: str) -> Beacon:
-    """Read a round from text, such as `quicknet 4242 1f9c...`; spellings of one round give one value.
-
-    Raises:
-        ConfigError: no round of quicknet with a value of 64 hexadecimal digits.
-    """
+    """Read a round from text, such as `quicknet 4242 1f9c...`; spellings of one round give one value."""
     found = _ROUND.fullmatch(text.strip().lower())
     if found is None or int(found[1]) == 0:
         raise ConfigError("beacon", text, "a round of drand's quicknet and its randomness, 'quicknet 4242 1f9c...', "

@@ -30,12 +30,7 @@ class Recording:
 
 
 def record_driver(driver: Driver, seed: int = 0) -> Recording:
-    """Record one episode of a driver, without training.
-
-    Raises:
-        UnsupportedError: the agent has not been trained.
-        PlanningFailed: the planner finds no way.
-    """
+    """Record one episode of a driver without training; `UnsupportedError` where its agent has not been trained."""
     if driver.trains:
         name = driver.name.partition(",")[0]
         raise UnsupportedError(f"{name} has not been trained: run `hrl-escape train {name}` first, then name the "

@@ -84,11 +84,11 @@ def _make_shape(link: str, visual: ElementTree.Element, named: dict[str, Element
 
 def _read_colour(visual: ElementTree.Element, named: dict[str, ElementTree.Element]) -> str:
     material = visual.find("material")
-    colour = None
-    if material is not None:
-        colour = material.find("color")
-        if colour is None and material.get("name", "") in named:
-            colour = named[material.get("name", "")].find("color")
+    if material is None:
+        return _GREY
+    colour = material.find("color")
+    if colour is None:
+        colour = named.get(material.get("name", ""), material).find("color")
     if colour is None:
         return _GREY
     red, green, blue = (round(255 * float(v)) for v in colour.get("rgba", "0.6 0.6 0.7 1").split()[:3])

@@ -129,8 +129,7 @@ def iterate_outcomes(draw: Callable[[Any], T]) -> Iterator[tuple[T, float]]:
 def list_graphs(config: GraphConfig, count: int) -> dict[Edges, float]:
     """Probability of every graph of a family, whose `max_parents` may be a range, before its buttons are relabelled.
 
-    Raises:
-        UnsupportedError: a family with other draws than those that `iterate_outcomes` follows.
+    `UnsupportedError` for a family with other draws than those that `iterate_outcomes` follows.
     """
     if config.kind in ("random", "larg-2019"):
         raise UnsupportedError(f"graphs of kind {config.kind} cannot be listed; take chain, tree, layered or edges")
@@ -148,10 +147,7 @@ def list_graphs(config: GraphConfig, count: int) -> dict[Edges, float]:
 def make_family(config: ButtonsConfig, count: int) -> GraphFamily:
     """Every labelled graph that a schematic can give to a room with so many buttons, under each rule that it can draw.
 
-    The schematic's `count` and `graph.max_parents` may be ranges.
-
-    Raises:
-        UnsupportedError: more buttons than `MOST_BUTTONS`, or a family that cannot be listed.
+    The schematic's `count` and `graph.max_parents` may be ranges. `UnsupportedError` for more than `MOST_BUTTONS`.
     """
     if count > MOST_BUTTONS:
         raise UnsupportedError(f"the graphs of {count} buttons are too many to list; {MOST_BUTTONS} are the most")
@@ -241,11 +237,7 @@ def _reweigh(family: GraphFamily, likelihood: NDArray[np.float64]) -> GraphFamil
 
 
 def find_schematic(instance: RoomInstance) -> RoomConfig:
-    """The schematic that a room was drawn from: the preset or the rung of its name that draws its puzzle.
-
-    Raises:
-        UnsupportedError: none does.
-    """
+    """The schematic that a room was drawn from: the preset or the rung of its name that draws its puzzle."""
     for config in _list_schematics(instance.name):
         if instance.seed is not None and sample_puzzle(config, instance.seed)[1] == instance.puzzle:
             return config
@@ -534,9 +526,8 @@ _NO_WAY = 1e4
 class BayesSearcher(Searcher):
     """Fewest expected primitives, over the graphs that the room's schematic can draw.
 
-    Raises:
-        UnsupportedError: with the first decision, in rooms whose puzzle is not of buttons that stay on, or whose
-            schematic is not known.
+    The first decision raises `UnsupportedError` where the puzzle is not of buttons that stay on, or the schematic is
+    not known.
     """
 
     RULE = "needs the fewest expected primitives over the graphs that the schematic can draw"

@@ -142,11 +142,7 @@ class PlayPage:
             pass
 
     def replay(self, saved: SavedEpisode) -> None:
-        """Replay a saved episode as soon as a client is connected; each of its moves can be undone.
-
-        Raises:
-            EpisodeFileError: the replay differs from the file.
-        """
+        """Replay a saved episode as soon as a client is connected; each of its moves can be undone."""
         while not self.server.get_clients():
             time.sleep(0.1)
         self._note = "Replaying"

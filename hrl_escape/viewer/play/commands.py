@@ -106,12 +106,7 @@ PERSONAL_BESTS = "personal-bests.json"
 
 
 def carry_out(command: Command, episode: Episode, folder: Path, best: float | None = None) -> str:
-    """Do what a key asks for, and return a message for the player.
-
-    Raises:
-        UnsupportedError: there is no next room.
-        FileWriteError: the episode, or the personal best, could not be saved.
-    """
+    """Do what a key asks for, and return a message for the player."""
     if command.verb == "act":
         return _act(command.action, episode, folder, best)
     if command.verb == "undo":

@@ -210,11 +210,7 @@ class Episode:
         return move
 
     def replay(self, saved: SavedEpisode) -> None:
-        """Replay a saved episode primitive by primitive; afterwards each of its moves can be undone.
-
-        Raises:
-            EpisodeFileError: the replay differs from the file.
-        """
+        """Replay a saved episode primitive by primitive, as moves; `EpisodeFileError` where it differs from it."""
         for name, primitives, ended in saved.moves:
             steps: list[PrimitiveStep] = []
             for primitive in primitives:
