@@ -43,7 +43,7 @@ class LaunchArgs:
         return run_grid(grid, out, self._make_launcher(), shard=Shard.parse(self.shard or "1/1"))
 
     def format_options(self, *known: str) -> list[str]:
-        """Words of the command line for what is not at its default and decides runs, without fields that are `known`."""
+        """Words of the command line for what is not at its default and decides runs, but for `known` fields."""
         words = []
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
