@@ -9,6 +9,7 @@ much alike: ten seeds in one room say nothing of the next room. Draws are those 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -87,23 +88,32 @@ def get_budget(rung: str) -> int:
     return BUDGETS.get(rung, BUDGET)
 
 
-class LadderSettings(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class LadderSettings:
     """Numbers that may be changed; None for the protocol's own."""
 
-    runs: int = 10  # training seeds in each room or set
-    primitives: int | None = None  # training budget of a run
-    rooms: int | None = None  # rooms of the test set: to learn in one by one, or to be tested in
+    runs: int = 10
+    """Training seeds in each room or set."""
+    primitives: int | None = None
+    """Training budget of a run; the rung's own by default."""
+    rooms: int | None = None
+    """Rooms of the test set; by default 10 with per-instance and on each floor of a tower, otherwise all."""
     train_sizes: tuple[int, ...] = (64,)
-    """With all protocols but `per-instance`: numbers of training rooms, each a set of its own; in a tower those of
-    every floor."""
-    eval_episodes: int | None = None  # episodes in an evaluation
+    """Numbers of training rooms, each a set of its own, with all protocols but per-instance; in a tower those of every
+    floor."""
+    eval_episodes: int | None = None
+    """Episodes in an evaluation; by default 20 with per-instance, otherwise one in each test room."""
     observation: str | None = None
-    """Of every agent; by default that of the rung's axis; else `features` with `per-instance`, where nothing need carry
-    over to another room, unless an agent's network reads objects; else `objects`."""
-    source: str | None = None  # with `transfer`: rung to train on
-    trials: int = 8  # with `few-shot`: in each room
-    first_seed: int = 0  # lowest training seed
-    floors: int = 1  # of a tower of one rung, whose floors have one motif of marks in an episode
+    """Observation of all agents; by default that of the rung's axis, else features with per-instance if no agent is
+    +objects, otherwise objects."""
+    source: str | None = None
+    """Rung to train on with transfer."""
+    trials: int = 8
+    """Trials in each room with few-shot."""
+    first_seed: int = 0
+    """Lowest training seed; another one replicates results with fresh seeds."""
+    floors: int = 1
+    """Floors of a tower of one rung, whose marks follow one motif in an episode, so that the first floor teaches it."""
 
 
 def name_protocol(protocol: Protocol, source: str | None) -> str:

@@ -56,10 +56,10 @@ FROM = {"word": "from"}
 
 
 @dataclasses.dataclass(frozen=True)
-class RunArgs(LaunchArgs):
+class RunArgs(LadderSettings, LaunchArgs):
     """Options of `hrl-escape ladder run`."""
 
-    agents: Annotated[tuple[str, ...], tyro.conf.Positional]
+    agents: Annotated[tuple[str, ...], tyro.conf.Positional] = dataclasses.field(kw_only=True)
     """Agents, as for `hrl-escape compare`: smdp-dqn, smdp-ppo+objects+memory, planner."""
     rung: tuple[str, ...] = ()
     """Names of rungs; all by default, in a tower those with the same primitives."""
@@ -69,24 +69,6 @@ class RunArgs(LaunchArgs):
     """Rung to train on with transfer."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
-    runs: int = LadderSettings().runs
-    """Training seeds in each room or set."""
-    first_seed: int = LadderSettings().first_seed
-    """Lowest training seed; another one replicates results with fresh seeds."""
-    primitives: int | None = None
-    """Training budget of a run; the rung's own by default."""
-    rooms: int | None = None
-    """Rooms of the test set; by default 10 with per-instance and on each floor of a tower, otherwise all."""
-    train_sizes: tuple[int, ...] = LadderSettings().train_sizes
-    """Numbers of training rooms, with all protocols but per-instance."""
-    trials: int = LadderSettings().trials
-    """Trials in each room with few-shot."""
-    floors: int = LadderSettings().floors
-    """Floors of a tower of one rung, whose marks follow one motif in an episode, so that the first floor teaches it."""
-    eval_episodes: int | None = None
-    """Episodes in an evaluation; by default 20 with per-instance, otherwise one in each test room."""
-    observation: str | None = None
-    """Observation of all agents; by default features with per-instance if no agent is +objects, otherwise objects."""
     out: Path = Path("runs/ladder")
     """Folder of all rungs and protocols."""
 
@@ -99,8 +81,6 @@ class RunArgs(LaunchArgs):
 def run(args: RunArgs) -> int:
     """Run rung by rung; the exit code is 1 if runs failed."""
     bench = load_benchmark(args.benchmark)
-    settings = LadderSettings(args.runs, args.primitives, args.rooms, args.train_sizes, args.eval_episodes,
-                              args.observation, args.source, args.trials, args.first_seed, args.floors)
     agents = tuple(map(AgentSpec.parse, args.agents))
     console, failed = Console(soft_wrap=True, highlight=False), 0
     rungs = args.rung or tuple(rung.name for rung in bench)
@@ -108,9 +88,9 @@ def run(args: RunArgs) -> int:
         floors = args.rung or choose_floors(bench)
         if left_out := [rung for rung in rungs if rung not in floors]:
             console.print(f"Left out of the tower, as their robots have other primitives: {', '.join(left_out)}")
-        parts = {TOWER: (floors, make_tower_grid(bench, floors, agents, settings))}
+        parts = {TOWER: (floors, make_tower_grid(bench, floors, agents, args))}
     else:
-        parts = {rung: ((rung,), make_protocol_grid(bench, rung, args.protocol, agents, settings)) for rung in rungs}
+        parts = {rung: ((rung,), make_protocol_grid(bench, rung, args.protocol, agents, args)) for rung in rungs}
     folder = args.out / name_protocol(args.protocol, args.source)
     for name, (chosen, grid) in parts.items():
         if args.dry_run:
