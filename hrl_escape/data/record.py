@@ -91,10 +91,10 @@ class TapeWriter:
         """Room of the last episode, 0 before the first."""
         return self._lists["room"][-1] if self._lists["room"] else 0
 
-    def add_decision(self, action: int, legal: NDArray[Any], primitives: list[int], ended: str, policy: int = 0,
-                     cut: bool = False) -> None:
+    def add_decision(self, action: int, legal: NDArray[Any], primitives: list[int], ended: str, cut: bool = False
+                     ) -> None:
         """Add a decision that has ended."""
-        row = {"option": action, "duration": len(primitives), "policy": policy, "ended": OPTION_ENDINGS.index(ended),
+        row = {"option": action, "duration": len(primitives), "policy": 0, "ended": OPTION_ENDINGS.index(ended),
                "cut": int(cut), "legal": pack_mask(legal)}
         for name, value in row.items():
             self._lists[name].append(value)
@@ -128,14 +128,13 @@ def make_about(name: str, kind: str, rooms_text: str, rooms: InstanceSet, env: g
             "policies": [kind], "scores": {}}
 
 
-def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progress: bool | None = None) -> Tape:
+def record(spec: DataSpec, path: Path, *, primitives: int | None = None) -> Tape:
     """Record a data set of the catalogue, and write its tape.
 
     Args:
         spec: the data set.
         path: file to write; what there is so far is beside it, ending in `.part`, until the tape is whole.
         primitives: another number than the name says, for trials.
-        progress: show a progress line; by default on a terminal only.
     """
     total, part = primitives or spec.primitives, path.with_suffix(".part")
     rooms = parse_room_set(text := spec.list_rooms(total))
@@ -145,7 +144,7 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
     begun = load_tape(part) if part.is_file() else None
     writer = TapeWriter(begun if begun is not None and begun.about == about else None)
     saved = time.monotonic()
-    with show_progress(spec.name, share * len(rooms), len(writer), progress) as report:
+    with show_progress(spec.name, share * len(rooms), len(writer), None) as report:
         for room in range(writer.last_room, len(rooms)):
             episode, done = writer.count_in(room)
             while done < share:

@@ -482,9 +482,7 @@ class RoomScene:
 
     def _add_target(self, index: int) -> viser.MeshHandle:
         target = self.instance.targets[index]
-        face, *others = (self._add(painted, f"targets/{index}")
-                         for painted in make_target(self.instance, target))
-        del others
+        face, *_ = [self._add(painted, f"targets/{index}") for painted in make_target(self.instance, target)]
         puzzle = self.instance.puzzle
         self._names.append(self._scene.add_label(
             f"{ROOT}/targets/{index}/name", palette.name_target(puzzle, puzzle.make_state(), index, self.is_hidden),
