@@ -22,8 +22,8 @@ import torch
 import tyro
 
 from hrl_escape.commands.agent_choice import AgentChoice
+from hrl_escape.commands.play import PageAddress
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.commands.serving import PageAddress
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
 from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, open_driver
 from hrl_escape.viewer.watch.watch import Gate, Watch
