@@ -45,7 +45,7 @@ def count_buttons(config: RoomConfig) -> float:
 
 def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterable[float], runs: int, rates: Rates
                    ) -> tuple[float, list[str]]:
-    """Core hours of training, without what learns nothing or has no known rate, and the labels of the latter.
+    """Core hours of training of the agents that learn and whose rate is known, and the labels of learners without one.
 
     Args:
         agents: each trains wherever there are `buttons`.

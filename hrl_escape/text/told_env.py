@@ -44,7 +44,7 @@ class ToolCall(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Turn:
-    """A call, None before a game's first text, and the room's answer; `is_error` where the call was wrong."""
+    """A call, which is None before a game's first text, and the room's answer; `is_error` says that it was wrong."""
 
     call: ToolCall | None
     text: str
@@ -372,7 +372,7 @@ def _join(parts: Sequence[SMDPTransition]) -> SMDPTransition:
 
 
 class ToolResult(NamedTuple):
-    """Answer to a call: what happened, what it cost and what can be done next, or, of a wrong call, would be valid."""
+    """Answer to a call: what happened, what it cost and what can be done next; of a wrong one what would be valid."""
 
     text: str
     is_error: bool = False

@@ -85,7 +85,7 @@ class GraphFamily:
 
 
 def can_light(parents: NDArray[np.uint64], lit: int) -> NDArray[np.bool_]:
-    """True where a press would light a button: all its parents, bits of any shape, are among the bits `lit`."""
+    """True where a press would light a button: its parents, bits in an array of any shape, are all among `lit`."""
     return (parents & ~np.uint64(lit)) == 0
 
 

@@ -34,7 +34,7 @@ _EPISODE = {"Undo": "z", "Again": "r", "Next room": "n"}
 
 
 class PlayPage:
-    """Page on which an episode is played; episodes are saved to a folder, and a primitive takes `stride` seconds."""
+    """Page on which an episode is played; a primitive takes `stride` seconds on the screen."""
 
     def __init__(self, server: Server, episode: Episode, folder: Path = Path("episodes"),
                  stride: float = PLAY_STRIDE) -> None:

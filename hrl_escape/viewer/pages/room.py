@@ -85,7 +85,7 @@ class RoomPage:
         self.scene.uncover(eyes, self._pose)
 
     def move(self, state: RoomState, seconds: float, is_cancelled: Callable[[], bool] | None = None) -> None:
-        """Move smoothly to a state, where panels light up; the rest of the way is skipped once it is cancelled."""
+        """Move smoothly to a state, where panels light up, within seconds; once cancelled, jump there."""
         begin, end = self._pose, make_pose(self.scene.rules, state)
         started = time.monotonic()
         while (past := time.monotonic() - started) < seconds - FRAME_SECONDS / 2:

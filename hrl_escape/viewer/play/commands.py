@@ -45,7 +45,7 @@ class Command(NamedTuple):
 
 
 class Controls:
-    """The keyboard of one player of a robot with these primitives, which so many meta-actions follow, the exit's last.
+    """The keyboard of one player; so many meta-actions, the exit's last, follow the robot's primitives.
 
     Attributes:
         joint: index of the chosen joint.

@@ -210,7 +210,7 @@ class Episode:
         return move
 
     def replay(self, saved: SavedEpisode) -> None:
-        """Replay a saved episode primitive by primitive, as moves; `EpisodeFileError` where it differs from it."""
+        """Replay a saved episode by its primitives, each move to be undone; `EpisodeFileError` where it differs."""
         for name, primitives, ended in saved.moves:
             steps: list[PrimitiveStep] = []
             for primitive in primitives:

@@ -80,7 +80,7 @@ class Stopped(Exception):
 
 
 class Gate:
-    """Gate that lets primitives through at a pace a second, None for no limit, one at a time, or not at all."""
+    """Gate that lets primitives through at a pace (so many a second; None for no limit), one by one, or not at all."""
 
     def __init__(self, pace: float | None = 5.0, paused: bool = False) -> None:
         self.pace = pace
