@@ -26,8 +26,8 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.floor.sweeps import compile_geometry
+from hrl_escape.planning.arm.joint_lattice import find_touching
 from hrl_escape.planning.arm.reacher import UNLIMITED, Reacher
-from hrl_escape.planning.arm.tables import find_touching
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 

@@ -1,8 +1,6 @@
-"""Collision test of the body: a grid of clearances that bounds the exact distance, and the exact test.
+"""Collision test of the body: by a grid of clearances where its bounds decide, by the exact distance near surfaces.
 
-A `CollisionMap` answers from the grid where its bounds decide and by `geometry.py` near surfaces,
-so most exact answers cost one lookup. By optimistic connectivity it also proves that two places
-cannot be connected. It plans nothing.
+Connected parts of the grid also prove that two places cannot be connected.
 """
 
 from __future__ import annotations
@@ -20,12 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.bases.rectangle import TOUCH
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.floor_grid import FloorGrid, label_parts
-from hrl_escape.env.geometry import (
-    Footprint,
-    compute_distance,
-    compute_first_contact,
-    stack_footprints,
-)
+from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.poses import RobotPoses
 
@@ -36,9 +29,8 @@ MOST_CELLS = 1_000_000
 class CollisionMap:
     """Clearances of one room with its exit door either shut or gone; immutable and picklable.
 
-    The floor's bounding box (the alcove behind a door included) is a grid of square cells. Each
-    cell keeps the distance from its centre to the nearest solid, capped at `horizon`; the distance
-    anywhere in the cell differs by at most `slack`.
+    The floor's bounding box (the alcove behind a door included) is a grid of square cells, each with the distance from
+    its centre to the nearest solid, capped at `horizon`; the distance anywhere in it differs by at most `slack`.
 
     Attributes:
         radius: radius of the smallest disc that holds the base, plus contact skin, m: where it fits, any heading does.
@@ -85,10 +77,7 @@ class CollisionMap:
         self._near: dict[int, tuple[Footprint, ...]] = {}
 
     def adapt(self, instance: RoomInstance, door_shut: bool, changed: Sequence[Footprint]) -> CollisionMap:
-        """Make the map of a room that differs only in some solids: their footprints, before and after.
-
-        It has the same floor and body; cells far from what has changed are taken over.
-        """
+        """Map of a room that differs in some solids alone, `changed`: their footprints before and after."""
         new = copy.copy(self)
         new.__dict__.pop("_labels", None)
         new._take_solids(_list_footprints(instance, door_shut))
@@ -193,18 +182,14 @@ class CollisionMap:
         return label_parts(self.distance >= self.inner - self.slack, corners=True)
 
     def get_parts(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Part of the floor of each of the points (n, 2); 0 where the body does not fit.
-
-        No path connects different parts; within a part one usually exists.
-        """
+        """Part of the floor of each of the points (n, 2), 0 where the body does not fit; no path connects two parts."""
         cells = self.grid.find_numbers(points.reshape(-1, 2))
         return np.where(cells >= 0, self._labels.ravel()[cells], 0)
 
     def find_proof(self, x: float, y: float, goal: Footprint, reach: float) -> Literal["solid", "apart"] | None:
-        """Try to prove, by the grid, that the body cannot get from a place to within `reach` of a footprint.
+        """Prove by the grid that the body cannot get from a place to within `reach` of a footprint; None if it may.
 
-        Returns:
-            `"solid"` if the body fits nowhere there, `"apart"` if no path leads there, None without a proof.
+        `"solid"`: it fits nowhere there; `"apart"`: no path leads there.
         """
         window, away = self.grid.measure(goal, reach + self.slack)
         if reach < 0.0:

@@ -1,10 +1,9 @@
 """Cost-to-go fields: approximate fewest primitives to a goal from anywhere on the floor.
 
-The floor is a grid with cells of a quarter of a move. From a representative place in each cell,
-every move at every heading is swept exactly and its end rounded to a cell. Dijkstra's search from
-the goal over the reversed links gives the cost-to-go of all cells and headings (Dial 1969). All
-goals of a room share the links, and fields are cached by goal, which makes later searches short.
-Fields are estimates: `planning/search/primitive_search.py` searches exact poses.
+From a representative place in each cell of a grid, every move at every heading is swept exactly and its end rounded to
+a cell. Dijkstra's search from the goal over the reversed links gives the cost-to-go of all cells and headings (Dial
+1969). Goals share the links, and fields are cached by goal. They are estimates: `planning/search/primitive_search.py`
+searches exact poses.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import copy
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,23 +84,15 @@ class FieldMaker:
         points: representative place of each cell, shape (cells, 2), m.
         standing: True where the body fits there at some heading, shape (cells,), bool.
         turns: cosine and sine of the heading classes, and of the next one after the last, shape (classes + 1, 2).
-        targets: footprints of the room's targets, shape (targets, 7).
     """
 
     def __init__(self, instance: RoomInstance, rules: Rules, *, door_shut: bool, refinement: int = 0,
                  collision: CollisionMap | None = None, path: NDArray[np.float64] | None = None, width: float = 0.0,
                  clock: Clock = NO_LIMIT) -> None:
-        """Build the grid and its links. Raises `OutOfTime`.
+        """Build the grid and its links, with the exit door, if any, shut or open. Raises `OutOfTime`.
 
-        Args:
-            instance: the room.
-            rules: its rules, for headings and touching.
-            door_shut: True to shut the exit door, if there is one.
-            refinement: number of times that the cells are halved.
-            collision: clearances of the room with the door like that; None to compute them.
-            path: places (n, 2) of a path, m; the grid then holds only cells in a corridor round it.
-            width: half width of the corridor, in moves.
-            clock: time limit.
+        `collision` are the clearances with that door, None to compute them. Each `refinement` halves the cells. With a
+        `path` of places (n, 2), m, the grid holds only the cells within `width` moves of it.
         """
         step = rules.actions.stride
         self.door_shut = door_shut and instance.door is not None
@@ -112,7 +102,6 @@ class FieldMaker:
         self.macro = max(1, round(4 * self.size / step))
         self.bin_size = min(self.size / 2, step / 4)
         self._turn_step = rules.turn_step
-        self.targets = stack_footprints([target.footprint for target in instance.targets])
         self.span = self.macro * rules.actions.longest
         self.collision = collision or make_collision(instance, door_shut)
         door = len(instance.solids) if self.door_shut else -1
@@ -202,7 +191,6 @@ class FieldMaker:
         """
         new = copy.copy(self)
         new.collision = collision
-        new.targets = stack_footprints([target.footprint for target in instance.targets])
         new.scene = make_sweep_scene(collision, len(instance.solids) if self.door_shut else -1, self.span)
         new.points, new.standing = self.points.copy(), self.standing.copy()
         new._landing, new._link_cost = self._landing.copy(), self._link_cost.copy()
@@ -235,17 +223,12 @@ class FieldMaker:
                 joined.append((begin, end))
         return joined
 
-    @cached_property
-    def everywhere(self) -> NDArray[np.bool_]:
-        """Mask that allows every cell, bool (cells,)."""
-        return np.ones(len(self.points), dtype=bool)
-
     def find_seeds(self, goal: Footprint, reach: float, facing: NDArray[np.bool_] | None = None,
                    presser: Presser = POINT) -> Seeds:
-        """Find the states that are in a goal, or one move away: the body's axis within `reach` of a footprint, m.
+        """States in a goal, or one move away: the body's axis within `reach` of a footprint, m.
 
-        By default any heading will do, else those of `facing` (headings,). Where the presser that must touch the goal
-        is a rectangle, `reach` alone is only necessary.
+        At any heading, or at those of `facing` (headings,). Where a rectangle must touch the goal, `reach` alone is
+        only necessary.
         """
         row = stack_footprints([goal])[0]
         away = compute_distance_many(self.points, row[None])
@@ -277,14 +260,13 @@ class FieldMaker:
 
     def make_field(self, seeds: Seeds, allowed: NDArray[np.bool_] | None = None, clock: Clock = NO_LIMIT
                    ) -> NDArray[np.int16]:
-        """Compute a field from states with a known cost-to-go, over the cells `allowed` (cells,). Raises `OutOfTime`.
+        """Field of states with a known cost-to-go, over the cells `allowed` (cells,). Raises `OutOfTime`.
 
-        Returns:
-            Shape (cells * headings,), int16, with the headings of the seeds; -1 where none of them can be reached.
-            Cells in which the body does not fit take the least cost-to-go of their neighbours.
+        It has shape (cells * headings,), int16, with the headings of the seeds; -1 where none of them can be reached.
+        Cells in which the body does not fit take the least cost-to-go of their neighbours.
         """
         headings = seeds.headings
-        allowed = self.everywhere if allowed is None else allowed
+        allowed = np.ones(len(self.points), dtype=np.bool_) if allowed is None else allowed
         field = np.full(len(self.points) * headings, dijkstra.UNREACHED, dtype=np.int16)
         order = np.argsort(seeds.costs, kind="stable")
         states, costs = seeds.states[order].astype(np.int64), seeds.costs[order].astype(np.int64)
@@ -302,10 +284,7 @@ class FieldMaker:
 
     def get_field(self, key: object, find_seeds: Callable[[FieldMaker], Seeds], clock: Clock = NO_LIMIT
                   ) -> NDArray[np.int16]:
-        """Field under a key, which is all that its seeds depend on; computed on first use.
-
-        Beyond `CACHE_BYTES` the least recently used are dropped.
-        """
+        """Field under a key, which is all that its seeds depend on; the least recently used give way to new ones."""
         if key not in self._fields:
             self._fields[key] = self.make_field(find_seeds(self), clock=clock)
             while len(self._fields) > 1 and sum(field.nbytes for field in self._fields.values()) > CACHE_BYTES:

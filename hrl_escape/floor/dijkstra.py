@@ -19,14 +19,7 @@ import math
 
 import numpy as np
 
-from hrl_escape.floor.sweeps import (
-    can_turn_body,
-    does_fit,
-    get_shape,
-    is_touched,
-    measure_clearance,
-    sweep_body,
-)
+from hrl_escape.floor.sweeps import can_turn_body, does_fit, get_shape, is_touched, measure_clearance, sweep_body
 from hrl_escape.kernels import kernel, kernel_in_place, kernel_part
 
 UNREACHED = 32_000
@@ -50,7 +43,7 @@ def _find_cell(points, fits, layers, layer, columns, rows, i, j, x, y):
 
 @kernel_in_place
 def choose_points(scene, low, size, rows, first, last, within, points, standing):
-    """Fill in place and `standing` of the cells `within` some columns; the others count as blocked.
+    """Fill in `points` and `standing` of the cells `within` some columns; the others count as blocked.
 
     The place is the cell's centre if the body fits there, else the one of 5 x 5 with the most clearance. A rectangular
     base counts as fitting where the largest disc within it does.
@@ -118,11 +111,9 @@ def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, ste
 
 @kernel
 def link_cells(landing, link_cost, classes, translations):
-    """Reverse the moves that `find_landings` found: for each state, list the states that lead to it.
+    """Reverse the moves of `find_landings`: starts (cells * classes + 1,), sources (links,) and costs (links,).
 
-    Returns:
-        starts (cells * classes + 1,), sources (links,), costs (links,): state (cell, class) is entered from
-        `sources[starts[s]:starts[s + 1]]` (cells, same class) at those costs.
+    State s, a (cell, class), is entered from the cells `sources[starts[s]:starts[s + 1]]`, same class, at those costs.
     """
     cells = landing.shape[0] // (classes * translations)
     starts = np.zeros(cells * classes + 1, dtype=np.int32)
@@ -169,10 +160,7 @@ def find_last_moves(scene, points, fits, turns, candidates, moves, steps, goal, 
 
 @kernel
 def find_touching_cells(points, turns, candidates, goal, reach, presser):
-    """Return whether a presser touches a goal from each cell at each heading class; shape (candidates, classes), bool.
-
-    `turns` holds the cosine and sine of the classes; see `is_touched` for the others.
-    """
+    """Return whether a presser touches a goal from each cell at each heading class; shape (candidates, classes)."""
     classes, shape = turns.shape[0] - 1, get_shape(goal)
     touching = np.zeros((candidates.shape[0], classes), dtype=np.bool_)
     for n in range(candidates.shape[0]):
@@ -187,12 +175,12 @@ def run_dijkstra(starts, sources, costs, classes, headings, turn_steps, can_turn
                  buckets, filled, counts, most):
     """Fewest primitives from every (cell, heading) to the nearest seed, by Dijkstra's search with buckets (Dial 1969).
 
-    Each call continues the search over the links of `link_cells`, takes up `most` states and then ends its level; the
-    search is over when `counts[0]` is negative. `headings` are a multiple of `classes` or equal to it, each turn
-    advances by one of `turn_steps`, and an empty `can_turn` always can. `seeds` are states cell * headings + heading in
-    the order of their costs. `best`, of each state, is `UNREACHED` at first, -1 in the end where no seed is reached.
-    `buckets` (levels, any), which are returned, hold the states of the next levels, each as many as `filled` says.
-    `counts` are level, seeds used, states in the fullest bucket, and most links of a state.
+    Each call takes up `most` states and then ends its level; the search is over when `counts[0]` is negative.
+    `headings` are a multiple of `classes` or equal to it, each turn advances by one of `turn_steps`, and an empty
+    `can_turn` always can. `seeds` are states cell * headings + heading in the order of their costs. `best`, of each
+    state, is `UNREACHED` at first, -1 in the end where no seed is reached. `buckets` (levels, any), which are returned,
+    hold the states of the next levels, each as many as `filled` says. `counts` are level, seeds used, states in the
+    fullest bucket, and most links of a state.
     """
     wide = filled.shape[0]
     level, used, fullest, most_links = counts[0], counts[1], counts[2], counts[3]
@@ -291,10 +279,7 @@ def _widen(buckets, filled):
 
 @kernel
 def fill_gaps(field, known, headings, rows):
-    """Give cells that are not `known` the least cost-to-go of their neighbours; changes `field`.
-
-    `known` holds one value a cell, or one for each of its heading classes.
-    """
+    """Give cells that are not `known`, by cell or (cell, class), the least of their neighbours; changes `field`."""
     layers = known.shape[0] * headings // field.shape[0]
     columns = known.shape[0] // (rows * layers)
     for i in range(columns):

@@ -1,7 +1,6 @@
 """Sweeps and clearances of the body in compiled code, bit for bit those of `Kinematics`.
 
-The geometry is the source of `env/geometry.py` and of the bases, compiled unchanged by numba.
-Importing this module imports numba. Kernels that loop over sweeps are in `dijkstra.py` and `planning/search/a_star.py`.
+The geometry is the source of `env/geometry.py` and of the bases, compiled unchanged by numba, which this loads.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ def compile_geometry() -> tuple[Any, Any]:
 
 
 def _compile_choice(name: str) -> Any:
-    """Compile a function that every base defines; it is called with the number of a base in `BASES` and its size."""
+    """Compile a function that every base defines, called with a base's number and size."""
     chosen = None
     for number, base in reversed(list(enumerate(_BASES))):
         chosen = _choose(number, _compile(getattr(base, name)), chosen)
@@ -79,11 +78,7 @@ POINT = Presser(-1, np.zeros(1), 0.0, 0.0)
 
 
 def number_base(base: Base) -> int:
-    """Number of a base in compiled code; -1 for one that turns anywhere, which its radius describes fully.
-
-    Raises:
-        UnsupportedError: the base came into `BASES` after its compiled code was made.
-    """
+    """Number of a base in compiled code, -1 for one that turns anywhere; `UnsupportedError` for one added too late."""
     if base.turns_anywhere:
         return -1
     if type(base) not in _BASES:
@@ -126,7 +121,7 @@ def get_shape(row):
 def is_clear_of_all(scene, x, y, length):
     """Return whether no solid is within a distance of the base at a place, by the grid of clearances.
 
-    A test from the middle of a move needs half its length as distance; one from its start needs all of it.
+    A test from the middle of a move needs half its length, one from its start all of it.
     """
     i = int(math.floor((x - scene.low[0]) / scene.resolution))
     j = int(math.floor((y - scene.low[1]) / scene.resolution))
@@ -222,9 +217,9 @@ def can_turn_body(scene, x, y, turn, to, angle):
 
 @kernel_part
 def is_touched(x, y, turn, presser, shape, reach):
-    """Return whether a presser at a place, m, and heading (cosine, sine) touches a footprint.
+    """Return whether a presser at a place and heading (cosine, sine) touches a footprint.
 
-    `reach` is the largest distance from the point, m: beyond the base it is less by its outer radius.
+    `reach` is the largest distance from the place, m: beyond the base it is less by its outer radius.
     """
     if measure_distance(x, y, shape) > reach:
         return False

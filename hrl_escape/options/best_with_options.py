@@ -41,12 +41,9 @@ def best_return_with_options(instance: RoomInstance, options: str | Sequence[Opt
 
 
 def find_best_with_options(instance: RoomInstance, state: RoomState, options: str | Sequence[Option]) -> BestKnown:
-    """Find a best return from one state with options alone; one above the best known return is recorded there.
+    """Find a best return from one state with options, or a flavour of meta-actions, alone.
 
-    Args:
-        instance: the room.
-        state: first state of the episode.
-        options: the options, or a flavour of meta-actions.
+    One above the best known return is recorded there.
 
     Raises:
         ConfigError: no such flavour.
@@ -65,8 +62,8 @@ def find_best_with_options(instance: RoomInstance, state: RoomState, options: st
 def _search_options(planner: RoomPlanner, state: RoomState, options: Sequence[Option]) -> BestKnown:
     """Search over sequences of options, each run to its end by the room's kinematics.
 
-    After an option that reaches one goal by plan, states are told apart by (puzzle, option), and the
-    cheapest is kept, as in task planning; after any other option the pose counts too.
+    After an option that reaches one goal by plan, states are told apart by (puzzle, option), and the cheapest is kept,
+    as in task planning; after any other option the pose counts too.
     """
     instance, rules = planner.instance, planner.rules
     frontier: OpenNodes[Hashable, tuple[int, RoomState]] = OpenNodes()
@@ -93,10 +90,9 @@ def _search_options(planner: RoomPlanner, state: RoomState, options: Sequence[Op
 
 
 def simulate(option: Option, state: RoomState, rules: Kinematics, most: int) -> tuple[RoomState, int, bool]:
-    """Run an option without noise; return the state reached, the primitives, and whether it escaped.
+    """Run an option without noise, as far as its planning goes: the state reached, the primitives, and any escape.
 
-    Probabilistic terminations are drawn from a fixed seed. An option stops where its planning
-    fails.
+    Probabilistic terminations are drawn from a fixed seed.
     """
     rng = np.random.default_rng(0)
     here = state

@@ -1,7 +1,6 @@
 """Closed-loop execution: meta-actions towards a goal, each chosen from the state reached.
 
-A `Plan` is a fixed sequence. Closed-loop execution also works under noise, slip and physics, and
-for puzzles that take pushes.
+It also works under noise, slip and physics, and for puzzles that take pushes.
 """
 
 from __future__ import annotations

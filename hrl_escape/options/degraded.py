@@ -1,8 +1,6 @@
 """Options degraded by known amounts, for curves of learning against option quality.
 
-`OptionDegradation` makes the meta-actions of a room and degrades each: it fails, stops early,
-wastes time, plans slowly, or is missing. All draws are functions of its seed and of the state
-(episode key and primitive count), so a resumed run repeats them.
+All draws are functions of a seed and of the state (episode key and primitive count), so a resumed run repeats them.
 """
 
 from __future__ import annotations

@@ -54,17 +54,12 @@ class RoomEnv(Protocol):
 
 @runtime_checkable
 class OptionLevel(Protocol):
-    """Interface of an environment of options to one above it.
+    """An environment of options, as one above it sees it."""
 
-    Attributes:
-        action_names: names of its actions, in their order.
-        primitive_count: how many of them are primitives; they come first.
-        level: environments of options below it.
-    """
 
-    action_names: tuple[str, ...]
-    primitive_count: int
-    level: int
+    action_names: tuple[str, ...]  # of its actions, in their order
+    primitive_count: int  # actions that are primitives; they come first
+    level: int  # environments of options below it
 
 
 class OptionDomain:
@@ -115,29 +110,21 @@ class OptionDomain:
         return tuple(str(self.make_action(index)) for index in range(int(space.n)))
 
     def make_default_options(self, flavour: str, planner: str) -> Any:
-        """Make the options of an environment that comes without any, or a function that makes them.
+        """Options of an environment that comes without any, or a function that makes them; only for rooms.
 
         Raises:
-            UnsupportedError: only rooms have a planner that makes options.
+            UnsupportedError: this is none.
         """
         del flavour, planner
         raise UnsupportedError(f"{self.env} is no room, for which a planner makes options: give "
                                "OptionsEnv(env, options) a list of them")
 
     def get_state(self, observation: Any) -> Any:
-        """State that options see at present.
-
-        Args:
-            observation: last observation of the environment.
-        """
+        """State that options see at present, by the environment's last observation."""
         return observation
 
     def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
-        """Primitive of a decision that cannot run: the first legal one, or the one nearest to zero.
-
-        Args:
-            mask: int8 (primitives,), the legal ones; empty unless the action space is Discrete.
-        """
+        """Primitive of a decision that cannot run: the first legal one by `mask`, or the one nearest to zero."""
         space = self.env.action_space
         if self._discrete is not None:
             return self.make_action(int(np.argmax(mask)))
@@ -194,20 +181,13 @@ class OptionDomain:
         return legal
 
     def make_key(self, seed: int | None) -> list[int] | None:
-        """Key of the episode's stream of terminations and stochastic policies; None to go on with the last one's.
-
-        Args:
-            seed: of `reset`.
-        """
+        """Key of the episode's stream of terminations and stochastic policies; None to go on with the last one's."""
         return None if seed is None else [seed, TERMINATIONS, *([self.level] if self.level else [])]
 
     def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
-        """Add the entries of this kind of environment to a decision's `info`; none here.
+        """Add the entries of this kind of environment to a decision's `info`, in place; none here.
 
-        Args:
-            info: of the decision, changed in place.
-            steps: those of the decision; none at a reset.
-            option: the option that ran, if any.
+        A reset has no `steps`; `option` is the one that ran, if any.
         """
 
 
@@ -246,11 +226,7 @@ class RoomDomain(OptionDomain):
         return self.room.instance.robot.actions.names
 
     def make_default_options(self, flavour: str, planner: str) -> Any:
-        """Make the function that synthesises the meta-actions of any room.
-
-        Raises:
-            OptionError: there is an environment of options below, whose actions no planner knows.
-        """
+        """The function that makes the meta-actions of any room. Raises `OptionError` above options."""
         if self.lower is not None:
             raise OptionError("planned options choose primitives, and the actions below are options themselves: give "
                               "OptionsEnv(env, options) options that choose among them")
@@ -320,11 +296,7 @@ OptionsSource: TypeAlias = Sequence[Option] | Callable[[Any], Sequence[Option]]
 
 
 def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:
-    """Make the options of an environment and check that they belong to it.
-
-    Args:
-        source: the options, or a function of the subject.
-        subject: a room's instance, or any other environment.
+    """Make the options of a room's instance, or of any other environment, and check that they belong to it.
 
     Raises:
         OptionError: two options share a name, one is no option, or one was made for another room.
@@ -349,8 +321,7 @@ class MetaSource:
     """Makes the meta-actions of any room.
 
     Raises:
-        ConfigError: no such flavour.
-        UnknownNameError: no such method; only when the options are made, as path planners load OMPL.
+        ConfigError: no such flavour. Path planners load OMPL, so that an unknown method is found at the first room.
     """
 
     flavour: str  # of `FLAVOURS`

@@ -1,8 +1,4 @@
-"""Execution of one decision: an option runs, primitives are stepped, and rewards and calls are recorded.
-
-`OptionsEnv` turns these records into an SMDP transition. Nothing here knows action numbers,
-masks or discounts.
-"""
+"""Execution of one decision: an option runs, primitives are stepped, and rewards and calls are recorded."""
 
 from __future__ import annotations
 
@@ -69,7 +65,6 @@ class TraceStep(NamedTuple):
     trace: tuple[Any, ...] = ()
 
 
-
 class _Frame(NamedTuple):
     """A running option with the state and primitive count at its start."""
 
@@ -79,11 +74,7 @@ class _Frame(NamedTuple):
 
 
 def check_choice(option: Option, action: Any, domain: OptionDomain) -> Any:
-    """Bring a primitive that an option chose into the form that the environment takes.
-
-    Raises:
-        OptionError: it is none; the message names the option.
-    """
+    """Bring an option's primitive into the form that the environment takes. Raises `OptionError`, with its name."""
     try:
         return domain.check_action(action)
     except OptionError as error:
@@ -91,13 +82,7 @@ def check_choice(option: Option, action: Any, domain: OptionDomain) -> Any:
 
 
 class OptionExecution:
-    """One option from its start on: the stack of nested options and the rewards so far.
-
-    Attributes:
-        index: its action.
-        option: the option.
-        rewards: one a primitive.
-    """
+    """One option from its start on: the stack of nested options and the rewards so far, one a primitive."""
 
     def __init__(self, index: int, option: Option, state: Any, rng: np.random.Generator) -> None:
         self.index = index
@@ -110,11 +95,7 @@ class OptionExecution:
         option.start(state)
 
     def choose(self, state: Any, domain: OptionDomain | None = None) -> Any:
-        """Next primitive; lower options are entered as the policies ask.
-
-        Args:
-            state: present state.
-            domain: of the environment that is to take the primitive; None leaves it as the policy gave it.
+        """Next primitive, in the form of a domain if one is given; lower options are entered as the policies ask.
 
         Raises:
             OptionError: options nest too deep, or the primitive is none of that environment.
@@ -137,13 +118,11 @@ class OptionExecution:
                 return False
             if len(self._stack) == 1:
                 return True
-            self._finished.add(self._stack[-1].option.report)
             self._close(state, "reached")
 
     def stop(self, state: Any, ended: str) -> None:
         """End every option that still runs."""
         while self._stack:
-            self._finished.add(self._stack[-1].option.report)
             self._close(state, ended)
 
     def collect(self) -> tuple[OptionCall, ...]:
@@ -153,6 +132,7 @@ class OptionExecution:
 
     def _close(self, state: Any, ended: str) -> None:
         option, first, begin = self._stack.pop()
+        self._finished.add(option.report)
         self._ended.append(OptionCall(option.name, len(self._stack), first, state, tuple(self.rewards[begin:]), ended))
 
     def take_report(self) -> PlanningReport:
@@ -170,12 +150,9 @@ class RunningDecision:
 
     Attributes:
         state: present state, as options see it.
-        observation: present observation of the wrapped environment.
+        observation: of the wrapped environment, as its last step returned it, like `terminated`, `truncated`, `info`.
         rewards: one a primitive.
         steps: of the wrapped environment.
-        terminated: as the last step returned it, like the following two.
-        truncated: likewise.
-        info: likewise.
         ended: ending, as in `info["option"]`.
         reason: of an ending where planning failed; else empty.
         report: planning done.
@@ -211,11 +188,7 @@ class RunningDecision:
 
 
 def _read_rewards(reward: Any, info: Mapping[str, Any]) -> tuple[float, ...]:
-    """Rewards of a step of the environment below, one a primitive.
-
-    Raises:
-        StepContractError: its step ran several primitives and does not give the reward of each.
-    """
+    """Rewards of a step of the environment below, one a primitive. Raises `StepContractError` where it gives none."""
     duration = info.get("duration", 1)
     if duration == 1:
         return (float(reward),)

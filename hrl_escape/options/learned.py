@@ -47,11 +47,7 @@ def _find_legal(legal: LegalActions, state: Any) -> NDArray[np.bool_]:
 
 
 def _check_legal(name: str, legal: LegalActions, state: Any, count: int) -> None:
-    """Require an entry for every action of the environment.
-
-    Raises:
-        OptionError: there are more or fewer.
-    """
+    """Require an entry for every action of the environment. Raises `OptionError`."""
     shape = _find_legal(legal, state).shape
     if shape != (count,):
         said = f"its legal gives an array of shape {shape}" if callable(legal) else f"its legal is {legal}"
@@ -95,17 +91,13 @@ class LearnedOption(FunctionOption):
         self._legal = legal
 
     def check_actions(self, state: Any, count: int) -> None:
-        """Refuse an environment unless `legal` has one entry for each of its actions.
-
-        Raises:
-            OptionError: it has more or fewer.
-        """
+        """Refuse an environment unless `legal` has one entry for each of its actions. Raises `OptionError`."""
         if self._legal is not None:
             _check_legal(self.name, self._legal, state, count)
 
 
 class _LearnedPolicy:
-    """Policy of a `LearnedOption` as a function of the state; copies of the option share what was learned."""
+    """Policy of a `LearnedOption`; copies of the option share what was learned."""
 
     def __init__(self, learned: Any, observe: Callable[[Any], Any] | None, legal: LegalActions | None,
                  is_stochastic: bool) -> None:
@@ -162,11 +154,7 @@ class AgentOption(Option):
         return self._run
 
     def check_actions(self, state: Any, count: int) -> None:
-        """Refuse an environment unless `legal` has one entry for each of its actions.
-
-        Raises:
-            OptionError: it has more or fewer.
-        """
+        """Refuse an environment unless `legal` has one entry for each of its actions. Raises `OptionError`."""
         _check_legal(self.name, self._legal, state, count)
 
     def initiation(self, state: Any) -> bool:
@@ -179,11 +167,7 @@ class AgentOption(Option):
         self._run = self._learned.begin()
 
     def policy(self, state: Any) -> Any:
-        """Ask the policy.
-
-        Raises:
-            OptionError: it remembers or draws, so that only `sample_action` can choose.
-        """
+        """Ask the policy. Raises `OptionError` where it remembers or draws: only `sample_action` then chooses."""
         if not self.is_markov:
             raise OptionError(f"option {self.name!r} is no function of the state: ask sample_action(state, generator)")
         return self.sample_action(state, np.random.default_rng(0))

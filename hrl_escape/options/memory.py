@@ -1,8 +1,7 @@
 """Memory of an episode's decisions, as further numbers in the rows of the observation `objects`.
 
 The dependencies between buttons are hidden, so an agent that sees only the present cannot know what it has tried. A
-summary of all decisions so far, beside each object's row, is enough for puzzles without chance. `DecisionMemory` adds
-it in one environment, `MemoryStreams` in many.
+summary of all decisions so far, beside each object's row, is enough for puzzles without chance.
 """
 
 from __future__ import annotations
@@ -26,17 +25,9 @@ MEMORY_WORDS = ("failed", "recent", "rank")
 
 
 class _Memories:
-    """Outcomes that several episodes have met, and the rule by which they are noted.
+    """Outcomes that several episodes have met, and the rule by which they are noted; `space` holds them too.
 
-    Args:
-        space: of observations without memory.
-        actions: what they are about.
-        count: number of episodes side by side.
-        library: `numpy` or `torch`, whose arrays observations are; what is called here has one name in both.
-        device: of these arrays.
-
-    Attributes:
-        space: of observations with memory.
+    Arrays are those of a library, `numpy` or `torch`: what is called here has one name in both.
 
     Raises:
         UnsupportedError: observations or actions of another kind.
@@ -135,8 +126,6 @@ class _Memories:
 
 
 _STATE = ("sets", "failures", "used", "lit_now", "failed", "since", "ranks")
-
-
 _ONE = np.ones(1, np.bool_)
 
 
@@ -180,14 +169,9 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
 
 
 class MemoryStreams:
-    """The same in many rooms at once, each at its own pace.
+    """The same in many rooms at once, each at its own pace: a `BatchedOptionsEnv` over `observation="objects"`.
 
-    Args:
-        streams: a `BatchedOptionsEnv` over `observation="objects"`.
-
-    Attributes:
-        observation_space: of one room, with memory.
-        observation: of all rooms, (rooms, numbers); to be read where `is_waiting`.
+    `observation`, (rooms, numbers), is to be read where `is_waiting`.
 
     Raises:
         UnsupportedError: another environment.

@@ -1,8 +1,7 @@
 """Meta-actions made by a room's planner: `meta-01` to `meta-NN`, `meta-exit`, and their parts.
 
-Each follows its plan in closed loop. When noise, slip or physics lead off the plan, the rest of
-it is replayed from the new state, and a new plan is made if the rest no longer reaches the goal.
-The puzzle's symbolic model defines the meta-actions (Menashe and Stone 2019, section 5.3).
+The puzzle's symbolic model defines them (Menashe and Stone 2019, section 5.3). Each follows its plan in closed loop:
+off the plan, the rest of it is replayed from the new state, and a new plan is made if it no longer reaches the goal.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from hrl_escape.options.option import FLAVOURS, Option, OptionAction
 from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal, PushGoal, is_reached, make_goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
-from hrl_escape.planning.search.inner_doors import is_way_open
+from hrl_escape.planning.routes import is_way_open
 
 PATIENCE = 40
 """Primitives without progress after which an option fails; more where primitives slip."""
@@ -27,31 +26,29 @@ JAM, SHAKE = 8, 3
 """Under physics: primitives without progress that count as a jam, and the random primitives of the first shake."""
 
 
-class PlannedOption(Option):
-    """Reach one goal by plan, and replan when off the plan.
+class GoalOption(Option):
+    """Option that reaches one goal of a room, by its planner."""
 
-    Args:
-        name: stable name.
-        planner: the room's planner.
-        goal: goal of the option.
-        max_replans: most plans after the first one in a run.
-    """
-
-    def __init__(self, name: str, planner: RoomPlanner, goal: Goal, max_replans: int = 100) -> None:
+    def __init__(self, name: str, planner: RoomPlanner, goal: Goal) -> None:
         super().__init__(name)
-        self.instance = planner.instance
-        self.goal = goal
+        self.instance, self.goal, self._planner = planner.instance, goal, planner
         self.targets = (goal.target,) if isinstance(goal, (PressGoal, GripGoal)) else ()
-        self.max_replans = max_replans
-        self._planner = planner
-        slip = planner.instance.dynamics.slip
-        self._patience = math.ceil(PATIENCE / (1.0 - slip))
-        is_rigid = planner.instance.dynamics.kind == "physics"
-        self._jam = math.ceil(JAM / (1.0 - slip)) if is_rigid else self._patience + 2  # never jams
 
     def initiation(self, state: RoomState) -> bool:
         """True unless the goal is reached already or planning from here is known to fail."""
         return self._planner.routes.can_start(state, self.goal)
+
+
+class PlannedOption(GoalOption):
+    """Reach one goal by plan, and replan when off the plan, at most `max_replans` times in a run."""
+
+    def __init__(self, name: str, planner: RoomPlanner, goal: Goal, max_replans: int = 100) -> None:
+        super().__init__(name, planner, goal)
+        self.max_replans = max_replans
+        slip = planner.instance.dynamics.slip
+        self._patience = math.ceil(PATIENCE / (1.0 - slip))
+        is_rigid = planner.instance.dynamics.kind == "physics"
+        self._jam = math.ceil(JAM / (1.0 - slip)) if is_rigid else self._patience + 2  # never jams
 
     def start(self, state: RoomState) -> None:
         """Plan from here. Raises `PlanningFailed`."""
@@ -103,11 +100,8 @@ class PlannedOption(Option):
         return float(not is_undone and is_reached(self.goal, self._last, state, self._planner.rules))
 
     def _plan(self, state: RoomState) -> None:
-        self._route, self._at = self._find_route(state), 0
+        self._route, self._at = self._planner.routes.find_route(state, self.goal, self.report), 0
         _tell_unavoidable(self, self._planner.instance, self._route)
-
-    def _find_route(self, state: RoomState) -> Route:
-        return self._planner.routes.find_route(state, self.goal, self.report)
 
     def _recover(self, state: RoomState) -> None:
         """Go on with the rest of the plan if it still reaches the goal from here, else replan."""
@@ -127,31 +121,24 @@ class PlannedOption(Option):
         self.report.replans += 1
 
 
-class MarkovOption(Option):
+class MarkovOption(GoalOption):
     """Reach one goal by a policy that is a function of the state: the first primitive of the shortest route from here.
 
     The route is searched anew from every state, along the goal's cost-to-go field, and cached by pose. So a
     primitive inside any option tells what this one would have done there, which intra-option learning needs. Noise asks
-    for no replanning. A target that is touched already is left first, then pressed again.
-
-    Args:
-        name: stable name.
-        planner: the room's planner.
-        goal: goal of the option; not a push, whose completion one state alone does not show.
+    for no replanning. A target that is touched already is left first, then pressed again. The goal is no push, whose
+    completion one state alone does not show.
     """
 
     is_markov = True
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal) -> None:
-        super().__init__(name)
-        self.instance, self.goal = planner.instance, goal
-        self.targets = (goal.target,) if isinstance(goal, (PressGoal, GripGoal)) else ()
-        self._planner = planner
+        super().__init__(name, planner, goal)
         self._settings = planner.routes.settings._replace(effort=-1)  # a shorter route may be found from the next state
 
     def initiation(self, state: RoomState) -> bool:
         """True where a route leads to the goal, and the goal is not reached already."""
-        if not self._planner.routes.can_start(state, self.goal):
+        if not super().initiation(state):
             return False
         try:
             return bool(self._planner.routes.find_route(state, self.goal, settings=self._settings).primitives)
@@ -179,24 +166,16 @@ def _tell_unavoidable(option: Option, instance: RoomInstance, route: Route) -> N
     option.report.unavoidable = tuple(dict.fromkeys((*option.report.unavoidable, *names)))
 
 
-class AncestorsOption(Option):
+class AncestorsOption(GoalOption):
     """Carry out an operator's missing preconditions in the cheapest order, then the operator itself.
 
-    Operators already done are not repeated, except that the last one always runs (as in the
-    meta-actions of the published 2019 code).
-
-    Args:
-        name: stable name.
-        planner: the room's planner.
-        goal: goal of the operator.
-        parts: the plain option for each goal of an operator.
+    `parts` are the plain options of the operators' goals. Operators already done are not repeated, except that the last
+    one always runs (as in the meta-actions of the published 2019 code).
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, parts: dict[Goal, Option]) -> None:
-        super().__init__(name)
-        self.instance = planner.instance
-        self.goal = goal
-        self._planner, self._parts = planner, parts
+        super().__init__(name, planner, goal)
+        self._parts = parts
         own = {part.target for part in parts if isinstance(part, (PressGoal, GripGoal))}
         self.targets = tuple(i for i in range(len(planner.instance.targets)) if i in own)
         self._order: list[Goal] = []

@@ -68,10 +68,8 @@ class Option(ABC):
     def check_actions(self, state: Any, count: int) -> None:
         """Refuse an environment with another number of actions than the option was made for; called at each reset.
 
-        By default any number will do.
-
         Raises:
-            OptionError: it was made for another number.
+            OptionError: it was made for another number; by default any will do.
         """
         del state, count
 
@@ -144,11 +142,7 @@ class FunctionOption(Option):
         return self._initiation is None or bool(self._initiation(state))
 
     def policy(self, state: Any) -> Any:
-        """Ask the given function.
-
-        Raises:
-            OptionError: it is stochastic, so that only `sample_action` can choose.
-        """
+        """Ask the given function. Raises `OptionError` for a stochastic one: only `sample_action` can choose then."""
         if self.is_stochastic:
             raise OptionError(f"option {self.name!r} is stochastic: ask sample_action(state, generator)")
         return self._policy(state)
@@ -208,11 +202,7 @@ class TableOption(Option):
         return _make_key(state) in self._starts
 
     def policy(self, state: Any) -> Any:
-        """Primitive of this state, the likeliest one if the policy is stochastic.
-
-        Raises:
-            OptionError: the table has no entry.
-        """
+        """Primitive of this state, the likeliest if the policy is stochastic. Raises `OptionError` without an entry."""
         try:
             return self._actions[_make_key(state)]
         except KeyError:

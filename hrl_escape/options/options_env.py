@@ -22,14 +22,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.errors import (
-    ActionError,
-    ConfigError,
-    OptionError,
-    PlanningFailed,
-    ResetNeededError,
-    UnsupportedError,
-)
+from hrl_escape.errors import ActionError, ConfigError, OptionError, PlanningFailed, ResetNeededError, UnsupportedError
 from hrl_escape.options.domain import DomainStep, OptionDomain, OptionsSource, make_option_domain, make_options
 from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice
 from hrl_escape.options.option import Option

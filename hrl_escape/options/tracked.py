@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
-from hrl_escape.options.meta_actions import AbsentOption, list_goals, name_object
+from hrl_escape.options.meta_actions import AbsentOption, GoalOption, list_goals, name_object
 from hrl_escape.options.option import Option
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, is_reached
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.sampled import WAY_PLANNER, MotionSampler
-from hrl_escape.planning.motion.tracking import Tracker
-from hrl_escape.planning.motion.trajectory import TimedTrajectory, make_trajectory
+from hrl_escape.planning.motion.trajectory import TimedTrajectory, Tracker, make_trajectory
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.routes import check_method
 from hrl_escape.planning.search.primitive_search import METHODS
@@ -31,29 +30,18 @@ HEADROOM = 0.9
 """Share of the environment's largest velocities that a trajectory uses; the rest is for feedback."""
 
 
-class TrackedOption(Option):
+class TrackedOption(GoalOption):
     """Reach one goal by a trajectory; where it ends short of the goal, by another from there.
 
-    Args:
-        name: stable name.
-        planner: the room's planner.
-        goal: goal of the option.
-        limits: of the trajectories.
-        time_step: of the environment, s.
-        sampler: finds trajectories first; None for those of plans of primitives alone.
+    A sampler finds trajectories first; without one, or where it fails, they are those of plans of primitives. The time
+    step is the environment's, s.
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, limits: MotionLimits, time_step: float,
                  sampler: MotionSampler | None = None) -> None:
-        super().__init__(name)
-        self._sampler = sampler
-        self.instance, self.goal, self.about = planner.instance, goal, name_object(goal, planner.instance)
-        self.targets = (goal.target,) if isinstance(goal, PressGoal) else ()
-        self._planner, self._limits, self._time_step = planner, limits, time_step
-
-    def initiation(self, state: RoomState) -> bool:
-        """True unless the goal is reached already or planning from here is known to fail."""
-        return self._planner.routes.can_start(state, self.goal)
+        super().__init__(name, planner, goal)
+        self.about = name_object(goal, planner.instance)
+        self._sampler, self._limits, self._time_step = sampler, limits, time_step
 
     def start(self, state: RoomState) -> None:
         """Plan from here. Raises `PlanningFailed`."""

@@ -4,8 +4,7 @@ from .best_known import BestKnown, best_known_return, find_best_known, record_re
 from .goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
 from .motion.limits import MotionLimits
 from .motion.sampled import MotionSampler
-from .motion.tracking import Tracking, track
-from .motion.trajectory import TimedTrajectory, make_trajectory
+from .motion.trajectory import TimedTrajectory, Tracking, make_trajectory, track
 from .paths.navigator import Navigator
 from .paths.planners import list_planners, register_planner
 from .paths.problem import PathProblem, PathResult

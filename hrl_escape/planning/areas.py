@@ -1,8 +1,4 @@
-"""Goal areas: places within some distance of a footprint.
-
-Every goal for the body's axis is an area: a press by the body (near the target's
-footprint), a rectangle, a disc. Fields, searches and path planners all read it.
-"""
+"""Goal areas: places of the body's axis within some distance of a footprint, for fields, searches and paths."""
 
 from __future__ import annotations
 
@@ -14,13 +10,7 @@ from numpy.typing import NDArray
 from hrl_escape.clock import NO_LIMIT, Clock
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.floor_grid import compute_extent_radius
-from hrl_escape.env.geometry import (
-    Footprint,
-    compute_distance,
-    compute_distance_many,
-    make_footprint,
-    stack_footprints,
-)
+from hrl_escape.env.geometry import Footprint, compute_distance, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import GoalError, UnsupportedError
@@ -50,7 +40,7 @@ class Area(NamedTuple):
 
 
 def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
-    """Compute the area where the body's axis reaches a goal; for a press by hand only the footprint is meaningful.
+    """Area where the body's axis reaches a goal; of a press by hand, only the footprint is meaningful.
 
     For a press by a rectangular base it is where the base touches the target at some heading, or nearly so.
 
@@ -92,13 +82,10 @@ def find_headings(goal: Goal, state: RoomState, rules: Rules) -> NDArray[np.bool
 
 def sample_places(area: Area, collision: CollisionMap, most: int = 64, clock: Clock = NO_LIMIT
                   ) -> NDArray[np.float64]:
-    """Sample free places spread over an area, deterministically. Raises `OutOfTime`.
+    """Free places spread over an area, deterministically, (n, 2), m; empty where a grid of 2 cm has none.
 
-    The points of a grid over the area that lie inside and where the body fits. The grid is refined
-    until there are some, so that the narrow strip along a wall that touches a button is found too.
-
-    Returns:
-        Shape (n, 2), m; empty if the body fits nowhere in the area, at a resolution of 2 cm.
+    They are the points of a grid that is refined until there are some, so that the narrow strip along a wall that
+    touches a button is found too. Raises `OutOfTime`.
     """
     shape, reach = area
     if reach < 0.0:

@@ -1,9 +1,8 @@
 """Best known return of a room, the reference by which scores are normalised.
 
-It is the return of the best plan of primitives that the planners find. The best return of given
-options is computed in `hrl_escape.options.best_with_options`, so that a result's distance from the
-best splits into an option gap and a learning gap. `record_return` replaces a known return that an
-agent has beaten. Where moves err or slip, `compute_expected_escape` says what the planner can expect.
+It is the return of the best plan of primitives that the planners find, until an agent beats it. That of given options
+is computed in `hrl_escape.options.best_with_options`, so that a result's distance from the best splits into an option
+gap and a learning gap. Where moves err or slip, `compute_expected_escape` says what the planner can expect.
 """
 
 from __future__ import annotations
@@ -85,10 +84,6 @@ def find_best_known(instance: RoomInstance, state: RoomState) -> BestKnown:
     It is the best of all known ways: legs one by one in several orders (that of a press with its ancestors among
     them), a joint search for a shorter escape over all orders and over the poses in which legs end (with six buttons
     or fewer; with more, along the best of these orders), and returns that agents or given options have reached.
-
-    Args:
-        instance: the room.
-        state: first state of the episode.
     """
     get_planner(instance).routes.check_query(state)
     key = (instance.id, get_pose(state), state.puzzle)
@@ -111,15 +106,10 @@ def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnow
 
 
 def record_return(instance: RoomInstance, state: RoomState, value: float, source: str) -> bool:
-    """Record a return that beats the best known one, in this process, and warn.
+    """Record an undiscounted return that beats the best known one from a first state, in this process, and warn.
 
-    Rooms with noise, slip, physics or a random puzzle keep their value: a lucky episode is no reference.
-
-    Args:
-        instance: the room.
-        state: first state of the episode.
-        value: its undiscounted return.
-        source: its origin, such as `dqn, seed 3`.
+    Rooms with noise, slip, physics or a random puzzle keep their value: a lucky episode is no reference. The source is
+    the return's origin, such as `dqn, seed 3`.
 
     Returns:
         True if it was better; it is kept while the state is among the last `MOST_REMEMBERED`.
@@ -176,13 +166,7 @@ def compute_escape_return(instance: RoomInstance, primitives: float) -> float:
 
 
 def find_by_plan(planner: RoomPlanner, state: RoomState, jointly: bool) -> BestKnown:
-    """Best return by plans.
-
-    Args:
-        planner: the room's planner.
-        state: first state of the episode.
-        jointly: plan legs together, too, over all orders; else only one by one, as options do.
-    """
+    """Best return by plans; jointly, legs are planned together, over all orders, else one by one, as options do."""
     instance = planner.instance
     bound = compute_escape_return(instance, bound_escape(instance, state))
     try:
@@ -201,11 +185,7 @@ ROLLOUTS = 20
 
 
 class Replanner:
-    """Policy that follows the best known plan and replans the next leg when the robot is off the plan.
-
-    Args:
-        instance: the room.
-    """
+    """Policy that follows the best known plan and replans the next leg when the robot is off the plan."""
 
     def __init__(self, instance: RoomInstance) -> None:
         self._instance = instance
@@ -215,12 +195,7 @@ class Replanner:
         self._puzzle: Hashable = None
 
     def choose(self, state: RoomState, begins: bool) -> int | None:
-        """Next primitive, by its action number; None if no plan escapes from here.
-
-        Args:
-            state: present state of the room.
-            begins: the episode begins here.
-        """
+        """Next primitive, by its action number; None if no plan escapes from here."""
         if begins or self._plan is None or not self._find_place(self._plan, state):
             self._plan, self._next = self._make_plan(state, begins), 0
         if self._plan is None or self._next >= len(self._plan.primitives):
@@ -261,14 +236,9 @@ class ExpectedEscape(NamedTuple):
 
 
 def compute_expected_escape(instance: RoomInstance, state: RoomState, rollouts: int = ROLLOUTS) -> ExpectedEscape:
-    """Compute the planner's expected escape from one state, by rollouts with their own noise.
+    """Compute the planner's expected escape from one state, by rollouts with their own noise, without physics.
 
     The noise follows from the room and the rollout's number, so the numbers are the same every time.
-
-    Args:
-        instance: a room whose moves may err or slip, without physics.
-        state: first state of the episode.
-        rollouts: number of rollouts.
     """
     rules = Kinematics(instance)
     stream = int.from_bytes(hashlib.sha256(f"rollouts of {instance.id}".encode()).digest()[:8], "big") >> 1

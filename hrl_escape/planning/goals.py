@@ -19,11 +19,7 @@ from hrl_escape.errors import GoalError, UnknownNameError, show_value
 
 @dataclasses.dataclass(frozen=True)
 class PressGoal:
-    """Begin to touch a target; a target already in contact must be left first.
-
-    Attributes:
-        target: index of the target.
-    """
+    """Begin to touch the target of an index; one already in contact must be left first."""
 
     target: int
 
@@ -64,12 +60,7 @@ class RegionGoal:
 
 @dataclasses.dataclass(frozen=True)
 class PushGoal:
-    """Push a prop onto another one (physics dynamics).
-
-    Attributes:
-        prop: index of the prop that is pushed.
-        destination: index of the prop that it is pushed onto.
-    """
+    """Push the prop of an index onto another one (physics dynamics)."""
 
     prop: int
     destination: int
@@ -80,13 +71,10 @@ GripAction = Literal["grip", "release", "use", "push-east", "push-north", "push-
 
 @dataclasses.dataclass(frozen=True)
 class GripGoal:
-    """Grip, release or use at a target, or push it on a map, with the effect in the puzzle's symbolic model.
+    """Grip, release or use at the target of an index, or push it on a map, by an action or to a side.
 
-    It is done while touching the target; in a puzzle with a map, from the cell before it.
-
-    Attributes:
-        target: index of the target.
-        action: name of the primitive, or the side to which a move pushes the target.
+    It is done while touching the target, on a map from the cell before it, and has the effect of the puzzle's symbolic
+    model.
     """
 
     target: int
@@ -100,11 +88,7 @@ Goal: TypeAlias = PressGoal | ExitGoal | PoseGoal | RegionGoal | PushGoal | Grip
 
 
 def check_goal(goal: Goal, instance: RoomInstance) -> None:
-    """Check that a value is a goal, and one of this room.
-
-    Raises:
-        GoalError: it is not; the message says what would be valid.
-    """
+    """Check that a value is a goal, and one of this room. Raises `GoalError`, which says what would be valid."""
     if isinstance(goal, PressGoal):
         _check_index("target", goal.target, len(instance.targets))
     elif isinstance(goal, GripGoal):
@@ -236,7 +220,7 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
 
 
 def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
-    """Goal in the room of an operator of the puzzle's symbolic model."""
+    """Goal of an operator of the puzzle's symbolic model."""
     if operator.action == "push":
         props = [placed.prop.name for placed in instance.props]
         return PushGoal(props.index(operator.target), props.index(operator.destination or ""))
@@ -245,11 +229,7 @@ def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
 
 
 def find_grips(goal: GripGoal, instance: RoomInstance) -> tuple[Operator, ...]:
-    """Operators of the puzzle with this action at this target.
-
-    Raises:
-        GoalError: the puzzle has no such operator.
-    """
+    """Operators of the puzzle with this action at this target. Raises `GoalError` if there are none."""
     name = instance.targets[goal.target].name
     found = tuple(operator for operator in instance.symbolic_model.operators
                   if (operator.target, operator.action) == (name, goal.action))
@@ -259,11 +239,7 @@ def find_grips(goal: GripGoal, instance: RoomInstance) -> tuple[Operator, ...]:
 
 
 def find_push(goal: PushGoal, instance: RoomInstance) -> Operator:
-    """Operator of the puzzle that pushes this prop there.
-
-    Raises:
-        GoalError: the puzzle has no such push.
-    """
+    """Operator of the puzzle that pushes this prop there. Raises `GoalError` if there is none."""
     prop, destination = (instance.props[i].prop.name for i in (goal.prop, goal.destination))
     for operator in instance.symbolic_model.operators:
         if operator.action == "push" and (operator.target, operator.destination) == (prop, destination):

@@ -1,13 +1,11 @@
 """Lower bounds on the primitives of a leg and of a whole escape, from geometry alone: straight lines, no obstacles.
 
-The bounds hold because no primitive moves the body's axis farther than the longest
-of the action table. One primitive may press two targets that are close together. Task planning
-prunes by them.
-
-Bounds of legs add up as if the robot could leave a press at another place than it arrived at. In puzzles of few states
-an escape's legs are bounded jointly: each place from which a target can be pressed is cut into cells, and the fewest
-primitives to be in each cell after each press follow from those of the press before (dynamic programming over states of
-the puzzle, targets and cells). A cell holds more than one pose, so the bound stays one.
+They hold because no primitive moves the body's axis farther than the longest of the action table. One primitive may
+press two targets that are close together. Bounds of legs add up as if the robot could leave a press at another place
+than it arrived at. In puzzles of few states an escape's legs are bounded jointly: each place from which a target can be
+pressed is cut into cells, and the fewest primitives to be in each cell after each press follow from those of the press
+before (dynamic programming over states of the puzzle, targets and cells). A cell holds more than one pose, so the bound
+stays one.
 """
 
 from __future__ import annotations
@@ -31,11 +29,9 @@ from hrl_escape.planning.symbolic.operator_order import EXIT, START, Leg, TaskNo
 
 
 class LegBounds:
-    """Lower bounds of the legs between a room's operators.
+    """Lower bounds of the legs between a room's operators; `step` is the longest move of a primitive, m.
 
-    Attributes:
-        step: longest move of the body's axis in a primitive, m.
-        reach: largest distance between the body's axis and a target that it presses, m.
+    `reach` is the largest distance between the body's axis and a target that it presses, m.
     """
 
     def __init__(self, instance: RoomInstance) -> None:

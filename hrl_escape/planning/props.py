@@ -1,7 +1,6 @@
 """Movable props as obstacles: places of the blocks, and the blocks that a route must not touch.
 
-A route never touches a block that stands where the puzzle wants it, for that could undo a goal. It
-goes round all other blocks too, if it can.
+A route never touches a block that stands where the puzzle wants it, and goes round all others too, if it can.
 """
 
 from __future__ import annotations
@@ -29,14 +28,9 @@ def get_prop_poses(state: RoomState, instance: RoomInstance) -> list[tuple[float
 
 def list_blocks(state: RoomState, instance: RoomInstance, *, grown: float = 0.0, only_done: bool = False,
                 without: int | None = None) -> tuple[Footprint, ...]:
-    """Footprints of the blocks, each side grown by some metres.
+    """Footprints of the blocks, each side grown by some metres, without the prop of an index.
 
-    Args:
-        state: the state.
-        instance: the room.
-        grown: growth, m; negative to shrink.
-        only_done: leave out blocks that do not stand where the puzzle wants them.
-        without: index of a prop to leave out.
+    With `only_done`, they are those that stand where the puzzle wants them.
     """
     if not instance.props:
         return ()

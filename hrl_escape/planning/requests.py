@@ -1,10 +1,9 @@
 """`PlanningRequest` and `PlanningResult`: a planning call and its outcome as values, with costs and better plans.
 
-`RoomPlanner.answer` turns one into the other. A result is a function of room and request alone,
-on any machine, unless the request sets a time limit or another thread cancels the call. After the first plan an
-anytime call compares more, in a fixed order: fewer primitives come from searches whose heuristic is lowered further
-and further; other objectives also look at ways that keep away from solids by growing margins, and at ways round the
-paths of path planners that shorten theirs.
+A result is a function of room and request alone, on any machine, unless the request sets a time limit or another thread
+cancels the call. After the first plan an anytime call compares more, in a fixed order: fewer primitives come from
+searches whose heuristic is lowered further and further; other objectives also look at ways that keep away from solids
+by growing margins, and at ways round the paths of path planners that shorten theirs.
 """
 
 from __future__ import annotations
@@ -165,15 +164,7 @@ def compute_lacking_clearance(plan: Plan) -> float:
 
 def bound_cost(instance: RoomInstance, state: RoomState, goals: tuple[Goal, ...], request: PlanningRequest,
                primitives: float) -> float:
-    """Lower bound of the cost of every plan that reaches goals in order.
-
-    Args:
-        instance: the room.
-        state: first state.
-        goals: in order.
-        request: says by which objective.
-        primitives: bound of the number of primitives.
-    """
+    """Lower bound of a request's cost of every plan that reaches goals in order, by that of the primitives' number."""
     if request.objective == "primitives":
         return primitives
     if request.objective == "clearance":
@@ -197,8 +188,8 @@ PATH_PLANNERS = ("BITstar", "InformedRRTstar")
 def iterate_routes(routes: Routes, state: RoomState, goal: Goal, request: PlanningRequest,
                    settings: SearchSettings, clock: Clock) -> Iterator[Route]:
     """Routes to one goal after the first one, until the nodes of `settings.budget` are spent; failures are skipped."""
-    left = settings.budget
-    for number in range(_count_ways(request)):
+    left, others = settings.budget, len(WAY_MARGINS) + len(PATH_PLANNERS) if request.objective != "primitives" else 0
+    for number in range(len(EFFORTS) + others):
         try:
             route = _find_way(routes, state, goal, number, settings._replace(budget=left), clock)
         except PlanningFailed as failure:
@@ -208,10 +199,6 @@ def iterate_routes(routes: Routes, state: RoomState, goal: Goal, request: Planni
             yield route
         if left <= 0 or clock.is_up():
             return
-
-
-def _count_ways(request: PlanningRequest) -> int:
-    return len(EFFORTS) + (len(WAY_MARGINS) + len(PATH_PLANNERS) if request.objective != "primitives" else 0)
 
 
 def _find_way(routes: Routes, state: RoomState, goal: Goal, number: int, settings: SearchSettings, clock: Clock

@@ -1,17 +1,19 @@
 """Routes: primitives from a state to one goal, found once, cached, and checked by replay.
 
-Options follow routes, and plans are made of them. A route is a function of state and goal alone,
-so remembering it saves time and changes nothing. `search/primitive_search.py` finds a single route.
+A route is a function of state and goal alone, so remembering it saves time and changes nothing.
 """
 
 from __future__ import annotations
 
 import copy
+import dataclasses
+import math
 import numbers
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from hrl_escape.clock import Clock
@@ -20,7 +22,7 @@ from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.poses import list_touched
-from hrl_escape.env.puzzles.traits import Mapped
+from hrl_escape.env.puzzles.traits import Mapped, get_trait
 from hrl_escape.env.state_checks import check_fields
 from hrl_escape.errors import ActionError, ConfigError, EscapeError, PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.floor.cost_to_go import FieldMaker
@@ -29,6 +31,7 @@ from hrl_escape.planning.goals import (
     ExitGoal,
     Goal,
     GripGoal,
+    PoseGoal,
     PressGoal,
     check_goal,
     describe_goal,
@@ -39,7 +42,6 @@ from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.plan import make_planned_room
 from hrl_escape.planning.props import get_prop_poses, list_obstacles, meets
 from hrl_escape.planning.route import PlanningReport, Pose, Route, SearchSettings, check_budget, get_pose
-from hrl_escape.planning.search.inner_doors import DoorKey, DoorSearches, find_move, is_way_open, list_places
 from hrl_escape.planning.search.joint_search import JointSearch
 from hrl_escape.planning.search.primitive_search import METHODS, PrimitiveSearch
 
@@ -54,6 +56,8 @@ _KEY = 3
 CAREFUL = 20_000
 """Search nodes for a route that avoids all blocks, before one that may move some."""
 
+DoorKey: TypeAlias = tuple[int, tuple[int, ...]]
+"""Bits of the inner doors that are shut, and numbers of those in whose cells a grip or push is possible."""
 RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, DoorKey | None], Pose]  # is the exit open?
 
 
@@ -145,19 +149,14 @@ class Routes:
         """Check a state, wherever the body stands in it, and goals.
 
         Raises:
-            StateError: a field of the state is impossible in this room.
-            GoalError: the goal is none of this room's.
+            StateError, GoalError: a field of the state is impossible in this room, or a goal is none of its.
         """
         check_fields(self.rules, state)
         for goal in goals:
             check_goal(goal, self.instance)
 
     def check_primitives(self, primitives: Sequence[int]) -> tuple[int, ...]:
-        """Check primitives of a plan and return them.
-
-        Raises:
-            ActionError: one of them is no index of the room's actions, or they are no sequence.
-        """
+        """Check primitives of a plan, indices of the room's actions, and return them. Raises `ActionError`."""
         count = len(self.rules.actions)
         if not isinstance(primitives, Sequence) or isinstance(primitives, (str, bytes)):
             raise ActionError(primitives, count)
@@ -193,14 +192,9 @@ class Routes:
 
     def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
                    clock: Clock | None = None, settings: SearchSettings | None = None) -> Route:
-        """Find the route from a state to a goal, or recall it.
+        """Find the route from a state to a goal, or recall it; clock and settings are these routes' own by default.
 
-        Args:
-            state: first state.
-            goal: the goal.
-            report: counts calls, cache hits and seconds.
-            clock: time limit of a call that this one is part of; None for the planner's own.
-            settings: of the search; None for the planner's own.
+        The report counts calls, cache hits and seconds.
 
         Raises:
             PlanningFailed: no route; a failure is cached like a route.
@@ -234,19 +228,12 @@ class Routes:
 
     def find_route_around(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint], budget: int,
                           report: PlanningReport, *, refine: bool = True, clock: Clock | None = None) -> Route:
-        """Find the route to a goal round movable things such as blocks; it is not cached.
+        """Find the route to a goal round footprints that the body must not meet; it is not cached.
 
-        Args:
-            state: first state.
-            goal: the goal.
-            keep_out: footprints that the body must not meet.
-            budget: search nodes that may be expanded.
-            report: counts calls and seconds.
-            refine: search finer grids, too, before giving up.
-            clock: time limit of a call that this one is part of; None for the planner's own.
+        To `refine` is to search finer grids, too, before giving up.
 
         Raises:
-            PlanningFailed: no route within the budget.
+            PlanningFailed: no route within the budget of search nodes.
         """
         began = read_clock()
         report.planner_calls += 1
@@ -288,11 +275,7 @@ class Routes:
                keep_out: Sequence[Footprint] | None = None) -> Route | None:
         """Route of given primitives from here, cut where the goal is reached; None if it never is.
 
-        Args:
-            state: first state.
-            primitives: the primitives.
-            goal: the goal.
-            keep_out: footprints that the body must not meet; None for blocks that it must not move.
+        The body must not meet the footprints to keep out of; by default those of blocks that must not be moved.
         """
         poses, pressed = [get_pose(state)], 0
         here = state
@@ -418,3 +401,110 @@ def check_method(method: str) -> None:
 
     if not isinstance(method, str) or method not in list_planners():
         raise UnknownNameError("planner", method, (*METHODS, *list_planners()))
+
+
+# --- inner doors and maps --------------------------------------------------------------
+
+MOST_SEARCHES = 16
+"""Most sets of shut doors whose searches are kept."""
+_MOST_CELLS = 12
+"""Most cells tried for putting something down."""
+_SIDES = {"east": (1, 0, 0.0), "north": (0, 1, math.pi / 2), "west": (-1, 0, math.pi), "south": (0, -1, -math.pi / 2)}
+"""Steps along x and y to each side, and the heading for it."""
+
+class DoorSearches:
+    """Searches of one room with inner doors, by those that are shut; `opened` is that with all of them open.
+
+    The others are adapted from it: they take over grid and fields, and repair what the doors change.
+    """
+
+    def __init__(self, opened: PrimitiveSearch) -> None:
+        assert opened.kinematics.inner_doors is not None
+        self._opened, self._rules, self._room = opened, opened.kinematics, opened.instance
+        self._doors = opened.kinematics.inner_doors
+        self._get_search = lru_cache(MOST_SEARCHES)(self._make_search)
+
+    def choose(self, state: RoomState) -> PrimitiveSearch:
+        """Return the search of the room with its inner doors as in a state."""
+        walls = self.find_walls(state)
+        return self._get_search(walls) if walls else self._opened
+
+    def _make_search(self, walls: int) -> PrimitiveSearch:
+        doors = (door for number, door in enumerate(self._room.inner_doors) if walls >> number & 1)
+        room = dataclasses.replace(self._room, solids=(*self._room.solids, *doors))
+        return self._opened.adapt(room, self._rules)
+
+    def find_walls(self, state: RoomState) -> int:
+        """Bits of the shut inner doors, except those in which the body stands."""
+        return self._doors.find_blocking(state.x, state.y, state.puzzle)
+
+    def can_walk(self, state: RoomState, goal: GripGoal) -> bool:
+        """Return whether free cells lead to one from which the goal's thing is pushed.
+
+        For goals other than pushes, the puzzle's own model accounts for what blocks the way.
+        """
+        doors, side = self._doors, goal.action.partition("push-")[2]
+        if not side:
+            return True
+        behind = (list(_SIDES).index(side) + 2) % 4
+        cells = list_cells(self._room, state, goal)
+        wanted, shut = {self._beside[cell][behind] for cell in cells}, doors.get_shut(state.puzzle)
+        queue = [doors.find_at(state.x, state.y)]
+        reached = {-1, *queue}
+        for number in queue:
+            free = [cell for cell in self._beside[number] if cell not in reached and not shut >> cell & 1]
+            reached.update(free)
+            queue += free
+        return bool(wanted.intersection(queue))
+
+    @cached_property
+    def _beside(self) -> list[list[int]]:
+        """Numbers of the inner doors one move to each side of each, -1 for none."""
+        step = self._rules.actions.stride
+        return [[self._doors.find_at(cell.x + step * x, cell.y + step * y) for x, y, _ in _SIDES.values()]
+                for cell in self._room.inner_doors]
+
+    def make_key(self, state: RoomState, goal: Goal) -> DoorKey:
+        """Cache key: everything about the inner doors on which a route to a goal depends."""
+        return self.find_walls(state), list_cells(self._room, state, goal) if isinstance(goal, GripGoal) else ()
+
+
+def list_cells(room: RoomInstance, state: RoomState, goal: GripGoal) -> tuple[int, ...]:
+    """Numbers of the inner doors' cells in which a goal's action can be carried out now, on a map."""
+    return get_trait(room.puzzle, Mapped).list_cells(state.puzzle, goal.action, goal.target)
+
+
+def is_way_open(rules: Kinematics, state: RoomState, goal: Goal) -> bool:
+    """Return whether the inner doors on the way to a target or the exit are open; true where the ways are unknown."""
+    ways, doors = rules.instance.ways, rules.inner_doors
+    number = goal.target if isinstance(goal, (PressGoal, GripGoal)) else len(rules.instance.targets)
+    if doors is None or number >= len(ways) or not isinstance(goal, (PressGoal, GripGoal, ExitGoal)):
+        return True
+    shut = doors.get_shut(state.puzzle)
+    return not any(shut >> door & 1 for door in ways[number])
+
+
+def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator[list[PoseGoal]]:
+    """List the places from which a grip, release, use or push is possible, cell by cell.
+
+    There are four, or one behind a thing that is pushed. What is held may be put down in several cells: the nearest
+    ones come first.
+    """
+    room, step = rules.instance, rules.actions.stride
+    cells = [room.inner_doors[number] for number in list_cells(room, state, goal)]
+    cells.sort(key=lambda cell: math.hypot(cell.x - state.x, cell.y - state.y))
+    side = goal.action.partition("push-")[2]
+    any_heading = bool(side) and rules.headings == rules.actions.symmetry  # a move leads to that side from each place
+    for cell in cells[:_MOST_CELLS]:
+        yield [PoseGoal(cell.x - step * x, cell.y - step * y, None if any_heading else heading, step / 4,
+                        rules.turn_step / 2 - 1e-6)
+               for name, (x, y, heading) in _SIDES.items() if side in ("", name)]
+
+
+def find_move(goal: GripGoal, state: RoomState, rules: Kinematics) -> int | None:
+    """Primitive that reaches a goal from its place; None if none does, such as at a wrong heading."""
+    if not goal.action.startswith("push-"):
+        return rules.actions.find(goal.action)
+    moves = (move for move in rules.actions.translations
+             if is_reached(goal, state, rules.step(state, move).state, rules))
+    return next(moves, None)

@@ -37,7 +37,7 @@ class Scene:
     """One version of a room.
 
     Walls, obstacles and the door are solids, named by their role: `obstacle-1`, `wall-3`, `door`. Targets and the
-    puzzle's props keep their own names. Targets can be moved, but the puzzle's rules say how many there are.
+    puzzle's props keep their own names. Targets can be moved; the puzzle's rules say how many there are.
 
     Attributes:
         instance: the room with all edits so far.
@@ -243,11 +243,7 @@ def _split_props(props: Sequence[PlacedProp]) -> tuple[list[PlacedProp], list[Pl
 
 
 def _check_blocks(room: RoomInstance) -> None:
-    """Check that no block stands in a solid or on a start.
-
-    Raises:
-        ConfigError: one does.
-    """
+    """Check that no block stands in a solid or on a start. Raises `ConfigError`."""
     for placed in room.props:
         if placed.prop.kind != "block":
             continue

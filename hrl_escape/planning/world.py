@@ -167,7 +167,7 @@ class World:
             ConfigError: a cell or a height that is none, nothing on the floor, a mesh too large for its cells, or a
                 start that is not free.
         """
-        from hrl_escape.planning.arm.meshes import load_triangles
+        from hrl_escape.planning.arm.model import load_triangles  # loads coal
 
         if not 0.0 < cell < math.inf:
             raise ConfigError("cell", cell, "a length above 0 m")
@@ -203,10 +203,8 @@ class World:
 
     def make_state(self, x: float, y: float, heading: float = 0.0, angles: Sequence[float] | None = None) -> RoomState:
         """State of the robot at a pose of your frame, m and rad, with joint angles, rad; None for those of its home."""
-        rules = Kinematics(self.instance)
-        steps, offset = rules.split_heading(float(heading))
-        at_x, at_y = self.to_room([x, y]).tolist()
-        state = rules.make_state(Start(at_x, at_y, steps, offset))
+        rules, (at_x, at_y) = Kinematics(self.instance), self.to_room([x, y]).tolist()
+        state = rules.make_state(Start(at_x, at_y, *rules.split_heading(float(heading))))
         if angles is None:
             return state
         joint_steps, joint_offsets = rules.split_angles(float(angle) for angle in angles)
@@ -246,12 +244,9 @@ def split_triangles(corners: NDArray[np.float64], longest: float) -> NDArray[np.
 
 
 def make_columns(heights: NDArray[np.float64], cell: float, corner: tuple[float, float]) -> list[Solid]:
-    """Boxes that stand on the cells of a floor, cells side by side of one height one box.
+    """Boxes on the cells of a floor with a corner, m, as high as `heights` (rows, columns), m, over 0.
 
-    Args:
-        heights: shape (rows, columns), m; 0 where nothing stands. Rows run along y, columns along x.
-        cell: side of a cell, m.
-        corner: lowest x and y of the floor, m.
+    Rows run along y, columns along x; cells side by side of one height are one box.
     """
     x, y = corner
     return [Solid("box", x + cell * (a + b) / 2, y + cell * (c + d) / 2, cell * (b - a) / 2, cell * (d - c) / 2,
@@ -260,11 +255,7 @@ def make_columns(heights: NDArray[np.float64], cell: float, corner: tuple[float,
 
 
 def merge_cells(solid: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
-    """Rectangles (first column, column after the last, first row, row after the last) that cover exactly the cells.
-
-    Args:
-        solid: shape (rows, columns).
-    """
+    """Rectangles (first column, column after the last, first row, row after the last) of the cells (rows, columns)."""
     done, open_runs = [], dict[tuple[int, int], int]()
     for row, cells in enumerate([*solid, np.zeros(solid.shape[1], dtype=bool)]):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], cells.astype(np.int8), [0]])))

@@ -1,12 +1,12 @@
 """A room as its tasks see it: pose, facts of the symbolic model, what is touched; packed into an observation and back.
 
-An agent meets a room in observations alone. `Situations.pack` writes all that tasks ask for into a vector, and
-`Situations.read` gives it back with names; the vector is the whole state of a room without noise, but for its clock.
+The vector is the whole state of a room without noise, but for its clock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +25,6 @@ from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
 
 SECTORS = 8
 """Directions that learned leaves tell apart at most."""
-
 
 _Pose = tuple[int, int, int, tuple[int, ...], int, bool]
 """Column and row of a cell, sector of the heading, joints, touched targets as bits, an open door."""
@@ -77,14 +76,11 @@ class Situations:
         self._numbers = 4 + 2 * self._joints + len(model.propositions) + len(instance.targets)
         self.space = spaces.Box(-np.inf, np.inf, (self._numbers,), np.float64)
         self.target_names = instance.puzzle.target_names
-        self._planner: RoomPlanner | None = None
 
-    @property
+    @cached_property
     def planner(self) -> RoomPlanner:
         """The room's planner, which this process shares."""
-        if self._planner is None:
-            self._planner = get_planner(self.instance)
-        return self._planner
+        return get_planner(self.instance)
 
     # --- packing ------------------------------------------------------------------------
 
@@ -123,28 +119,17 @@ class Situations:
 
     # --- plans --------------------------------------------------------------------------
 
-    def plan(self, here: Situation, goal: Goal) -> Sequence[int]:
-        """Primitives of the planner's route from here; none where there is no route."""
-        route = self._find_route(here, goal)
-        return () if route is None else route.primitives
-
-    def plan_first(self, here: Situation, goal: Goal) -> int | None:
-        """First primitive of the planner's route from here; None where there is no route, or nothing to do."""
-        return next(iter(self.plan(here, goal)), None)
-
-    def plan_to_end(self, here: Situation, goal: Goal) -> tuple[Sequence[int], tuple[float, float]]:
-        """Primitives of the planner's route from here, and the place of their end, m; none where there is no route."""
-        route = self._find_route(here, goal)
-        if route is None:
-            return (), (here.state.x, here.state.y)
-        x, y, *_ = route.poses[-1]
-        return route.primitives, (x, y)
-
-    def _find_route(self, here: Situation, goal: Goal) -> Route | None:
+    def find_route(self, here: Situation, goal: Goal) -> Route | None:
+        """The planner's route from here; None where there is none."""
         try:
             return self.planner.routes.find_route(here.state, goal)
         except PlanningFailed:
             return None
+
+    def plan_first(self, here: Situation, goal: Goal) -> int | None:
+        """First primitive of the planner's route from here; None where there is no route, or nothing to do."""
+        route = self.find_route(here, goal)
+        return next(iter(route.primitives), None) if route else None
 
     def can_escape(self, seen: Seen, primitive: int) -> bool:
         """A primitive ends the episode, by the room's rules."""

@@ -4,32 +4,41 @@ The symbolic model of the puzzle says which tasks there are, when each may be ca
 remains to be learned is their order and, with learned leaves, the way to each target. With planned leaves the planner
 walks.
 
+Landmarks are facts that every plan makes true, and the exit after them: goals of a manager. Which are left, and which
+of them come first, is found anew from the facts that hold, so that a landmark that was lost is one again.
+
 Feudal learning's tree is made of the room's floor at several resolutions. A manager sees its cell and the facts that
 hold. An order leads to the next cell, or is to search: to make one of the open landmarks true, or to escape.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from gymnasium import spaces
 
-from hrl_escape.agents.hierarchy.goal_space import GoalSet
+from hrl_escape.agents.hierarchy.goal_space import GoalSet, GoalView
 from hrl_escape.agents.hierarchy.machine import Machine, choose, do, machine
 from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen
 from hrl_escape.agents.hierarchy.task_graph import Until, View, maxq
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.planning.goals import RegionGoal
+from hrl_escape.planning.goals import Goal, RegionGoal
 from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, HierarchyKind, LeafKind
-from hrl_escape.synthesis.landmarks import EXIT, OpenLandmarks, make_landmark_goals
 from hrl_escape.synthesis.situation import Situations
 
-_ROOT = "escape"
+_ROOT, EXIT = "escape", "exit"
+
+Literal: TypeAlias = tuple[str, bool]
+"""A fact, and whether it holds."""
 
 
 def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", leaves: LeafKind = "planned", *,
@@ -53,11 +62,7 @@ def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", leaves: Lea
 
 
 def make_structure(situations: Situations, kind: str, leaves: str, abstract: bool = True) -> Mapping[str, Any]:
-    """Arguments, beside spaces and settings, of an agent that takes this kind of hierarchy.
-
-    Raises:
-        UnknownNameError: no such kind or leaves.
-    """
+    """Arguments, beside spaces and settings, of an agent that takes this kind. Raises `UnknownNameError`."""
     for what, name, known in (("kind of hierarchy", kind, KINDS), ("leaves", leaves, LEAVES)):
         if name not in known:
             raise UnknownNameError(what, name, known)
@@ -109,7 +114,12 @@ def _make_policy(rooms: Situations, target: int | None) -> Callable[[Seen], int 
 
 def _make_length_view(rooms: Situations, target: int | None) -> View:
     goal = rooms.get_goal(target)
-    return lambda seen: len(rooms.plan(seen.state, goal))
+
+    def see(seen: Seen) -> int:
+        route = rooms.find_route(seen.state, goal)
+        return len(route.primitives) if route else 0
+
+    return see
 
 
 def _make_primitive_view(rooms: Situations, primitive: int, planned: bool) -> View:
@@ -178,6 +188,112 @@ def _make_program(rooms: Situations, planned: bool) -> Machine:
     return escape
 
 
+# --- landmarks -----------------------------------------------------------------------------
+
+def find_landmarks(model: SymbolicModel, facts: frozenset[str], goal: Iterable[str] | None = None
+                   ) -> Mapping[str, frozenset[str]] | None:
+    """Find the facts that do not hold here and that every plan makes true, for these goal facts or the model's own.
+
+    They are exact for the model's delete relaxation, in which a true fact stays true (Keyder, Richter and Helmert 2010,
+    by the propagation of Zhu and Givan 2003). A forbidden fact is a fact of its own, which deletes make true.
+
+    Returns:
+        Landmark -> the landmarks that every plan makes true before it; None if no plan leads to the goal, even without
+        deletes.
+    """
+    before: dict[Literal, frozenset[Literal]] = {
+        (fact, fact in facts): frozenset() for fact in model.propositions}
+    grew = True
+    while grew:
+        grew = False
+        for operator in itertools.chain(*map(_split, model.operators)):
+            needs = [(fact, True) for fact in operator.preconditions] + [(fact, False) for fact in operator.forbidden]
+            if any(need not in before for need in needs):
+                continue
+            led = frozenset().union(*(before[need] | {need} for need in needs))
+            made = [(fact, True) for fact in operator.add] + [(fact, False) for fact in operator.delete - operator.add]
+            for literal in made:
+                least = led if literal not in before else before[literal] & led
+                if before.get(literal) != least:
+                    before[literal], grew = least, True
+    wanted = [(fact, True) for fact in (model.goal if goal is None else goal)]
+    if any(literal not in before for literal in wanted):
+        return None
+    found = {fact for literal in wanted for fact, holds in before[literal] | {literal} if holds and fact not in facts}
+    return {fact: frozenset(each for each, holds in before[fact, True] if holds and each not in facts) - {fact}
+            for fact in sorted(found)}
+
+
+def _split(operator: Operator) -> list[Operator]:
+    """Split an operator into one without conditional effects and one for each conditional effect."""
+    parts = [dataclasses.replace(operator, preconditions=operator.preconditions | effect.condition,
+                                 forbidden=operator.forbidden | effect.forbidden, add=effect.add, delete=effect.delete,
+                                 when=()) for effect in operator.when]
+    return [dataclasses.replace(operator, when=()), *parts]
+
+
+class OpenLandmarks:
+    """Landmarks that come next, and the target to press on the way to one.
+
+    `names` are the facts that may be landmarks somewhere, and last the exit.
+    """
+
+    def __init__(self, rooms: Situations) -> None:
+        self._model = rooms.model
+        made = frozenset[str]().union(*(operator.add for operator in rooms.operators))
+        self.names = (*(fact for fact in self._model.propositions if fact in made), EXIT)
+        self._rooms = rooms
+        self.list_open, self.find_goal = lru_cache(None)(self._list_open), lru_cache(None)(self._find_goal)
+
+    def _list_open(self, facts: frozenset[str]) -> frozenset[str]:
+        """Landmarks with none before them that does not hold; the exit where the goal holds; none at a dead end."""
+        found = find_landmarks(self._model, facts)
+        if found is None:
+            return frozenset()
+        return frozenset(fact for fact, earlier in found.items() if not earlier) or frozenset({EXIT})
+
+    def _find_goal(self, facts: frozenset[str], landmark: str) -> Goal | None:
+        """Goal that comes first on the way to a landmark: a target to press, or the exit; None at a dead end."""
+        if landmark == EXIT:
+            return self._rooms.get_goal(None)
+        model = SymbolicModel(self._model.propositions, self._rooms.operators, frozenset({landmark}))
+        first = next(iter(model.find_fewest(facts) or ()), None)
+        return None if first is None else self._rooms.get_goal(self._rooms.target_names.index(first.target))
+
+
+def make_landmark_goals(rooms: Situations, planned: bool, abstract: bool) -> GoalSet:
+    """Landmarks as the goals of two levels: the manager sees facts and touched targets, the worker pose and open door.
+
+    With planned leaves the planner walks to the target whose press begins the shortest way to the landmark; else
+    walking is learned over primitives. Not abstract, both levels see pose and facts.
+    """
+    landmarks = OpenLandmarks(rooms)
+    names = landmarks.names
+
+    def is_reached(observation: Any, goal: int) -> bool:
+        return names[goal] in rooms.read(observation).facts
+
+    def is_open(observation: Any, goal: int) -> bool:
+        return names[goal] in landmarks.list_open(rooms.read(observation).facts)
+
+    def choose(observation: Any, goal: int) -> int | None:
+        here = rooms.read(observation)
+        target = landmarks.find_goal(here.facts, names[goal])
+        return None if target is None else rooms.plan_first(here, target)
+
+    def find_place(fact: str) -> tuple[float, float] | None:
+        maker = next((operator for operator in rooms.operators if fact in operator.add), None)
+        return rooms.get_place(None if maker is None else rooms.target_names.index(maker.target))
+
+    views = [GoalView(spaces.Box(-np.inf, np.inf, (size,), np.float64),
+                      lambda observation, see=see: see(rooms.read(observation)))
+             for see, size in ((rooms.list_facts, rooms.fact_count), (rooms.list_pose, rooms.pose_count))]
+    manager, worker = views if abstract else (None, None)
+    return GoalSet(len(names), is_reached, is_open, choose if planned else None, manager, worker, names,
+                   tuple(map(find_place, names)), "synthesised",
+                   ("landmarks", "state", "planner") if planned else ("landmarks", "state"))
+
+
 # --- regions --------------------------------------------------------------------------------
 
 MOST_LEVELS = 3
@@ -225,6 +341,9 @@ def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
     def has_found(before: Any, after: Any) -> bool:
         return bool(landmarks.list_open(rooms.read(before).facts) & rooms.read(after).facts)
 
+    def find_cell(x: float, y: float) -> tuple[int, ...]:
+        return tuple(int(share * 2**depth) for share in locate(x, y))
+
     @lru_cache(KEPT)
     def find_obedience(packed: bytes, cell: tuple[int, int], order: int) -> int | None:
         here = rooms.read(np.frombuffer(packed))
@@ -238,9 +357,9 @@ def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
         ways = []
         for landmark in sorted(landmarks.list_open(here.facts)):
             target = landmarks.find_goal(here.facts, landmark)
-            way, end = ((), (0.0, 0.0)) if target is None else rooms.plan_to_end(here, target)
-            if way and tuple(int(each * 2**depth) for each in locate(*end)) == cell:
-                ways.append((len(way), way[0]))
+            route = None if target is None else rooms.find_route(here, target)
+            if route and route.primitives and find_cell(*route.poses[-1][:2]) == cell:
+                ways.append((len(route.primitives), route.primitives[0]))
         return min(ways)[1] if ways else None
 
     def obey(observation: Any, cell: tuple[int, int], order: int) -> int | None:

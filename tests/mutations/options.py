@@ -86,8 +86,8 @@ MUTATIONS = [
     Mutation(
         "planning of a nested option that has ended is lost",
         "options/execution.py",
-        "self._finished.add(self._stack[-1].option.report)\n            self._close(state, \"reached\")",
-        "self._close(state, \"reached\")",
+        "self._stack.pop()\n        self._finished.add(option.report)",
+        "self._stack.pop()",
         "options/test_options_env.py::test_planning_of_a_nested_option_is_told_by_the_option_that_called_it",
     ),
     Mutation(
@@ -156,7 +156,7 @@ MUTATIONS = [
     ),
     Mutation(
         "fields of presses by hand take the hand to be on the other side",
-        "options/batched/field_grid.py",
+        "options/batched/cost_to_go.py",
         "cos * hand[0] - sin * hand[1]",
         "cos * hand[0] + sin * hand[1]",
         "options/batched/test_hand_presses.py::"

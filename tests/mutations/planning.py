@@ -82,7 +82,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a joint search takes the way on from the puzzle's state before a press",
-        "planning/search/joint_a_star.py",
+        "planning/search/a_star.py",
         "heading, after, now, spent, node, action, escapes)",
         "heading, puzzle, now, spent, node, action, escapes)",
         "planning/search/test_joint_search.py",
@@ -131,7 +131,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a search knows the turns of one turn step only",
-        "planning/search/search_run.py",
+        "planning/search/primitive_search.py",
         "turn_steps=rules.actions.turn_steps, stays",
         "turn_steps=rules.actions.turn_steps[:2], stays",
         "planning/test_action_tables.py::test_a_turn_of_the_table_replaces_many_turn_steps",
@@ -188,7 +188,7 @@ MUTATIONS = [
     ),
     Mutation(
         "what one way of many makes true is a landmark",
-        "synthesis/landmarks.py",
+        "synthesis/synthesise.py",
         "else before[literal] & led",
         "else before[literal] | led",
         "planning/symbolic/test_landmarks.py::test_they_are_those_without_which_the_goal_is_out_of_reach",
@@ -230,7 +230,7 @@ MUTATIONS = [
     ),
     Mutation(
         "the controller has no feedback",
-        "planning/motion/tracking.py",
+        "planning/motion/trajectory.py",
         "rates = (self._wanted + self._push - self._at) / self._step",
         "rates = (self._wanted - self._trajectory.evaluate(max(self._now - self._step, 0.0))) / self._step",
         "planning/motion/test_tracking.py::test_physics_and_noise_press_the_same",

@@ -147,7 +147,7 @@ def test_pursuit_of_one_goal_ends_there():
 def test_pairwise_costs_lead_to_an_order_as_good_as_costing_every_leg(monkeypatch):
     """A DAG of eight buttons, two orders of costing it."""
     config = RoomConfig(puzzle=ButtonsConfig(count=8, graph=GraphConfig(kind="tree"), buttons=Panels(width=1.0)))
-    from hrl_escape.planning import orders as module
+    from hrl_escape.planning import planner as module
 
     for seed in range(3):
         instance = generate(config, seed)

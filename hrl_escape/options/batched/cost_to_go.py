@@ -1,9 +1,10 @@
 """Cost-to-go fields for a batch of rooms: for every press and for the exit, defined at any pose of the base.
 
-Each instance's fields are found together (`field_grid.py`) and kept for later batches. A press by the body has one
-field. Arms of kinematic rooms pass through everything, so the cost-to-go of a press by hand is the least, over a few
-dozen postures, of the joint steps to a posture and the way of the base to where the hand then touches. Postures whose
-hands are close share a field, and the base's place is shifted by the offset between their hands.
+Fields of one instance are found together by value iteration (`value_iteration.py`) on the planners' grid, halved, and
+kept for later batches. The goal of a press by the body is a move that begins to touch the target. Arms of kinematic
+rooms pass through everything, so the cost-to-go of a press by hand is the least, over a few dozen postures, of the
+joint steps to a posture and the way of the base to where the hand then touches. Postures whose hands are close share a
+field, and the base's place is shifted by the offset between their hands.
 """
 
 from __future__ import annotations
@@ -22,15 +23,23 @@ from torch import Tensor
 
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.tables import Layout, pick
+from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.tensor_geometry import wrap
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.options.batched.field_grid import FieldGrid
-from hrl_escape.options.batched.value_iteration import UNREACHABLE
+from hrl_escape.floor.cost_to_go import count_classes, lay_grid, make_collision
+from hrl_escape.floor.dijkstra import choose_points
+from hrl_escape.floor.sweeps import make_sweep_scene
+from hrl_escape.options.batched.value_iteration import AT_GOAL, UNREACHABLE, encode_values, iterate_values, trace_moves
 from hrl_escape.planning.arm.reacher import Reacher
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 
+OTHER_PRESS_COST = 100.0
+"""Cost of touching another target: an option does so only where nothing else leads to its goal."""
+_FINE_STATES = 600_000  # cells are halved, at most twice, up to this many (cell, heading) states
+_TOLERANCE, _SWEEPS = 0.5, 80
+_NO_TARGET = 1 << 63  # bit of a goal that no move begins to touch
 POSTURES = 64
 """Postures kept for a target."""
 FAR = 20_000
@@ -50,11 +59,9 @@ class PostureLibrary(NamedTuple):
 
 
 def choose_postures(instance: RoomInstance, fields: int) -> PostureLibrary:
-    """Choose the postures of all targets: most of them the cheapest from home, the others far apart.
+    """Choose postures of all targets: most of them the cheapest from home, the others far apart.
 
-    Args:
-        instance: the room.
-        fields: approximate limit of all fields together; every target has two to eight.
+    `fields` limits all fields together, approximately; every target has two to eight.
     """
     count, reacher = len(instance.targets), Reacher(instance)
     steps = np.full((count, POSTURES, instance.robot.joints), FAR, dtype=np.int32)
@@ -134,11 +141,88 @@ _CACHE: OrderedDict[str, InstanceFields] = OrderedDict()
 _LOCK = threading.Lock()
 
 
+class FieldGrid:
+    """Grid of one room with its door, if any, shut or open: the planners' (`floor/cost_to_go.py`) with cells halved.
+
+    Its corner is `low`, (2,), its cells have the side `size`, m; `states` are cells times headings.
+    """
+
+    def __init__(self, instance: RoomInstance, rules: Kinematics, offset: float, door_shut: bool) -> None:
+        self._instance, exit_, step = instance, instance.exit, rules.actions.longest
+        by_hand = instance.dynamics.press_with == "hand"
+        headings = rules.headings if by_hand else count_classes(rules)  # a hand points one way, so all headings differ
+        states = lay_grid(instance, rules).cells * headings
+        refinement = min(int(math.log(max(_FINE_STATES / states, 1.0), 4)), 2)
+        grid = lay_grid(instance, rules, refinement)
+        self.low, self.size, self.shape = grid
+        collision = make_collision(instance, door_shut)
+        scene = make_sweep_scene(collision, len(instance.solids) if door_shut and instance.door else -1, step)
+        self._points, self._standing = np.empty((grid.cells, 2)), np.zeros(grid.cells, np.bool_)
+        self.states = headings * len(self._points)
+        choose_points(scene, self.low, self.size, self.shape[1], 0, self.shape[0],
+                      np.ones_like(self._standing), self._points, self._standing)
+        self._angles = np.arange(headings) * rules.turn_step + offset
+        moves = rules.actions.compute_moves(np.cos(self._angles), np.sin(self._angles))
+        self._turn_steps = rules.actions.turn_steps
+        pressed = () if by_hand else instance.targets
+        reaches = np.array([instance.compute_press_reach(target) for target in pressed], dtype=np.float64)
+        self._moves = trace_moves(scene, self._points, self._standing, self.shape[1], self.low, self.size, moves,
+                                  stack_footprints([target.footprint for target in pressed]), reaches,
+                                  np.array([exit_.x_min, exit_.x_max, exit_.y_min, exit_.y_max]))
+
+    def compute_fields(self, goals: Sequence[tuple[Goal, bool]]) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+        """`values` and `scales` of `InstanceFields`; a goal's flag says that entering the exit ends the episode."""
+        own = np.array([1 << goal.target if isinstance(goal, PressGoal) else 0 for goal, _ in goals], dtype=np.uint64)
+        return self._iterate(self._make_values(len(goals)), own, [UNREACHABLE * leaves for _, leaves in goals])
+
+    def compute_hand_fields(self, approaches: NDArray[np.float64], limit: float
+                            ) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+        """The same for presses by hand, each in one posture, and last for the exit.
+
+        `approaches` are rows of (target, x, y, z), the hand in the base frame, m; `limit` is the largest distance from
+        its centre that touches, m.
+        """
+        values = self._make_values(len(approaches) + 1)
+        for number, (target, *hand) in enumerate(approaches.tolist()):
+            heading, cell = self._find_touching(int(target), hand, limit)
+            values[heading, cell, number] = AT_GOAL
+        own = np.full(len(approaches) + 1, _NO_TARGET, dtype=np.uint64)
+        own[-1] = 0
+        return self._iterate(values, own, [OTHER_PRESS_COST] * len(approaches) + [0.0])
+
+    def _make_values(self, fields: int) -> NDArray[np.float32]:
+        """Initial values, all `UNREACHABLE`, (headings, cells, fields)."""
+        return np.full((len(self._angles), len(self._points), fields), UNREACHABLE, dtype=np.float32)
+
+    def _iterate(self, values: NDArray[np.float32], own: NDArray[np.uint64], leaving: Sequence[float]
+                 ) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+        """Find fields, (headings, cells, fields), from those of their states that are goals; see `iterate_values`."""
+        values = values.reshape(len(values), -1)
+        iterate_values(values, self._moves, self._turn_steps, own, np.array(leaving, dtype=np.float32),
+                       np.float32(OTHER_PRESS_COST), np.float32(_TOLERANCE), _SWEEPS)
+        return encode_values(values, len(own))
+
+    def _find_touching(self, target: int, hand: Sequence[float], limit: float
+                       ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Find the headings and cells of all states from which a hand that rests touches a target."""
+        goal = self._instance.targets[target]
+        outline = stack_footprints([goal.footprint])
+        beyond = max(abs(hand[2] - goal.z) - goal.half_z, 0.0)
+        reach = math.sqrt(max(limit**2 - beyond**2, 0.0))
+        cos, sin = np.cos(self._angles), np.sin(self._angles)
+        offsets = np.stack([cos * hand[0] - sin * hand[1], sin * hand[0] + cos * hand[1]], axis=1)  # (headings, 2)
+        away = compute_distance_many(self._points, outline)
+        near = np.flatnonzero(self._standing & (away <= math.hypot(*hand[:2]) + reach))
+        places = (self._points[near] + offsets[:, None]).reshape(-1, 2)
+        heading, which = np.nonzero((compute_distance_many(places, outline) <= reach).reshape(len(offsets), -1))
+        return heading, near[which]
+
+
 def check_presses(instance: RoomInstance) -> None:
-    """Check that a room needs nothing but presses and the exit.
+    """Check that a room needs nothing but presses and the exit, by a disc, without inner doors.
 
     Raises:
-        UnsupportedError: things are gripped or pushed, or stand behind inner doors, or the base is no disc.
+        UnsupportedError: it needs more.
     """
     if not instance.robot.base.turns_anywhere:
         raise UnsupportedError("batched options drive discs: use OptionsEnv over rooms with a base that is a "
@@ -152,9 +236,7 @@ def check_presses(instance: RoomInstance) -> None:
 def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """Compute the fields of an instance, some tenths of a second, once; later calls find them by its id.
 
-    Raises:
-        UnsupportedError: targets of this room are gripped, or lie behind inner doors; or the base is
-            no disc.
+    Raises `UnsupportedError` as `check_presses` does.
     """
     check_presses(instance)
     with _LOCK:
@@ -264,14 +346,8 @@ def interpolate_cost(layout: Layout, fields: CostFields, instance: Tensor, field
                      heading: Tensor, between: Tensor | None) -> Tensor:
     """Interpolate the cost-to-go among the cells from which there is a way; float32 (..., rooms).
 
-    Args:
-        layout: properties that all rooms share.
-        fields: their fields.
-        instance: index of each room's instance, int64 (rooms,).
-        field: index of the field in its instance, int64 (rooms,).
-        place: position, from `locate`.
-        heading: class of the heading, int64 (..., rooms).
-        between: share of the way to the next class, float32 (rooms,); None if all headings are classes.
+    `field` is a field's index in its instance, int64 (rooms,); `heading` a class of headings, int64 (..., rooms), and
+    `between` the share of the way to the next class, float32 (rooms,), None if all headings are classes.
     """
     column = torch.zeros_like(instance) if layout.is_shared else instance
     first = fields.begins[field, column] + place.cell * fields.classes

@@ -1,18 +1,15 @@
 """`BatchedOptionsEnv`: thousands of rooms in which decisions of different durations run side by side.
 
-Every step runs one primitive in every room and returns the decisions that ended with it, with the
-SMDP fields of `OptionsEnv`. A room takes its next decision as soon as the last one ends, whatever
-the others do. The rules are the batched engine's; one step is `stepping.py`.
-
-The rooms' planners on the host make orders of presses, for options that press ancestors first, and primitives where
-the fields make no progress.
+Every step runs one primitive in every room and returns the decisions that ended with it, with the SMDP fields of
+`OptionsEnv`; a room takes its next decision as soon as the last one ends. The rules are the batched engine's; one step
+is `stepping.py`. The rooms' planners on the host order presses, for options that press ancestors first, and find
+primitives where the fields make no progress.
 """
-
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Any, TypeAlias
 
@@ -27,7 +24,7 @@ from hrl_escape.env.batched.engine import TensorRoom, list_shapes
 from hrl_escape.env.batched.observations import load_observation
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
-from hrl_escape.env.batched.tables import Layout, map_tensors
+from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.sampling.sources import SchematicForm
 from hrl_escape.errors import (
@@ -39,21 +36,19 @@ from hrl_escape.errors import (
     UnsupportedError,
     show_value,
 )
-from hrl_escape.options.batched.cost_to_go import check_presses, stack_fields
-from hrl_escape.options.batched.decisions import (
+from hrl_escape.options.batched.cost_to_go import CostFields, check_presses, stack_fields
+from hrl_escape.options.batched.hand_policy import weigh_postures
+from hrl_escape.options.batched.stepping import (
     ENDINGS,
+    FAIL_AFTER,
     NOT_ASKED,
     ORDER_LENGTH,
-    PLAN_LENGTH,
-    OpenDecisions,
-    Transitions,
-)
-from hrl_escape.options.batched.hand_policy import PostureChooser
-from hrl_escape.options.batched.stepping import (
-    FAIL_AFTER,
     PLAN_AFTER,
+    PLAN_LENGTH,
     AgentView,
+    OpenDecisions,
     StepSettings,
+    Transitions,
     begin_decisions,
     find_startable,
     make_decisions,
@@ -71,54 +66,35 @@ from hrl_escape.spaces import PointingDiscrete, make_vector_space
 
 
 class HostPlanner:
-    """Planners of a batch of rooms.
-
-    Args:
-        room: the batch.
-    """
+    """Planners of a batch of rooms."""
 
     def __init__(self, room: TensorRoom) -> None:
         self._room = room
         self._planners: dict[int, RoomPlanner] = {}
 
     def order(self, running: OpenDecisions, where: Tensor, targets: Tensor) -> OpenDecisions:
-        """List the ancestors of presses and the presses themselves, in the order of options with ancestors.
+        """List the ancestors of the presses of `targets`, int64 (rooms,), and these presses, in the order of options.
 
-        Args:
-            running: the decisions.
-            where: rooms that need an order, bool (rooms,).
-            targets: the targets to press in the end, int64 (rooms,).
-
-        Returns:
-            The decisions with their next goals; still `NOT_ASKED` where the preconditions cannot be met.
+        `where` are the rooms that need an order, bool (rooms,); their next goal is still `NOT_ASKED` where the
+        preconditions cannot be met.
         """
         rooms = where.nonzero().squeeze(1).tolist()
         if not rooms:
             return running
-        order = torch.full((len(rooms), ORDER_LENGTH), NOT_ASKED, dtype=running.order.dtype)
-        first, left = [NOT_ASKED] * len(rooms), [0] * len(rooms)
-        for row, room in enumerate(rooms):
-            found = self._find_order(room, int(targets[room]))
-            if len(found) > ORDER_LENGTH:
-                found = [*found[:ORDER_LENGTH], NOT_ASKED]
-            if found:
-                first[row], left[row] = found[0], len(found) - 1
-                order[row, ORDER_LENGTH - left[row] :] = torch.tensor(found[1:], dtype=order.dtype)
+        found = [self._find_order(room, int(targets[room])) for room in rooms]
+        found = [goals if len(goals) <= ORDER_LENGTH else [*goals[:ORDER_LENGTH], NOT_ASKED] for goals in found]
         at, device = torch.tensor(rooms, device=where.device), where.device
-        orders, goal, order_left = running.order.clone(), running.goal.clone(), running.order_left.clone()
-        orders[:, at], goal[at] = order.T.contiguous().to(device), torch.tensor(first, device=device)
-        order_left[at] = torch.tensor(left, dtype=order_left.dtype, device=device)
-        return running._replace(order=orders, goal=goal, order_left=order_left)
+        order, goal, left = running.order.clone(), running.goal.clone(), running.order_left.clone()
+        order[:, at] = _align([goals[1:] for goals in found], ORDER_LENGTH, NOT_ASKED).to(order)
+        goal[at] = torch.tensor([goals[0] if goals else NOT_ASKED for goals in found], device=device)
+        left[at] = torch.tensor([max(len(goals) - 1, 0) for goals in found], dtype=left.dtype, device=device)
+        return running._replace(order=order, goal=goal, order_left=left)
 
     def plan(self, running: OpenDecisions, where: Tensor) -> tuple[OpenDecisions, Tensor]:
-        """Plan from the present state of some rooms to their goals; each keeps the beginning of its plan.
-
-        Args:
-            running: their decisions.
-            where: the rooms to plan in, bool (rooms,).
+        """Plan from the present states of the rooms of `where`, bool (rooms,), to their goals.
 
         Returns:
-            The decisions with plans, and the rooms in which planning failed, bool (rooms,).
+            The decisions with the beginnings of their plans, and the rooms in which planning failed, bool (rooms,).
         """
         rooms = where.nonzero().squeeze(1).tolist()
         kept = 1 if self._room.layout.is_random else PLAN_LENGTH  # a slip invalidates what follows
@@ -126,15 +102,10 @@ class HostPlanner:
         has_failed = torch.zeros_like(running.plan_left, dtype=torch.bool)
         if not rooms:
             return running, has_failed
-        plan, planned = running.plan.clone(), running.plan_left.clone()
-        table = torch.zeros((PLAN_LENGTH, len(rooms)), dtype=plan.dtype)
-        for column, found in enumerate(plans):
-            if found:
-                table[PLAN_LENGTH - len(found) :, column] = torch.tensor(found, dtype=plan.dtype)
-        at = torch.tensor(rooms, device=plan.device)
-        lengths = torch.tensor([len(found) for found in plans], dtype=planned.dtype, device=planned.device)
-        plan[:, at], planned[at], has_failed[at] = table.to(plan.device), lengths, lengths == 0
-        return running._replace(plan=plan, plan_left=planned), has_failed
+        plan, left, at = running.plan.clone(), running.plan_left.clone(), torch.tensor(rooms, device=where.device)
+        lengths = torch.tensor([len(found) for found in plans], dtype=left.dtype, device=left.device)
+        plan[:, at], left[at], has_failed[at] = _align(plans, PLAN_LENGTH, 0).to(plan), lengths, lengths == 0
+        return running._replace(plan=plan, plan_left=left), has_failed
 
     def _get_planner(self, room: int) -> RoomPlanner:
         number = int(self._room.state.instance[room])
@@ -157,6 +128,52 @@ class HostPlanner:
             return ()
 
 
+def _align(rows: Sequence[Sequence[int]], length: int, filler: int) -> Tensor:
+    """Short lists as columns of a table, (length, lists), aligned to its end."""
+    return torch.tensor([[filler] * (length - len(row)) + list(row) for row in rows]).T.contiguous()
+
+
+class PostureChooser:
+    """Chooses postures for the rooms of a batch, by a compiled kernel or not."""
+
+    def __init__(self, room: TensorRoom, fields: CostFields, is_compiled: bool) -> None:
+        self._room = room
+        self._part = max(room.count // _PARTS, 1) if is_compiled else 0
+        self._weigh: Callable[[TensorState, Tensor, Tensor], Tensor]
+        if is_compiled:
+            shapes = (room.count, *list_shapes(room.tables), *list_shapes(fields))
+            kernel = compile_step(weigh_postures, (room.layout,), room.device.type, torch.get_num_threads(), shapes)
+            self._weigh = kernel.bind(room.tables, fields)
+        else:
+            self._weigh = partial(weigh_postures, room.layout, room.tables, fields)
+
+    def choose(self, running: OpenDecisions, where: Tensor) -> OpenDecisions:
+        """Choose postures in the rooms of `where`, bool (rooms,), whose press begins or has made no progress."""
+        is_press = running.goal < self._room.layout.targets
+        rooms = (where & is_press & ((running.age == 0) | (running.stalled > 0))).nonzero().squeeze(1)
+        if len(rooms) == 0:
+            return running
+        goal = running.goal.clamp(0, self._room.layout.targets - 1)
+        # a compiled kernel takes a fixed number of rooms
+        part = self._part or len(rooms)
+        padded = torch.cat([rooms, rooms.new_zeros(-len(rooms) % part)])
+        found = torch.cat([self._weigh(self._room.state, goal, some) for some in padded.split(part)], dim=1)
+        return running._replace(postures=running.postures.index_copy(1, rooms, found[:, : len(rooms)]))
+
+
+@lru_cache(maxsize=64)
+def compile_step(function: Callable[..., Any], constants: tuple, device: str, threads: int, shapes: tuple
+                 ) -> CompiledStep:
+    """Compile a function of constants and tensors for one shape of batch.
+
+    Between ways as long as each other the last bit decides: it is a CPU's, which costs two fifths of an accelerator's
+    rate.
+    """
+    del shapes
+    return CompiledStep(partial(function, *constants), device, threads, rounds_alike=True)
+
+
+_PARTS = 8  # parts of a batch, weighed one at a time by a compiled kernel: about as many as primitives in a press
 _SHARED = ("options", "include_primitives", "discount", "flavour", "interruptible", "max_duration")  # by OptionsEnv too
 
 __all__ = ["ENDINGS", "BatchedOptionsEnv", "Transitions"]
@@ -267,7 +284,8 @@ class BatchedOptionsEnv:
         if self.rooms.compile:
             check_compiler(self.device)
             shapes = (num_envs, *list_shapes(self.room.tables), *list_shapes(self._fields))
-            compiled = _compile_step(layout, self._settings, self.device.type, torch.get_num_threads(), shapes)
+            compiled = compile_step(step_decisions, (layout, self._settings), self.device.type,
+                                    torch.get_num_threads(), shapes)
             self._kernel = compiled.bind(self.room.tables, self._fields)
 
     # --- observations and masks --------------------------------------------------------------
@@ -304,7 +322,7 @@ class BatchedOptionsEnv:
         """Begin new episodes; decisions in progress in these rooms are dropped.
 
         Args:
-            seeds: key of each room's random numbers, int64 (rooms,), or a whole number that room i adds i to; None
+            seeds: of each room's random numbers, int64 (rooms,), or a whole number that room i adds i to; None
                 continues the present streams.
             where: rooms to reset, bool (rooms,); None resets all.
 
@@ -419,12 +437,7 @@ class BatchedOptionsEnv:
 
 
 def _read_options(options: OptionDegradation | None, flavour: str) -> OptionDegradation:
-    """Read `options` and `flavour` into an `OptionDegradation`, one without effect for whole options.
-
-    Raises:
-        ConfigError: no such flavour.
-        UnsupportedError: only `OptionsEnv` has such options.
-    """
+    """`options` and `flavour` as one value, which has no effect for whole options; refuses what a batch has not."""
     if options is not None and not isinstance(options, OptionDegradation):
         raise UnsupportedError(f"options = {show_value(options)}: a batch has meta-actions only, whole or worse by an "
                                "OptionDegradation; OptionsEnv runs any options, in one room")
@@ -442,13 +455,3 @@ def _read_options(options: OptionDegradation | None, flavour: str) -> OptionDegr
 
 def _own(field: Tensor) -> Tensor:
     return field.clone(memory_format=torch.contiguous_format)
-
-
-@lru_cache(maxsize=64)
-def _compile_step(layout: Layout, settings: StepSettings, device: str, threads: int, shapes: tuple) -> CompiledStep:
-    """Compile a step for one shape of batch.
-
-    Between ways as long as each other the last bit decides: it is a CPU's, which costs two fifths of an accelerator's
-    rate.
-    """
-    return CompiledStep(partial(step_decisions, layout, settings), device, threads, rounds_alike=True)

@@ -1,34 +1,35 @@
 """Cost-to-go of presses by hand in a batch: remaining primitives of base and arm, over a small library of postures.
 
-From a place where the hand can touch the target in some posture, exactly the joint steps to it are left. From
-elsewhere they are added to the way of the base, by the field of the best of a few candidates. To weigh a posture takes
-an interpolation in its field, and there are dozens for each target: a `PostureChooser` weighs all only where a press
-begins or did not get nearer. Tensors have rooms last.
+From a place where the hand can touch the target in some posture, exactly the joint steps to it are left. From elsewhere
+they are added to the way of the base, by the field of the best of a few candidates. A `PostureChooser` weighs the
+dozens that a target has only where a press begins or did not get nearer. Tensors have rooms last.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import lru_cache, partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.arm import compute_hand
-from hrl_escape.env.batched.compilation import CompiledStep
-from hrl_escape.env.batched.engine import TensorRoom, list_shapes
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors
 from hrl_escape.env.tensor_geometry import Shapes, store, wrap
-from hrl_escape.options.batched.cost_to_go import FAR, CostFields, classify_headings, interpolate_cost, locate
-from hrl_escape.options.batched.decisions import CHOSEN, OpenDecisions
-from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
+from hrl_escape.options.batched.cost_to_go import (
+    FAR,
+    OTHER_PRESS_COST,
+    CostFields,
+    classify_headings,
+    interpolate_cost,
+    locate,
+)
 from hrl_escape.options.batched.successors import find_touched_by_hand, rotate
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
-_PARTS = 8  # parts of a batch, weighed one at a time by a compiled kernel: about as many as primitives in a press
+CHOSEN = 4
+"""Number of candidate postures that a hand keeps on its way to a target."""
 _FEW = 8  # targets
 _SKIN = 1e-4  # margin of a predicted touch, m
 
@@ -91,21 +92,11 @@ def _measure_drift(layout: Layout, state: TensorState) -> Tensor:
 def estimate_hand_costs(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, reach: Reach,
                         x: Tensor, y: Tensor, turn: Tensor, heading: Tensor, between: Tensor | None,
                         is_held: Tensor) -> Tensor:
-    """Cost-to-go of presses by hand from places near the present one; float32 (places, rooms).
+    """Cost-to-go of presses by hand from places (x, y), m, near the present one; float32 (places, rooms).
 
-    Args:
-        layout: properties that all rooms share.
-        tables: their instances.
-        fields: their fields.
-        state: their present states.
-        reach: from `find_reach`.
-        x: places of the base, (places, rooms), m.
-        y: likewise.
-        turn: turn steps from the present heading, int64 (places, 1).
-        heading: class of the present heading, int64 (rooms,).
-        between: share of the way to the next class, float32 (rooms,); None if all headings are classes.
-        is_held: where the hand touches the target in its present posture, so that another press needs a moment
-            without touch, bool (places, rooms).
+    `turn` are turn steps from the present heading, int64 (places, 1), `heading` is its class, int64 (rooms,), and
+    `between` the share of the way to the next class, float32 (rooms,), None if all headings are classes. `is_held`,
+    bool (places, rooms): the hand touches the target now, so that another press needs a moment without touch.
     """
     cos, sin = compute_rotation(layout, tables, state)
     place = locate(layout, fields, state.instance, *_displace(state.x, state.y, cos, sin, *reach.shifts))
@@ -166,17 +157,11 @@ def _displace(x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, ahead: Tensor, lef
     return x + cos * ahead - sin * left, y + sin * ahead + cos * left
 
 
-def _weigh_postures(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor, rooms: Tensor
+def weigh_postures(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor, rooms: Tensor
                    ) -> Tensor:
     """Find the postures with the least remaining joint steps plus way of the base; int64 (`CHOSEN`, some).
 
-    Args:
-        layout: properties that all rooms share.
-        tables: their instances.
-        fields: their fields.
-        state: their states.
-        goal: the targets to press, int64 (rooms,).
-        rooms: numbers of the rooms to choose in, int64 (some,).
+    `goal` are the targets to press, int64 (rooms,), and `rooms` numbers of the rooms to choose in, int64 (some,).
     """
     state = map_tensors(lambda field: field[..., rooms], state)
     column = torch.zeros_like(state.instance) if layout.is_shared else state.instance
@@ -193,48 +178,3 @@ def _weigh_postures(layout: Layout, tables: Tables, fields: CostFields, state: T
         found.append(left.argmin(0))
         left = left.scatter(0, found[-1].unsqueeze(0), math.inf)
     return torch.stack(found)
-
-
-class PostureChooser:
-    """Chooser of postures for the rooms of a batch.
-
-    Args:
-        room: the batch.
-        fields: their fields.
-        is_compiled: weigh in a compiled kernel.
-    """
-
-    def __init__(self, room: TensorRoom, fields: CostFields, is_compiled: bool) -> None:
-        self._room = room
-        self._part = max(room.count // _PARTS, 1) if is_compiled else 0
-        self._weigh: Callable[[TensorState, Tensor, Tensor], Tensor]
-        if is_compiled:
-            shapes = (room.count, *list_shapes(room.tables), *list_shapes(fields))
-            kernel = _compile_weighing(room.layout, room.device.type, torch.get_num_threads(), shapes)
-            self._weigh = kernel.bind(room.tables, fields)
-        else:
-            self._weigh = partial(_weigh_postures, room.layout, room.tables, fields)
-
-    def choose(self, running: OpenDecisions, where: Tensor) -> OpenDecisions:
-        """Choose postures where a press begins, or where its last primitive made no progress.
-
-        Args:
-            running: the decisions.
-            where: rooms that follow their fields, bool (rooms,).
-        """
-        is_press = running.goal < self._room.layout.targets
-        rooms = (where & is_press & ((running.age == 0) | (running.stalled > 0))).nonzero().squeeze(1)
-        if len(rooms) == 0:
-            return running
-        goal = running.goal.clamp(0, self._room.layout.targets - 1)
-        # a compiled kernel takes a fixed number of rooms
-        part = self._part or len(rooms)
-        padded = torch.cat([rooms, rooms.new_zeros(-len(rooms) % part)])
-        found = torch.cat([self._weigh(self._room.state, goal, some) for some in padded.split(part)], dim=1)
-        return running._replace(postures=running.postures.index_copy(1, rooms, found[:, : len(rooms)]))
-
-
-@lru_cache(maxsize=64)
-def _compile_weighing(layout: Layout, device: str, threads: int, shapes: tuple) -> CompiledStep:
-    """Compile the weighing for one shape of batch."""
-    return CompiledStep(partial(_weigh_postures, layout), device, threads, rounds_alike=True)

@@ -1,11 +1,9 @@
 """One primitive in every room of a batch, with the decisions that begin and end there: pure functions of tensors.
 
-The loop of `OptionsEnv.step`, turned inside out for many rooms. Rules are the batched engine's;
-`env.py` keeps the tensors.
-
-An option's policy is greedy: the primitive that leads to the least cost-to-go. Moves are swept exactly, with walls and
-press margins; the cost-to-go of their ends is interpolated (`cost_to_go.py`). Where fields mislead, a room remembers
-the costs found in its last cells, so that it does not circle (learning real-time A*, Korf 1990).
+The loop of `OptionsEnv.step`, turned inside out for many rooms, by the batched engine's rules. An option's policy is
+greedy: the primitive that leads to the least cost-to-go. Moves are swept exactly, with walls and press margins; the
+cost-to-go of their ends is interpolated (`cost_to_go.py`). Where fields mislead, a room remembers the costs found in
+its last cells, so that it does not circle (learning real-time A*, Korf 1990).
 """
 
 from __future__ import annotations
@@ -24,18 +22,14 @@ from hrl_escape.env.batched.tables import Layout, Tables, pick
 from hrl_escape.env.noise import MASK, philox
 from hrl_escape.env.observations.base import BatchObservation
 from hrl_escape.env.tensor_geometry import wrap
-from hrl_escape.options.batched.cost_to_go import CostFields, classify_headings, interpolate_cost, locate
-from hrl_escape.options.batched.decisions import (
-    CHOSEN,
-    ENDINGS,
-    NOT_ASKED,
-    ORDER_LENGTH,
-    PLAN_LENGTH,
-    OpenDecisions,
-    Transitions,
+from hrl_escape.options.batched.cost_to_go import (
+    OTHER_PRESS_COST,
+    CostFields,
+    classify_headings,
+    interpolate_cost,
+    locate,
 )
-from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
-from hrl_escape.options.batched.hand_policy import Reach, estimate_arm_costs, estimate_hand_costs, find_reach
+from hrl_escape.options.batched.hand_policy import CHOSEN, Reach, estimate_arm_costs, estimate_hand_costs, find_reach
 from hrl_escape.options.batched.successors import (
     compute_moves,
     compute_resting_hand,
@@ -50,6 +44,15 @@ from hrl_escape.options.batched.successors import (
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 from hrl_escape.options.degraded import FAILURE, STOP, OptionDegradation
 
+ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
+"""Endings of decisions, in the words of `info["option"]["ended"]`; `Transitions.ended` is an index into it."""
+
+PLAN_LENGTH = 64
+"""Longest plan that a room keeps, primitives."""
+ORDER_LENGTH = 16
+"""Most goals of one option that a room keeps; it asks for the rest of a longer order once these are reached."""
+NOT_ASKED = -1
+"""Stands for a goal that the planner must still choose: the next one of an option that presses ancestors first."""
 PLAN_AFTER = 4
 """Primitives without progress after which an option follows a plan instead of its field."""
 FAIL_AFTER = 120
@@ -58,6 +61,52 @@ _OF_GOAL = ("age", "postures", "least", "stalled", "cells", "costs", "plan_left"
 _OF_RUN = (*_OF_GOAL, "option", "run", "goal", "order_left")
 _UNREAD = ("plan", "order")  # while nothing of them is left: they stay as they are
 REACHED, TIMEOUT, EPISODE_OVER, FAILED, INTERRUPTED = range(len(ENDINGS))
+
+
+class Transitions(NamedTuple):
+    """SMDP transitions that ended with the last primitive; rows count only where `where` is true."""
+
+    where: Tensor  # rooms whose decision ended, bool (rooms,)
+    observation: Tensor  # observation at the start of the decision, float32 (rooms, numbers)
+    action: Tensor  # the action chosen, int64 (rooms,)
+    reward: Tensor  # sum of the primitive rewards, float32 (rooms,)
+    discounted_reward: Tensor  # sum over i < k of gamma^i r_i, float32 (rooms,)
+    duration: Tensor  # k >= 1, primitives that ran, int32 (rooms,)
+    discount: Tensor  # gamma^k, float32 (rooms,)
+    next_observation: Tensor  # observation at its end, before any automatic reset
+    next_action_mask: Tensor  # the actions legal there, bool (rooms, actions)
+    terminated: Tensor  # the robot escaped, or the puzzle was failed, bool (rooms,)
+    truncated: Tensor  # the horizon was reached, bool (rooms,); bootstrap from the state reached
+    success: Tensor  # the robot escaped, bool (rooms,)
+    ended: Tensor  # its ending, an index into `ENDINGS`, int8 (rooms,)
+    pressed: Tensor  # bit i is set if target i was pressed by any of the k primitives, int64 (rooms,)
+    primitives: Tensor  # primitives of the episode so far, int32 (rooms,)
+
+
+class OpenDecisions(NamedTuple):
+    """Decisions in progress; every field is (rooms,) unless stated."""
+
+    action: Tensor  # the action chosen, int64; -1 where a room waits for one
+    observation: Tensor  # observation at its start, float32 (rooms, numbers)
+    reward: Tensor  # sum of primitive rewards so far, float32
+    discounted_reward: Tensor  # their discounted sum, float32
+    discount: Tensor  # gamma to the power of the duration so far, float32
+    duration: Tensor  # primitives so far, int32
+    pressed: Tensor  # bits of the targets pressed so far, int64
+    option: Tensor  # action of the option that runs, or was interrupted and may be continued, int64; -1 for none
+    run: Tensor  # primitives of its run so far, interruptions included, int32
+    goal: Tensor  # target of the option, the number of targets for the exit, or `NOT_ASKED`, int64
+    age: Tensor  # primitives since it took up this goal, int32
+    postures: Tensor  # candidate postures for a press by hand, int64 (`CHOSEN`, rooms)
+    order: Tensor  # goals to follow, or `NOT_ASKED` to ask again, aligned to the end, int8 (`ORDER_LENGTH`, rooms)
+    order_left: Tensor  # number of goals left in `order`, int32
+    least: Tensor  # lowest cost-to-go that the option has met, float32
+    stalled: Tensor  # primitives since then, int32
+    cells: Tensor  # cells of the last choices, int64 (memory, rooms)
+    costs: Tensor  # cost-to-go found there, float32 (memory, rooms)
+    plan: Tensor
+    """Primitives to follow where the field made no progress, aligned to the end, int8 (`PLAN_LENGTH`, rooms)."""
+    plan_left: Tensor  # primitives of the plan still to run, int32
 
 
 class StepSettings(NamedTuple):
@@ -106,8 +155,8 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
                    ) -> tuple[TensorState, OpenDecisions, AgentView, Transitions]:
     """Run one primitive in every room, and begin and end decisions; the function that is compiled.
 
-    With `looks` it begins episodes only where any has ended, to see which neither a compiled step nor an accelerator
-    stops.
+    With `looks` it begins episodes only where any has ended, which takes a look that neither a compiled step nor an
+    accelerator stops for.
     """
     is_over = state.has_ended != 0
     running = begin_decisions(layout, settings, running, (running.action < 0) & ~is_over & (action >= 0), action,
@@ -243,14 +292,9 @@ def name_options(targets: int) -> tuple[str, ...]:
 
 def _draw_uniform(degradation: OptionDegradation, names: Sequence[str], option: Tensor, purpose: int,
                  state: TensorState) -> Tensor:
-    """Uniform numbers in (0, 1) for a purpose at the present primitives, float64 (rooms,); those of `OptionsEnv`.
+    """Uniform numbers in (0, 1) for `FAILURE` or `STOP` at the present primitives, float64 (rooms,), as `OptionsEnv`'s.
 
-    Args:
-        degradation: its seed is that of the draws.
-        names: names of the options.
-        option: number of each room's option, int64 (rooms,).
-        purpose: `FAILURE` or `STOP`.
-        state: states of the rooms.
+    `names` are those of the options, `option` the number of each room's, int64 (rooms,).
     """
     keys = torch.tensor([degradation.make_key(name) for name in names], device=option.device)[option]
     episode, primitive = state.noise_key, state.primitives.to(torch.int64)
@@ -276,10 +320,9 @@ class Choice(NamedTuple):
 
 
 def can_start(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
-    """Return the options that may start, bool (rooms, targets + 1).
+    """Options that may start, bool (rooms, targets + 1): presses of the targets that the room has, and the exit.
 
-    The press of every target that the room has may; the exit may unless the robot is in it already or a shut door
-    blocks it.
+    The exit may not where the robot is in it already or a shut door blocks it.
     """
     inside = is_in_exit(layout, tables, state.instance, state.x, state.y)
     has_door = pick(layout, tables.doors, state.instance).x[0] < 1e5
@@ -293,15 +336,9 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
                      postures: Tensor, cells: Tensor, costs: Tensor) -> Choice:
     """Choose every room's next primitive.
 
-    Args:
-        layout: properties that all rooms share.
-        tables: their instances.
-        fields: their fields.
-        state: their states.
-        goal: the target to press, or the number of targets for the exit, int64 (rooms,).
-        postures: postures that a hand may press in, int64 (chosen, rooms).
-        cells: last cells of each room, int64 (memory, rooms).
-        costs: costs found there, float32 (memory, rooms).
+    `goal` is the target to press, or the number of targets for the exit, int64 (rooms,); `postures` those that a hand
+    may press in, int64 (chosen, rooms); `cells` the last ones of each room, int64 (memory, rooms), and `costs` those
+    found there, float32 (memory, rooms).
     """
     depth = 1 if layout.headings >= _FINE_HEADINGS else 2
     reach = find_reach(layout, tables, fields, state, goal, postures) if presses_by_hand(layout) else None

@@ -1,8 +1,4 @@
-"""Ends of moves in a batch of rooms, and the targets that are touched there, as far as options look ahead.
-
-Moves are swept exactly, with walls and press margins, by the rules of the batched engine. Pure functions of tensors,
-rooms last.
-"""
+"""Ends of moves in a batch of rooms, and the targets touched there: what options look ahead to. Rooms come last."""
 
 from __future__ import annotations
 
@@ -88,15 +84,8 @@ def find_touched_by_hand(layout: Layout, tables: Tables, instance: Tensor, hand:
                          y: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
     """Bits of the targets that the hand touches, int64 (cases, rooms).
 
-    Args:
-        layout: properties that all rooms share.
-        tables: their instances.
-        instance: index of each room's instance, int64 (rooms,).
-        hand: x, y and z in the base frame, m; this and the following are (cases, rooms) or (rooms,).
-        x: place of the base, m.
-        y: likewise.
-        cos: cosine of its heading.
-        sin: its sine.
+    `hand` is x, y and z in the base frame, `x` and `y` the base's place, m, `cos` and `sin` of its heading: each
+    (cases, rooms) or (rooms,); `instance` is int64 (rooms,).
     """
     ahead, left, up = hand
     room_x, room_y = x + cos * ahead - sin * left, y + sin * ahead + cos * left

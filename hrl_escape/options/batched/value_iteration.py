@@ -1,10 +1,8 @@
 """Kernels of smooth cost-to-go fields: ends of primitives on a grid, and value iteration over them.
 
-The end of a primitive lies between four cells and has their interpolated value; the value of any
-exact pose is interpolated in the same way (Munos and Moore 2002, section 3). All fields of a room
-are iterated together, their values side by side, and where nothing is near, all moves at a heading
-end between the same cells relative to their start: both let the compiler use vector instructions.
-Arrays in, arrays out; `cost_to_go.py` gives them their meaning.
+The end of a primitive lies between four cells and has their interpolated value, as has any exact pose (Munos and Moore
+2002, section 3). All fields of a room are iterated together, their values side by side, and where nothing is near, all
+moves at a heading end between the same cells relative to their start: both let the compiler use vector instructions.
 """
 
 from __future__ import annotations
@@ -166,17 +164,9 @@ def _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shar
 def trace_moves(scene, points, standing, rows, low, size, moves, targets, reaches, way_out) -> Moves:
     """Find the ends of all moves of a disc from every cell's representative place.
 
-    Args:
-        scene: the room.
-        points: a representative place in each cell, shape (cells, 2), m; the centre where nothing is near.
-        standing: True where the body fits, shape (cells,).
-        rows: cells along y; a cell's index is i * rows + j.
-        low: corner of the grid, shape (2,), m.
-        size: side of a cell, m.
-        moves: displacements, shape (classes, translations, 2), m.
-        targets: rows of `stack_footprints`, shape (targets, 7).
-        reaches: distance at which each is touched, shape (targets,), m.
-        way_out: x_min, x_max, y_min, y_max of the exit, m.
+    `points` are these places, (cells, 2), m, the centre where nothing is near; `standing` says where the body fits.
+    `moves` are displacements, (classes, translations, 2), m; `targets` rows of `stack_footprints`, touched within
+    `reaches`, (targets,), m; `way_out` is x_min, x_max, y_min, y_max of the exit, m.
     """
     offsets, shares = _trace_free(size, rows, moves)
     tables = _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shares, targets, reaches, way_out)
@@ -200,10 +190,7 @@ def iterate_values(values, moves, turn_steps, own, leaving, penalty, tolerance, 
         leaving: cost of entering the exit without the goal, float32 (fields,); `UNREACHABLE` where the episode ends.
         penalty: cost of touching another target, float32.
         tolerance: largest change that counts as none, float32.
-        most: largest number of sweeps.
-
-    Returns:
-        The number of sweeps; `most` if values may still have changed in the last.
+        most: largest number of sweeps, after which values may still change.
     """
     fields, classes, cells, rows = own.shape[0], moves.listed.shape[0], moves.listed.shape[1], moves.rows
     columns, side = cells // rows, moves.reach
@@ -226,8 +213,7 @@ def iterate_values(values, moves, turn_steps, own, leaving, penalty, tolerance, 
                 changed[i, tj] = number
                 is_done = False
         if is_done:
-            return number
-    return most
+            break
 
 
 @kernel_part
@@ -336,15 +322,7 @@ def _take_less_after_turn(source, best):
 
 @kernel
 def encode_values(values, fields):
-    """Round fields to whole numbers.
-
-    Args:
-        values: from `iterate_values`.
-        fields: how many there are.
-
-    Returns:
-        int16 (fields, cells, classes), -1 where there is no way; and the cost of one unit, float32 (fields,).
-    """
+    """Round `fields` fields to int16 (fields, cells, classes), -1 without a way; and their units, float32 (fields,)."""
     classes, cells = values.shape[0], values.shape[1] // fields
     most = np.ones(fields, dtype=np.float32)
     for c in range(classes):

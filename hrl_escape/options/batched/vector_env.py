@@ -20,8 +20,8 @@ from hrl_escape.env.batched.engine import draw_seed
 from hrl_escape.env.batched.puzzles.base import unpack_bits
 from hrl_escape.env.vector_env import BatchVectorEnv
 from hrl_escape.errors import BatchError, UnsupportedError
-from hrl_escape.options.batched.decisions import Transitions
 from hrl_escape.options.batched.env import BatchedOptionsEnv
+from hrl_escape.options.batched.stepping import Transitions
 
 _ELSEWHERE = {
     "trace": "rooms keep no list of primitives",

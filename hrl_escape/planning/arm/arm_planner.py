@@ -1,8 +1,7 @@
 """`ArmPlanner`: inverse kinematics and collision-free motion of one room's robot, in joint angles.
 
-Pinocchio gives kinematics and Jacobians, coal detects collisions (links against solids, the shut door
-and each other), OMPL finds the way. Nothing here is tied to whole joint steps: `RoomPlanner` plans
-primitives, and such paths are followed only by options.
+Pinocchio gives kinematics and Jacobians, coal detects collisions, OMPL finds the way. Nothing here is tied to whole
+joint steps: `RoomPlanner` plans primitives, and such paths are followed only by options.
 """
 
 from __future__ import annotations
@@ -234,16 +233,10 @@ class ArmPlanner:
     def plan_whole_body(self, state: RoomState, place: Sequence[float], goal: ArrayLike, *,
                         planner: str = "RRTConnect", seed: int = 0, budget: int = 200_000,
                         time_limit: float | None = None) -> MotionPath:
-        """Plan a collision-free motion of base and arm together.
+        """Plan a collision-free motion of base and arm together; the other arguments are those of `plan`.
 
-        Args:
-            state: base and arm at the beginning.
-            place: of the base at the end: x, y, m, and heading, rad.
-            goal: joint angles at the end, (joints,), rad.
-            planner: as in `plan`.
-            seed: as in `plan`.
-            budget: as in `plan`.
-            time_limit: as in `plan`.
+        `place` is that of the base at the end, x, y, m, and heading, rad, and `goal` the joint angles there, (joints,),
+        rad.
 
         Raises:
             PlanningFailed: there is no path; its reason says why.
@@ -295,8 +288,8 @@ class ArmPlanner:
         """Search with the largest margin that start and goal allow, in coordinates scaled to metres of motion.
 
         Points of the robot move by at most the sum of the scaled coordinates' changes, which is at most half the margin
-        between two tested places. So no point is ever farther than a quarter of the margin from where it was tested,
-        two links come nearer to each other by at most half of it, and the path may still be left by a quarter.
+        between two tested places. So two links come nearer to each other by at most half of it, and the path may still
+        be left by a quarter.
         """
         if planner not in OMPL_PLANNERS:
             raise UnknownNameError("path planner", planner, OMPL_PLANNERS)

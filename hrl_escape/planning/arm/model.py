@@ -1,8 +1,7 @@
-"""Arm model for planners: Pinocchio's kinematics of the robot's URDF and coal's collisions of its links.
+"""Arm model for planners: Pinocchio's kinematics of the robot's URDF, coal's collisions of its links, and meshes.
 
-The only wrapper of the two libraries, but for meshes in files. It computes positions of the hand, on the joint lattice
-and off it, and tests whether the links are clear of walls, obstacles and each other. It chooses no configuration.
-Frame `base`: origin on the floor below the base's axis, x ahead, z up; metres, radians.
+The only wrapper of the two libraries. It chooses no configuration. Frame `base`: origin on the floor below the base's
+axis, x ahead, z up; metres, radians.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -13,14 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.env.geometry import Solid, compute_distance
-from hrl_escape.env.robot import BASE_LINK, Robot
-from hrl_escape.errors import MissingPackageError
+from hrl_escape.env.robot import BASE_LINK, LARGEST_MESHES, MESH_ENDINGS, Robot
+from hrl_escape.errors import FileReadError, MissingPackageError
+from hrl_escape.files import check_files
 
 try:
     import coal
@@ -35,12 +36,7 @@ FEW_SOLIDS, MOST_TILES = 64, 256
 
 
 class ArmKinematics:
-    """Kinematics of one robot, from Pinocchio.
-
-    Attributes:
-        robot: the robot.
-        model: Pinocchio's model of it, the base fixed at the origin.
-    """
+    """Kinematics of one robot, from Pinocchio, whose `model` has the base fixed at the origin."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -65,8 +61,7 @@ class ArmKinematics:
                            ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
         """Tabulate the placements of every joint by itself; products of them make the lattice.
 
-        Args:
-            joint_offsets: angles beyond whole steps, rad; empty for none.
+        Joint offsets are angles beyond whole steps, rad; empty for none.
 
         Returns:
             For each joint the placements (steps, 4, 4) of its link in the link of the joint before it,
@@ -109,10 +104,7 @@ class ArmKinematics:
     def compute_efforts(self, angles: ArrayLike, speeds: ArrayLike, accelerations: ArrayLike) -> NDArray[np.float64]:
         """Torque that each joint needs for a motion, by the recursive Newton-Euler algorithm, (joints,), N m.
 
-        Args:
-            angles: (joints,), rad.
-            speeds: (joints,), rad/s.
-            accelerations: (joints,), rad/s^2.
+        Of angles, rad, speeds, rad/s, and accelerations, rad/s^2, each (joints,).
         """
         columns = [self.model.joints[joint].idx_v for joint in self._used]
         rates = np.zeros((2, self.model.nv))
@@ -128,13 +120,9 @@ class ArmKinematics:
     def solve_ik(self, target: ArrayLike, seed: Sequence[float], tolerance: float) -> NDArray[np.float64] | None:
         """Joint angles that bring the hand to a position or a pose, by the Levenberg-Marquardt method (Sugihara 2011).
 
-        Args:
-            target: in the base frame: position of the hand (3,), m, or placement of its link (4, 4).
-            seed: joint angles to begin at, rad; joints are held at their limits from there on.
-            tolerance: largest distance from the target, m; for a pose also the largest rotation from it, rad.
-
-        Returns:
-            Shape (joints,), rad, or None if the seed does not lead there.
+        The target, in the base frame, is a position of the hand (3,), m, or a placement of its link (4, 4). Angles
+        begin at `seed`, rad, and are held at their limits; `tolerance` is the largest distance, m, and for a pose also
+        rotation, rad, from the target. Returns (joints,), rad, or None if the seed does not lead there.
         """
         wanted = np.asarray(target, dtype=np.float64)
         low, high = np.array(self.robot.limits).T
@@ -177,11 +165,7 @@ class ArmCollisions:
     The base against solids is left to `CollisionMap`. Links joined to each other never count, nor do pairs that an SRDF
     allows; without one, or with one that allows none, those that meet with all joints at home (the arm's foot and the
     base). Nor does a link that rests on the floor at home. The hand is the sphere that presses, added to the shape of
-    its link.
-
-    Attributes:
-        robot: the robot.
-        margin: distance that counts as a collision already, m.
+    its link. What is nearer than `margin`, m, collides.
     """
 
     def __init__(self, robot: Robot, hand_radius: float, solids: Sequence[Solid], margin: float = 0.0,
@@ -255,9 +239,9 @@ class ArmCollisions:
         return self._near[tile]
 
     def compute_sweeps(self) -> NDArray[np.float64]:
-        """Farthest that any point of the robot moves for each radian of a joint, (joints,), m, by links stretched out.
+        """Farthest that any point of the robot moves for each radian of a joint, links stretched out, (joints + 1,), m.
 
-        The base's turn comes last: shape (joints + 1,).
+        The base's turn comes last.
         """
         model, far = self._model, np.zeros(len(self._used) + 1)
         for item in self._geometry.geometryObjects.tolist():
@@ -304,14 +288,7 @@ class ArmCollisions:
         return q
 
     def is_free(self, x: float, y: float, heading: float, angles: Sequence[float]) -> bool:
-        """Return whether no link meets a solid, the floor or another link.
-
-        Args:
-            x: the base's axis in the room, m.
-            y: the base's axis in the room, m.
-            heading: rad.
-            angles: joint angles, rad.
-        """
+        """Return whether no link meets a solid, the floor or another link; places in m, heading and angles in rad."""
         return self._find_near(x, y)._test(x, y, heading, angles)
 
     def _test(self, x: float, y: float, heading: float, angles: Sequence[float]) -> bool:
@@ -359,3 +336,25 @@ def _make_collision_object(name: str, solid: Solid) -> Any:
     turn = pinocchio.utils.rotate("z", solid.yaw)
     place = pinocchio.SE3(turn, np.array([solid.x, solid.y, solid.height / 2]))
     return pinocchio.GeometryObject(name, 0, place, shape)
+
+
+def load_triangles(path: str | Path) -> NDArray[np.float64]:
+    """Corners of the triangles of a mesh (STL, OBJ or DAE), shape (triangles, 3, 3), in the file's own frame and unit.
+
+    A unit or an up axis that a DAE file names is not applied.
+
+    Raises:
+        FileReadError: there is no such file, it is no plain file of a known kind, too large or no mesh, or a vertex is
+            no number.
+    """
+    if Path(path).exists():
+        check_files([str(path)], "mesh", MESH_ENDINGS, LARGEST_MESHES)
+    try:
+        mesh = coal.MeshLoader().load(str(Path(path).resolve(strict=True)))
+    except (OSError, RuntimeError, ValueError) as error:
+        raise FileReadError(f"{path} is no mesh that assimp reads: {type(error).__name__}") from None
+    vertices = np.asarray(mesh.vertices(), dtype=np.float64)
+    if not np.isfinite(vertices).all():
+        raise FileReadError(f"{path} is no mesh to plan in: a vertex is not a finite number")
+    corners = [[triangle[corner] for corner in range(3)] for triangle in map(mesh.tri_indices, range(mesh.num_tris))]
+    return vertices[np.array(corners, dtype=np.int64).reshape(-1, 3)]

@@ -1,10 +1,9 @@
 """Joint steps that bring the hand to a target from a given place of the base.
 
-Inverse kinematics rounded to whole joint steps misses many targets, so configurations are
-found on the joint lattice itself (`arm/joint_lattice.py`), whose placements come from Pinocchio,
-and each is checked with the environment's own `touching` rule. A `ReachTable` gives the fewest
-joint steps for every place of the base at once, for a search that moves base and arm together;
-driving is not planned here. A `Reacher` may be pickled, but not shared between threads.
+Inverse kinematics rounded to whole joint steps misses many targets, so configurations are found on the joint lattice
+itself (`joint_lattice.py`), and each is checked with the environment's own `touching` rule. A `ReachTable` gives the
+fewest joint steps for every place of the base at once, for a search that moves base and arm together; driving is not
+planned here. A `Reacher` may be pickled, but not shared between threads.
 """
 
 from __future__ import annotations
@@ -24,9 +23,20 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningFailed, UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap
-from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED, ArmLattice, Halves, make_halves, make_lattice
+from hrl_escape.planning.arm.joint_lattice import (
+    NEVER,
+    UNLIMITED,
+    ArmLattice,
+    Halves,
+    bound_costs,
+    find_heights,
+    find_touching,
+    make_halves,
+    make_lattice,
+    map_hands,
+    measure_gap,
+)
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
-from hrl_escape.planning.arm.tables import bound_costs, find_heights, find_touching, map_hands, measure_gap
 from hrl_escape.search import find_cheapest_steps
 
 if TYPE_CHECKING:
@@ -186,13 +196,9 @@ class Reacher:
                    heading_offset: float = 0.0, budget: int = QUICK) -> ReachTable:
         """Tabulate the fewest joint steps to touch a target, for every place and heading of the base.
 
-        Args:
-            target: index of the target.
-            joint_steps: present configuration of the arm.
-            joint_offsets: offsets of its joints from the lattice, rad; empty for none.
-            heading_offset: offset of the base's heading from its lattice, rad.
-            budget: pairs of half configurations to examine, exceeded only while none reaches the target's
-                height; `UNLIMITED` takes up to seconds with seven joints.
+        They are counted from `joint_steps`, the joints that much off the lattice, rad, and the base's heading too. The
+        budget of pairs of half configurations is exceeded only while none reaches the target's height; `UNLIMITED`
+        takes up to seconds with seven joints.
         """
         t = self.instance.targets[target]
         costs, complete_to = self._get_costs(t.z, (t.half_x, t.half_y, t.half_z), t.yaw, joint_steps, joint_offsets,
@@ -204,9 +210,6 @@ class Reacher:
         """List postures at the height of a target, the cheapest from home first; one for each place of the hand.
 
         One in each cell of 0.1 m is enough, as cells are smaller than the reach of a touch.
-
-        Args:
-            target: index of the target.
 
         Returns:
             Joint steps from home (postures, joints), and positions of the hand in the base frame (postures, 3), m.
@@ -224,12 +227,7 @@ class Reacher:
         return steps, np.einsum("nij,nj->ni", rows[:, :, :3], lattice.last[j]) + rows[:, :, 3]
 
     def explain_unreachable(self, target: int, floor: CollisionMap) -> str:
-        """Say whether a target is too high, too low or too far for the hand; empty if neither is certain.
-
-        Args:
-            target: index of the target.
-            floor: the room's clearances, the exit door open.
-        """
+        """Say that a target is too high, low or far for the hand, by clearances with the exit open; empty if unsure."""
         goal, home, room = self.instance.targets[target], (0,) * self.instance.robot.joints, self.instance
         lattice = self._get_ordered(home, ()).lattice
         lowest, highest = find_heights(lattice)
@@ -252,18 +250,10 @@ class Reacher:
     def get_configuration(self, x: float, y: float, heading_steps: int, joint_steps: tuple[int, ...], target: int, *,
                           joint_offsets: tuple[float, ...] = (), heading_offset: float = 0.0
                           ) -> tuple[int, ...] | None:
-        """Find the configuration with the fewest joint steps that touches a target from an exact place.
+        """Find the configuration with the fewest joint steps that touches a target from an exact place, m.
 
-        Configurations that touch no other target come first.
-
-        Args:
-            x: the base's axis, m.
-            y: the base's axis, m.
-            heading_steps: the base's heading.
-            joint_steps: present configuration of the arm.
-            target: index of the target.
-            joint_offsets: offsets of its joints from the lattice, rad; empty for none.
-            heading_offset: offset of the base's heading from its lattice, rad.
+        Configurations that touch no other target come first. Offsets are those of joints and heading from their
+        lattices, rad.
 
         Returns:
             Joint steps from home, as in `RoomState.joint_steps`; None where the hand cannot touch the target.
@@ -295,12 +285,8 @@ class Reacher:
                     avoiding: bool = True) -> tuple[int, ...] | None:
         """Interleave joint steps with given moves of the base so that no other target is pressed on the way.
 
-        Args:
-            state: first state.
-            moves: primitives of the base, kept in their order.
-            joint_steps: last configuration.
-            target: index of the target to touch; the primitives end with the touch.
-            avoiding: other targets may not be pressed on the way.
+        Moves stay in their order; the primitives end with the touch of the target. Not `avoiding`, others may be
+        pressed.
 
         Returns:
             Primitives, verified by the room's kinematics: as many as moves and joint steps if possible, else
@@ -353,13 +339,7 @@ class Reacher:
         return None
 
     def is_push(self, state: RoomState, moves: Sequence[int], target: int) -> bool:
-        """Return whether moves of the base alone press a target by force, the arm clear of walls and obstacles.
-
-        Args:
-            state: first state; an arm in collision there may take several moves to come out.
-            moves: primitives, the last of which ends with the hand at the target.
-            target: index of the target.
-        """
+        """Return whether moves of the base alone press a target by force, the arm clear of walls and obstacles."""
         end = self.move_base(state, moves)
         if end is None:
             return False
@@ -370,10 +350,7 @@ class Reacher:
     def move_base(self, state: RoomState, moves: Sequence[int], others: int = 0) -> RoomState | None:
         """State after moves of the base, the arm at rest; None where the arm meets a solid or begins to touch `others`.
 
-        Args:
-            state: first state; an arm in collision there may take several moves to come out.
-            moves: primitives of the base.
-            others: bits of targets that may not be pressed on the way.
+        An arm in collision at first may take several moves to come out. `others` are bits of targets.
         """
         is_stuck = self.collides(state)
         for move in moves:
@@ -391,15 +368,8 @@ class Reacher:
 
         The fewest joint steps may lead through solids where a path of joint angles leads round them. Rounding the path
         to whole steps may touch what it clears, so the lattice is searched near it, and every step is tested in
-        between as well.
-
-        Args:
-            state: base and arm at the beginning.
-            joint_steps: last posture, from home.
-            others: bits of targets that may not be pressed on the way.
-
-        Returns:
-            Primitives; None where no path is found, or no joint steps along it.
+        between as well. None where no path is found, or no joint steps along it that press none of `others`, bits of
+        targets.
         """
         rules, robot, heading = self.kinematics, self.kinematics.robot, self.kinematics.get_heading(state)
         home = np.array(robot.compute_angles((0,) * len(joint_steps), state.joint_offsets))
@@ -420,7 +390,7 @@ class Reacher:
             if get_touching(b) & ~get_touching(a) & others:
                 return False
             places = (home + robot.step * (np.array(a) + share * np.subtract(b, a)) for share in TESTED_SHARES)
-            return all(self.is_collision_free(state.x, state.y, heading, place.tolist()) for place in places)
+            return all(self.collisions.is_free(state.x, state.y, heading, place.tolist()) for place in places)
 
         steps = follow_path((path - home) / robot.step, state.joint_steps, joint_steps, can_step)
         if steps is None:
@@ -432,27 +402,15 @@ class Reacher:
     # --- collisions --------------------------------------------------------------------
 
     @cached_property
-    def _collisions(self) -> ArmCollisions:
+    def collisions(self) -> ArmCollisions:
+        """Test of the arm against walls, obstacles, the shut exit door and itself; targets are to be touched."""
         door = (self.instance.door,) if self.instance.door else ()
         return ArmCollisions(self.kinematics.robot, self.instance.robot.hand_radius, (*self.instance.solids, *door))
 
     def collides(self, state: RoomState) -> bool:
-        """Return whether the arm meets a wall, an obstacle, the shut exit door or the robot itself."""
+        """Return whether the arm meets something in a state, by `collisions`."""
         heading = self.kinematics.get_heading(state)
-        return not self.is_collision_free(state.x, state.y, heading, self.kinematics.get_angles(state))
-
-    def is_collision_free(self, x: float, y: float, heading: float, joints: Sequence[float]) -> bool:
-        """Return whether the arm is clear of walls, obstacles, the shut exit door and the robot itself.
-
-        Targets do not count: they are meant to be touched.
-
-        Args:
-            x: the base's axis, m.
-            y: the base's axis, m.
-            heading: rad.
-            joints: joint angles, rad.
-        """
-        return self._collisions.is_free(x, y, heading, joints)
+        return not self.collisions.is_free(state.x, state.y, heading, self.kinematics.get_angles(state))
 
 
 def _bound_reach(lattice: ArmLattice) -> float:
@@ -461,16 +419,9 @@ def _bound_reach(lattice: ArmLattice) -> float:
 
 def follow_path(path: NDArray[np.float64], begin: Posture, end: Posture, can_step: Callable[[Posture, Posture], bool]
                 ) -> tuple[Posture, ...] | None:
-    """Find the fewest joint steps from one posture to another near a path.
+    """Fewest joint steps from one posture to another near a path, as the postures after each; None without a way.
 
-    Args:
-        path: places along it, at most a fraction of a step apart, shape (n, joints), in joint steps from home.
-        begin: first posture, in joint steps from home.
-        end: last posture.
-        can_step: (posture, a neighbouring one) -> the arm may go from one to the other.
-
-    Returns:
-        Postures after each step; None where no tube holds a way.
+    The path's places, (n, joints), and the postures are in joint steps from home. `can_step` is asked for neighbours.
     """
     found = (_search_tube(path, begin, end, can_step, wide) for wide in TUBES)
     return next((postures for postures in found if postures is not None), None)

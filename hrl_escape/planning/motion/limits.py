@@ -49,11 +49,9 @@ class MotionLimits:
                     raise ConfigError(f"limits.{field.name}", value, "a finite number above 0")
 
     def stack(self, names: Sequence[str], robot: Robot | None = None) -> NDArray[np.float64]:
-        """Largest speed, acceleration and jerk of each coordinate, shape (coordinates, 3).
+        """Largest speed, acceleration and jerk of each coordinate (`x`, `y`, `heading`, joints), (coordinates, 3).
 
-        Args:
-            names: `x`, `y`, `heading`, and joints.
-            robot: names the joints, and caps their speeds by its URDF; None for joints in the order of `names`.
+        A robot names the joints and caps their speeds by its URDF; without one they come in the order of `names`.
 
         Raises:
             ConfigError: limits for another number of joints.
@@ -90,13 +88,9 @@ def compute_rest_to_rest(distance: float, speed: float, acceleration: float, jer
 
 
 def compute_duration(states: Sequence[RoomState], limits: MotionLimits, robot: Robot, turn_step: float) -> float:
-    """Shortest time to go through states one after another, s; the base rests wherever its direction changes.
+    """Shortest time to go through states, each one primitive after the one before, s.
 
-    Args:
-        states: states of a plan, each one primitive after the one before.
-        limits: of speed, acceleration and jerk.
-        robot: the robot.
-        turn_step: angle of a turn, rad.
+    The base rests wherever its direction changes. The turn step is in rad.
     """
     rates = limits.stack(("x", "heading", *robot.joint_names), robot).tolist()
     total, now, length = 0.0, (0, 0.0, 0.0), 0.0

@@ -1,10 +1,8 @@
-"""Collision-free paths for the base in the plane; headings come later, as a disc may turn anywhere.
+"""Collision-free paths for the base: the `Navigator` asks a planner of `planners.py` and checks its answer exactly.
 
-The `Navigator` states the problem, asks a planner of `planners.py`, and checks its answer
-exactly before returning it. A disc's path is one of places, as it may turn anywhere; a rectangle's one of poses, SE(2).
-
-Poses are tested with a margin that covers all poses between two tested ones: between poses `s` apart, with headings
-scaled by half the diagonal to metres, no point of the rectangle is farther than s / sqrt(2) from where it was tested.
+A disc's path is one of places, as it may turn anywhere; a rectangle's one of poses, SE(2). Poses are tested with a
+margin that covers all poses between two tested ones: between poses `s` apart, with headings scaled by half the diagonal
+to metres, no point of the rectangle is farther than s / sqrt(2) from where it was tested.
 """
 
 from __future__ import annotations
@@ -269,11 +267,7 @@ _MOST_ENDS = 64
 
 
 def check_pose_planner(name: str) -> None:
-    """Refuse a path planner that plans in the plane only.
-
-    Raises:
-        UnsupportedError: the message lists those that plan poses.
-    """
+    """Refuse a path planner that plans in the plane only. Raises `UnsupportedError`, which lists the others."""
     if name not in OMPL_PLANNERS:
         raise UnsupportedError(f"path planner {name!r} plans places of a disc; poses of a rectangular base are planned "
                                f"by {', '.join(OMPL_PLANNERS)}")
@@ -281,15 +275,7 @@ def check_pose_planner(name: str) -> None:
 
 def find_pose_path(collision: CollisionMap, start: NDArray[np.float64], ends: NDArray[np.float64], planner: str,
                    seed: int, budget: CheckerBudget) -> NDArray[np.float64] | None:
-    """Find a path of poses from a start to any of some ends.
-
-    Args:
-        collision: the room.
-        start: x, y and heading, shape (3,), m and rad; the base fits there.
-        ends: poses of which any will do, shape (n, 3); the base fits there.
-        planner: one of `OMPL_PLANNERS`.
-        seed: the same seed gives the same path.
-        budget: poses that may be tested, and the time limit.
+    """Find a path of poses, (x, y, heading) in m and rad, from a start (3,) to any of some ends (n, 3); the base fits.
 
     Returns:
         Poses to go through in straight lines while turning evenly, shape (k, 3), or None.

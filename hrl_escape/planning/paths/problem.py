@@ -65,15 +65,7 @@ class Spent(Exception):
 
 
 class CheckerBudget:
-    """Checker calls of one query: places tested, and rounds of a planner's own loop.
-
-    Args:
-        most: calls that may be made.
-        clock: time limit.
-
-    Attributes:
-        calls: made so far.
-    """
+    """Checker calls of one query, and its time limit: places tested, and rounds of a planner's own loop."""
 
     def __init__(self, most: int, clock: Clock = NO_LIMIT) -> None:
         self.most, self.clock, self.calls = most, clock, 0
@@ -137,12 +129,8 @@ def step_aside(place: tuple[float, float], angle: float, distances: Sequence[flo
                ) -> tuple[float, float] | None:
     """Nearest place with the clearance that tests of motions need, straight from one that may touch a wall.
 
-    Args:
-        place: the place, m.
-        angle: direction that is tried first, rad.
-        distances: tried in this order, each in 16 directions, m.
-        is_clear: says whether a place has that clearance.
-        is_move_free: says whether the base can go straight between two places.
+    Distances, m, are tried in order, each in 16 directions from `angle`, rad, on. `is_clear` says of a place that it
+    has that clearance, `is_move_free` of two that the base can go straight between them.
     """
     x, y = place
     if is_clear(x, y):

@@ -1,8 +1,8 @@
-"""A* over primitives on exact poses, compiled.
+"""A* over primitives on exact poses, compiled: to one goal, or through all orders of presses to the exit.
 
-The frontier keeps nodes in buckets by estimated cost (Dial 1969) and one node for each bin of
-poses. It proposes goal nodes, cheapest first; `search_run.py` states the query and verifies the
-proposals. Kernels are compiled on first use and kept on disk.
+The frontier keeps nodes in buckets by estimated cost (Dial 1969) and one node for each bin of poses. It proposes goal
+nodes, cheapest first; `primitive_search.py` and `joint_search.py` state the queries and verify the proposals. Kernels
+are compiled on first use and kept on disk.
 """
 
 from __future__ import annotations
@@ -32,13 +32,9 @@ OPEN, GOAL, BEATEN = 0, 1, 2
 """Kinds of nodes: to be expanded, a goal, or one whose bin holds a cheaper one."""
 
 
-class SearchQuery(NamedTuple):
-    """Start, goal, heuristic and constraints of a search, as arrays."""
+class Motions(NamedTuple):
+    """Motions of a room's robot and its touches of targets at every heading, for searches with one heading offset."""
 
-    x: float  # x of the start, m
-    y: float  # y of the start, m
-    heading: int  # heading of the start, in turn steps
-    touched: np.uint64  # bits of the targets touched at the start
     turns: NDArray[np.float64]  # cosine and sine of each heading, shape (headings, 2)
     turn_step: float  # angle between two headings, rad
     moves: NDArray[np.float64]  # displacement of each translation at each heading, shape (headings, translations, 2), m
@@ -50,6 +46,16 @@ class SearchQuery(NamedTuple):
     reaches: NDArray[np.float64]  # floor distance at which the presser touches each target, or -1, shape (n,), m
     pressers: NDArray[np.bool_]  # True where the outline of `base` must touch the target, bool, shape (n,)
     base: Presser  # the base whose outline presses
+
+
+class SearchQuery(NamedTuple):
+    """Start, goal, heuristic and constraints of a search, as arrays."""
+
+    x: float  # x of the start, m
+    y: float  # y of the start, m
+    heading: int  # heading of the start, in turn steps
+    touched: np.uint64  # bits of the targets touched at the start
+    motions: Motions
     forbidden: np.uint64  # bits of the targets that must not be touched anew
     keep_out: NDArray[np.float64]  # footprints that the body must not meet, shape (n, 7)
     closed: NDArray[np.float64]
@@ -98,18 +104,18 @@ class Frontier(NamedTuple):
 
 
 @kernel_part
-def find_touched(query, x, y, heading):
+def find_touched(motions, x, y, heading):
     """Bits of the targets that the presser touches at a pose, uint64."""
-    px, py = x + query.presser[heading, 0], y + query.presser[heading, 1]
+    px, py = x + motions.presser[heading, 0], y + motions.presser[heading, 1]
     touching = np.uint64(0)
-    for k in range(query.targets.shape[0]):
-        reach = query.reaches[k]
+    for k in range(motions.targets.shape[0]):
+        reach = motions.reaches[k]
         if reach >= 0.0:
-            around = reach + query.targets[k, 5] + query.targets[k, 6]
-            if abs(px - query.targets[k, 1]) <= around and abs(py - query.targets[k, 2]) <= around:
-                shape = get_shape(query.targets[k])
-                if query.pressers[k]:
-                    touches = is_touched(px, py, query.turns[heading], query.base, shape, reach)
+            around = reach + motions.targets[k, 5] + motions.targets[k, 6]
+            if abs(px - motions.targets[k, 1]) <= around and abs(py - motions.targets[k, 2]) <= around:
+                shape = get_shape(motions.targets[k])
+                if motions.pressers[k]:
+                    touches = is_touched(px, py, motions.turns[heading], motions.base, shape, reach)
                 else:
                     touches = measure_distance(px, py, shape) <= reach
                 if touches:
@@ -195,20 +201,20 @@ def _add(query, frontier, x, y, heading, sector, layer, touching, spent, parent,
 
 
 @kernel_part
-def move_base(scene, query, x, y, heading, action):
+def move_base(scene, motions, x, y, heading, action):
     """Displacement and new heading of the base after a translation or turn; the heading is -1 if it does not move."""
-    translations = query.moves.shape[1]
+    translations = motions.moves.shape[1]
     if action < translations:
-        dx, dy = query.moves[heading, action, 0], query.moves[heading, action, 1]
-        fraction = sweep_body(scene, x, y, query.turns[heading], dx, dy, query.lengths[action])
-        if fraction <= 1e-9 or (query.stays and fraction < 1.0):
+        dx, dy = motions.moves[heading, action, 0], motions.moves[heading, action, 1]
+        fraction = sweep_body(scene, x, y, motions.turns[heading], dx, dy, motions.lengths[action])
+        if fraction <= 1e-9 or (motions.stays and fraction < 1.0):
             return 0.0, 0.0, np.int64(-1)
         if fraction < 1.0:
             dx, dy = fraction * dx, fraction * dy
         return dx, dy, heading
-    turn, headings = query.turn_steps[action - translations], query.moves.shape[0]
+    turn, headings = motions.turn_steps[action - translations], motions.moves.shape[0]
     to_heading = (heading + headings + turn) % headings
-    if can_turn_body(scene, x, y, query.turns[heading], query.turns[to_heading], turn * query.turn_step):
+    if can_turn_body(scene, x, y, motions.turns[heading], motions.turns[to_heading], turn * motions.turn_step):
         return 0.0, 0.0, to_heading
     return 0.0, 0.0, np.int64(-1)
 
@@ -217,10 +223,10 @@ def move_base(scene, query, x, y, heading, action):
 def _expand(scene, query, frontier, node):
     x, y = frontier.places[node, 0], frontier.places[node, 1]
     heading, spent = np.int64(frontier.facts[node, 0]), np.int64(frontier.facts[node, 1]) + 1
-    touching, translations = frontier.touching[node], query.moves.shape[1]
+    touching, translations = frontier.touching[node], query.motions.moves.shape[1]
     sector, layer = heading % query.bin_headings, (heading + query.shift) % query.layers
-    for action in range(translations + query.turn_steps.shape[0]):
-        dx, dy, to_heading = move_base(scene, query, x, y, heading, action)
+    for action in range(translations + query.motions.turn_steps.shape[0]):
+        dx, dy, to_heading = move_base(scene, query.motions, x, y, heading, action)
         if to_heading < 0:
             continue
         to_x, to_y, to_sector, to_layer = x + dx, y + dy, sector, layer
@@ -235,7 +241,7 @@ def _expand(scene, query, frontier, node):
                 continue
         else:
             to_sector, to_layer = to_heading % query.bin_headings, (to_heading + query.shift) % query.layers
-        now = find_touched(query, to_x, to_y, to_heading)
+        now = find_touched(query.motions, to_x, to_y, to_heading)
         begun = now & ~touching
         is_goal = False
         if query.target >= 0:
@@ -275,20 +281,12 @@ def take_cheapest(frontier, most, expansions):
 
 @kernel_in_place
 def expand_until_goal(scene, query, frontier, expansions):
-    """Expand nodes until a goal node is cheapest.
+    """Expand nodes until a goal node is cheapest, and take it out of the frontier, which is empty at first.
 
-    Args:
-        scene: the room.
-        query: the query.
-        frontier: nodes so far (none at first); changed in place.
-        expansions: total number of expanded nodes at which to stop.
-
-    Returns:
-        The goal node, which is taken out of the frontier; or `EXHAUSTED`, `BUDGET` or `GROW`.
+    It is `EXHAUSTED`, `BUDGET` or `GROW` if there is none; `expansions` in all end the search.
     """
-    counts = frontier.counts
-    most = max(16, 2 * (query.moves.shape[1] + query.turn_steps.shape[0]))  # nodes that one expansion may add
-    if counts[0] == 0:
+    most = max(16, 2 * (query.motions.moves.shape[1] + query.motions.turn_steps.shape[0]))  # nodes of one expansion
+    if frontier.counts[0] == 0:
         none = np.int64(-1)  # with literals numba would compile `_add` again
         sector, layer = query.heading % query.bin_headings, (query.heading + query.shift) % query.layers
         _add(query, frontier, query.x, query.y, query.heading, sector, layer, query.touched, np.int64(0), none, none,
@@ -298,6 +296,121 @@ def expand_until_goal(scene, query, frontier, expansions):
         if node < 0 or frontier.facts[node, 4] == GOAL:
             return node
         _expand(scene, query, frontier, node)
+
+
+# --- whole escapes ------------------------------------------------------------------------
+
+class JointQuery(NamedTuple):
+    """Start, puzzle, heuristic and bins of a joint search, as arrays."""
+
+    x: float  # x of the start, m
+    y: float  # y of the start, m
+    heading: int  # heading of the start, in turn steps
+    touched: np.uint64  # bits of the targets touched at the start
+    puzzle: int  # number of the start's puzzle state
+    motions: Motions
+    presses: NDArray[np.int64]
+    """Number of the puzzle state after a press of each target, shape (puzzles, n), int64; -1 for one from which no
+    field leads on."""
+    solved: NDArray[np.bool_]  # True for the puzzle states in which the exit is open, bool, shape (puzzles,)
+    exit: NDArray[np.float64]  # rectangle (x_min, x_max, y_min, y_max), shape (4,), m
+    fields: NDArray[np.int16]
+    """Cost-to-go of (cell, layer) in each field, shape (fields, cells * layers), int16; -1 where pruned."""
+    field_of: NDArray[np.int64]  # field of each puzzle state, shape (puzzles,), int64
+    layers: int  # headings that the fields distinguish
+    shift: int  # whole turn steps by which the fields' headings lag behind the query's
+    low: NDArray[np.float64]  # corner of the fields' grid, shape (2,), m
+    size: float  # side of its cells, m
+    rows: int  # its cells along y
+    offset: int  # primitives subtracted from the cost-to-go
+    bin_size: float  # poses closer than this, in one puzzle state, count as one, m
+    bin_headings: int  # headings that bins distinguish
+    one_leg: bool  # the first change of the puzzle is the goal, too, at the cost-to-go of where it ends
+
+
+@kernel_part
+def _add_joint(query, frontier, x, y, heading, puzzle, touching, spent, parent, action, has_escaped):
+    """Add a state to the frontier unless its bin holds one at most as expensive; an escape always."""
+    node, headings = frontier.counts[0], query.motions.moves.shape[0]
+    estimate, is_goal = spent, has_escaped
+    if not has_escaped:
+        i, j = int(math.floor((x - query.low[0]) / query.size)), int(math.floor((y - query.low[1]) / query.size))
+        columns = query.fields.shape[1] // (query.rows * query.layers)
+        if not (0 <= i < columns and 0 <= j < query.rows):
+            return
+        layer = (heading + query.shift) % query.layers
+        cost = np.int64(query.fields[query.field_of[puzzle], (i * query.rows + j) * query.layers + layer])
+        if cost < 0:
+            return
+        estimate += max(cost - query.offset, 0)
+        is_goal = query.one_leg and puzzle != query.puzzle
+    if not is_goal:
+        i = np.int64(math.floor(x / query.bin_size)) + (1 << 21)
+        j = np.int64(math.floor(y / query.bin_size)) + (1 << 21)
+        sector = heading % query.bin_headings
+        key = (((((puzzle << 22) + i) << 22) + j) << 11) + (sector << 1) + (touching != 0)
+        slot = find_slot(frontier, key)
+        known = frontier.keys[slot] == key
+        if known:
+            if frontier.facts[frontier.owners[slot], 1] <= spent:
+                return
+            frontier.facts[frontier.owners[slot], 4] = BEATEN
+        frontier.keys[slot], frontier.owners[slot] = key, node
+    frontier.places[node, 0], frontier.places[node, 1] = x, y
+    facts = frontier.facts[node]
+    facts[0], facts[1], facts[2], facts[3] = puzzle * headings + heading, spent, parent, action
+    facts[4] = GOAL if is_goal else OPEN
+    frontier.touching[node] = touching
+    frontier.counts[0] += 1
+    push(frontier, node, estimate)
+
+
+@kernel_part
+def _expand_joint(shut, opened, query, frontier, node):
+    x, y = frontier.places[node, 0], frontier.places[node, 1]
+    headings = query.motions.moves.shape[0]
+    heading, puzzle = np.int64(frontier.facts[node, 0]) % headings, np.int64(frontier.facts[node, 0]) // headings
+    spent, touching = np.int64(frontier.facts[node, 1]) + 1, frontier.touching[node]
+    for action in range(query.motions.moves.shape[1] + query.motions.turn_steps.shape[0]):
+        if query.solved[puzzle]:
+            dx, dy, to_heading = move_base(opened, query.motions, x, y, heading, action)
+        else:
+            dx, dy, to_heading = move_base(shut, query.motions, x, y, heading, action)
+        if to_heading < 0:
+            continue
+        to_x, to_y, after = x + dx, y + dy, puzzle
+        now = find_touched(query.motions, to_x, to_y, to_heading)
+        begun = now & ~touching
+        if begun:
+            for target in range(query.presses.shape[1]):
+                if after >= 0 and (begun >> np.uint64(target)) & np.uint64(1) == np.uint64(1):
+                    after = query.presses[after, target]
+            if after < 0:
+                continue
+        area = query.exit
+        escapes = query.solved[after] and area[0] <= to_x <= area[1] and area[2] <= to_y <= area[3]
+        _add_joint(query, frontier, to_x, to_y, to_heading, after, now, spent, node, action, escapes)
+
+
+@kernel_in_place
+def expand_until_escape(shut, opened, query, frontier, expansions):
+    """As `expand_until_goal`, until an escape is cheapest, in the room with its exit door shut and opened.
+
+    The first fact of a node is the number of its puzzle state times the number of headings, plus its heading.
+    """
+    most = max(16, query.motions.moves.shape[1] + query.motions.turn_steps.shape[0])  # nodes of one expansion
+    if frontier.counts[0] == 0:
+        none = np.int64(-1)  # with literals numba would compile `_add_joint` again
+        _add_joint(query, frontier, query.x, query.y, np.int64(query.heading), np.int64(query.puzzle), query.touched,
+                   np.int64(0), none, none, np.bool_(False))
+    while True:
+        node = take_cheapest(frontier, most, expansions)
+        if node < 0 or frontier.facts[node, 4] == GOAL:
+            return node
+        _expand_joint(shut, opened, query, frontier, node)
+
+
+# --- memory ---------------------------------------------------------------------------------
 
 
 class FrontierPool:

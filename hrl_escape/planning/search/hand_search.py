@@ -1,10 +1,10 @@
 """Joint search for whole escapes by hand: a beam search over presses, each planned with the rest of the escape.
 
-After a press by hand the arm's posture counts as well as the base's pose, so no field over poses
-tells exactly what the rest costs. Fields of the puzzle's states tell it with an arm that reaches at once. A leg
-is searched by base and arm together, and ends where its primitives and such a field are least; several of its ends
-are kept. The next leg's own field, with the joint steps from the posture, ranks the ends to continue from.
-Kinematic arms pass through everything, so base and arm meet only in the presses.
+After a press by hand the arm's posture counts as well as the base's pose, so no field over poses tells exactly what the
+rest costs. Fields of the puzzle's states tell it with an arm that reaches at once. A leg is searched by base and arm
+together, and ends where its primitives and such a field are least; several of its ends are kept. The next leg's own
+field, with the joint steps from the posture, ranks the ends to continue from. Kinematic arms pass through everything,
+so base and arm meet only in the presses.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Hashable, Iterator, Sequence
+from operator import attrgetter
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -24,8 +25,7 @@ from hrl_escape.planning.arm.reacher import ReachTable
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.search import a_star
 from hrl_escape.planning.search.joint_search import MOST_NODES, Fields, JointSearch, Presses
-from hrl_escape.planning.search.primitive_search import PrimitiveSearch
-from hrl_escape.planning.search.search_run import SearchProblem, SearchResult, SearchRun
+from hrl_escape.planning.search.primitive_search import PrimitiveSearch, SearchProblem, SearchResult, SearchRun
 
 LIKELY = 2
 """Ends ranked by the next leg's own field, for each end that is continued."""
@@ -70,6 +70,9 @@ class _Begun(NamedTuple):
     state: RoomState
     estimate: int
     legs: tuple[_Leg, ...] = ()
+
+
+_ESTIMATE = attrgetter("estimate")
 
 
 class HandSearch(JointSearch):
@@ -120,9 +123,9 @@ class HandSearch(JointSearch):
                     if rest >= 0 and (key not in ends or end.estimate < ends[key].estimate):
                         ends[key] = end
             self._problems.clear()
-            likely = sorted(ends.values(), key=_get_estimate)[: LIKELY * beam.width]
+            likely = sorted(ends.values(), key=_ESTIMATE)[: LIKELY * beam.width]
             try:
-                known = sorted((self._open_legs(end, rests, clock) for end in likely), key=_get_estimate)
+                known = sorted((self._open_legs(end, rests, clock) for end in likely), key=_ESTIMATE)
             except OutOfTime:
                 return best, spent
             begun = [end for end in known[: beam.width] if end.estimate < most + SLACK]
@@ -175,7 +178,7 @@ class HandSearch(JointSearch):
                 yield result
             return
         problem, field = leg.search
-        run = SearchRun(problem, self.rules, self._shut, field, headings=self._legs.headings, avoiding=True,
+        run = SearchRun(problem, self.rules, self._shut, field, motions=self._legs.motions, avoiding=True,
                         reacher=self._legs.reacher, frontiers=self._legs.frontiers)
         run.restart(offset=beam.offset)
         seen: set[Hashable] = set()
@@ -202,7 +205,3 @@ class HandSearch(JointSearch):
         """Estimate by the fields of the primitives that are left; -1 if there is no way out."""
         field = rests.get(state.puzzle)
         return -1 if field is None else self._shut.get_cost(field, state)
-
-
-def _get_estimate(begun: _Begun) -> int:
-    return begun.estimate

@@ -1,11 +1,11 @@
 """Joint search for whole escapes: one A* over poses and puzzle states, so that legs end where the rest is shortest.
 
-Options reach one goal after another, each with the fewest primitives, and so may end where the next
-leg is longer, or press in an order whose legs do not fit together. Here every state of the puzzle has a
-cost-to-go field of its own: its seeds are the poses from which one primitive presses a target, at the
-cost-to-go that the puzzle's next state has where the primitive ends. A compiled A* over exact poses
-(`joint_a_star.py`) follows these fields through all orders at once, and the room's own kinematics replay what it
-finds. It is for presses by the body: after a press by hand the arm's posture counts, too (`hand_search.py`).
+Options reach one goal after another, each with the fewest primitives, and so may end where the next leg is longer, or
+press in an order whose legs do not fit together. Here every state of the puzzle has a cost-to-go field of its own: its
+seeds are the poses from which one primitive presses a target, at the cost-to-go that the puzzle's next state has where
+the primitive ends. A compiled A* over exact poses (`a_star.py`) follows these fields through all orders at once, and
+the room's own kinematics replay what it finds. It is for presses by the body: after a press by hand the arm's posture
+counts, too (`hand_search.py`).
 """
 
 from __future__ import annotations
@@ -22,13 +22,11 @@ from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.floor.cost_to_go import Seeds
-from hrl_escape.floor.sweeps import make_presser
 from hrl_escape.planning.areas import compute_goal_area, get_presser
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.search import a_star
-from hrl_escape.planning.search.joint_a_star import JointQuery, expand_until_escape
-from hrl_escape.planning.search.primitive_search import PrimitiveSearch
-from hrl_escape.planning.search.search_run import HeadingTable
+from hrl_escape.planning.search.a_star import JointQuery, expand_until_escape
+from hrl_escape.planning.search.primitive_search import PrimitiveSearch, make_motions
 
 MOST_PUZZLE_STATES = 64
 """Most puzzle states with fields: all subsets of six buttons. A puzzle with more has them along given orders only."""
@@ -61,18 +59,9 @@ class Presses(NamedTuple):
 
 
 class JointSearch:
-    """Fields of one room's puzzle states, and searches through them.
-
-    Attributes:
-        rules: kinematics without noise and slip.
-    """
+    """Fields of one room's puzzle states, and searches through them; `rules` are without noise and slip."""
 
     def __init__(self, search: PrimitiveSearch) -> None:
-        """Store the searches; fields are made on first use.
-
-        Args:
-            search: searches of the room's legs.
-        """
         self.rules, self._legs = search.kinematics, search
         self._shut, self._opened = search.get_maker(True), search.get_maker(False)
         self._layers = self._shut.classes
@@ -115,13 +104,7 @@ class JointSearch:
         """Search for the primitives to the next change of the puzzle, or to the exit, so that the way on is short, too.
 
         It takes milliseconds: the way on is not searched, its length is read from the field of the puzzle's next state.
-
-        Args:
-            state: first state, whatever its heading.
-            order: goals that are left; used if the puzzle has more than `MOST_PUZZLE_STATES` states.
-
-        Returns:
-            The primitives; None if the fields lead nowhere from here.
+        None if the fields lead nowhere from here. The order is as in `find_escape`; any heading will do.
         """
         fields = self.get_fields(state, order, NO_LIMIT)
         if state.puzzle not in fields:
@@ -278,17 +261,14 @@ class JointSearch:
 
     def _make_query(self, state: RoomState, fields: Fields) -> JointQuery:
         """State a search through fields with bins as wide as those of a search for one goal."""
-        maker, rules, room, offset = self._shut, self.rules, self.rules.instance, state.heading_offset
-        headings = HeadingTable.make(rules, offset) if offset else self._legs.headings
+        maker, rules, offset = self._shut, self.rules, state.heading_offset
         if self._puzzles is None or self._puzzles.fields is not fields:
             self._puzzles = _Puzzles.make(self, fields)
-        area, puzzles = room.exit, self._puzzles
+        area, puzzles = rules.instance.exit, self._puzzles
         return JointQuery(
             x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
-            puzzle=puzzles.numbers[state.puzzle], turns=headings.turns, turn_step=rules.turn_step,
-            moves=headings.moves, lengths=rules.actions.lengths, turn_steps=rules.actions.turn_steps,
-            stays=room.dynamics.blocked == "stay", presser=np.zeros_like(headings.turns), targets=maker.targets,
-            reaches=headings.reaches, pressers=headings.pressers, base=make_presser(room.robot.base),
+            puzzle=puzzles.numbers[state.puzzle],
+            motions=make_motions(rules, offset) if offset else self._legs.motions,
             presses=puzzles.presses, solved=puzzles.solved,
             exit=np.array([area.x_min, area.x_max, area.y_min, area.y_max]), fields=puzzles.stack,
             field_of=puzzles.field_of, layers=maker.classes, shift=round(offset / rules.turn_step) % maker.classes,

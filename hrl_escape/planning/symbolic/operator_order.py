@@ -1,9 +1,8 @@
 """Task planning: the order of a puzzle's operators with the fewest primitives.
 
-A best-first search over (facts that hold, last operator) with the planner's cost of each leg. For a
-puzzle that is a set of targets it is Held and Karp's dynamic programme, pruned by the symbolic
-model. It knows operators and costs, no geometry; `planner.py` plans the legs. `pddl.py`
-exports the same model for other planners.
+A best-first search over (facts that hold, last operator) with the planner's cost of each leg. For a puzzle that is a
+set of targets it is Held and Karp's dynamic programme, pruned by the symbolic model. It knows operators and costs, no
+geometry.
 """
 
 from __future__ import annotations
@@ -49,11 +48,6 @@ class TaskPlan:
     cost: float  # primitives of all legs together
     lower_bound: float  # no order costs less, by these legs
     searched: int  # legs examined
-
-    @property
-    def is_optimal(self) -> bool:
-        """True if no order of these legs is cheaper."""
-        return self.cost <= self.lower_bound
 
 
 def find_relevant_operators(model: SymbolicModel, goal: Iterable[str] | None = None) -> tuple[Operator, ...]:
@@ -183,10 +177,7 @@ class TaskSearch:
         return known
 
     def list_legs(self, facts: frozenset[str], most: int) -> list[tuple[TaskNode, TaskNode]]:
-        """Legs of an exhaustive search, up to `most`, as the nodes that they join; the first begins at the beginning.
-
-        `RoomPlanner` chooses the way to cost legs by their number.
-        """
+        """Legs of an exhaustive search, up to `most`, as the nodes that they join; the first begins where it begins."""
         queue: list[TaskNode] = [TaskNode(self._encode(facts), START)]
         seen = set(queue)
         legs: list[tuple[TaskNode, TaskNode]] = []
@@ -213,10 +204,10 @@ class TaskSearch:
         """
         begin, searched = self._encode(facts), 0
         frontier: OpenNodes[tuple[int, int], tuple[Any, Any]] = OpenNodes()
-        frontier.push((begin, -1), 0.0, self._estimate(begin), (place, None))
+        frontier.push((begin, START), 0.0, self._estimate(begin), (place, None))
         while (entry := frontier.pop()) is not None:
             bound, _, cost, (at, last), (here, trail) = entry
-            if last == -2:
+            if last == EXIT:
                 return self._report(trail, cost, cost, searched)
             if searched >= largest:
                 width = max(4, largest // (4 * len(self.operators) ** 2))
@@ -228,23 +219,16 @@ class TaskSearch:
             for n, leg, then in self._expand(at, here, extend):
                 searched += 1
                 total = cost + leg.cost
-                least = total if n == -2 else max(bound, total + self._estimate(then))  # at least its parent's bound
+                least = total if n == EXIT else max(bound, total + self._estimate(then))  # at least its parent's bound
                 frontier.push((then, n), total, least, (leg.place, (trail, n, leg)))
         return None
 
     def find_orders(self, facts: frozenset[str], place: Any, extend: ExtendLeg, count: int, most: int
                     ) -> list[TaskPlan]:
-        """Find several cheap orders, cheapest first, by a beam search.
+        """Find several cheap orders, cheapest first, by a beam search that examines some `most` legs.
 
         Unlike `find_order`, each (facts, last operator) keeps its `count` cheapest places, as the next leg may be
         shorter from a place that took longer to reach.
-
-        Args:
-            facts: facts that hold.
-            place: the place, as `extend` needs it.
-            extend: costs a leg.
-            count: orders to find.
-            most: legs to examine, roughly: the beam is as wide as that allows.
         """
         width = max(1, 2 * most // max(len(self.operators), 1) ** 2)
         finished, searched = self._search_beam(self._encode(facts), place, extend, width, count,
@@ -257,7 +241,7 @@ class TaskSearch:
         if at & self._goal == self._goal:
             leg = extend(here, None)
             if leg is not None:
-                yield -2, leg, at
+                yield EXIT, leg, at
             return
         for n in self._list_next(at):
             leg = extend(here, self.operators[n])
@@ -266,20 +250,14 @@ class TaskSearch:
 
     def _search_beam(self, begin: int, place: Any, extend: ExtendLeg, width: int, kept: int, most: int
                      ) -> tuple[list[tuple[float, Any]], int]:
-        """Beam search: after every operator keep the most promising orders.
+        """Beam search: after every operator keep the most promising orders, `width` of them.
 
-        Args:
-            begin: facts that hold.
-            place: the place, as `extend` needs it.
-            extend: costs a leg.
-            width: orders kept.
-            kept: most of them with the same facts and last operator, the cheapest.
-            most: most legs of an order.
+        At most `kept` have the same facts and last operator, and an order has at most `most` legs.
 
         Returns:
             Complete orders as (cost, trail), and the number of legs examined.
         """
-        layer: list[tuple[float, float, int, int, Any, Any]] = [(0.0, 0.0, begin, -1, place, None)]
+        layer: list[tuple[float, float, int, int, Any, Any]] = [(0.0, 0.0, begin, START, place, None)]
         finished: list[tuple[float, Any]] = []
         searched = 0
         for _ in range(most):
@@ -288,7 +266,7 @@ class TaskSearch:
                 for n, leg, then in self._expand(at, here, extend):
                     searched += 1
                     total = cost + leg.cost
-                    if n == -2:
+                    if n == EXIT:
                         finished.append((total, (trail, n, leg)))
                     else:
                         found.setdefault((then, n), []).append(

@@ -1,9 +1,8 @@
 """PDDL export of any puzzle's symbolic model, and the way to the planners of unified-planning.
 
-The export is plain text in the STRIPS subset with negative preconditions, ground: one action
-an operator, which every classical planner reads. Conditional effects and action costs are declared
-where a model has some. Solving needs the extra `pddl`; our own search, which knows what each leg
-costs, is `operator_order.py`.
+The export is plain text in the STRIPS subset with negative preconditions, ground: one action an operator, which every
+classical planner reads. Conditional effects and action costs are declared where a model has some. Solving needs the
+extra `pddl`.
 """
 
 from __future__ import annotations
@@ -90,12 +89,7 @@ def make_problem(model: SymbolicModel, facts: frozenset[str], name: str = "room"
 
 
 def export_pddl(instance: RoomInstance, state: RoomState | None = None) -> tuple[str, str]:
-    """Write an instance's puzzle as (domain, problem) texts.
-
-    Args:
-        instance: the room.
-        state: where the problem begins; None for the start of an episode.
-    """
+    """Write an instance's puzzle as (domain, problem) texts; the problem begins in the state, or an episode's first."""
     puzzle = instance.puzzle
     model = instance.symbolic_model
     facts = puzzle.symbolic.get_facts(puzzle.make_state() if state is None else state.puzzle)

@@ -10,8 +10,7 @@ from hrl_escape.env.config import CONTACT_SKIN, ObstaclesConfig
 from hrl_escape.env.geometry import compute_distance, compute_first_contact
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.options.batched.cost_to_go import compute_instance_fields
-from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
+from hrl_escape.options.batched.cost_to_go import OTHER_PRESS_COST, compute_instance_fields
 from tests.options.batched.test_batched_env import SMALL, WITH_DOOR
 
 UNREACHABLE = 10_000.0

@@ -14,8 +14,8 @@ from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.batched.cost_to_go import compute_instance_fields
-from hrl_escape.options.batched.decisions import CHOSEN
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
+from hrl_escape.options.batched.hand_policy import CHOSEN
 from hrl_escape.options.degraded import OptionDegradation
 from tests.env.rooms import all_schematics
 from tests.options.batched.test_batched_env import begin, decide, play

@@ -20,7 +20,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, PressGoal
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.sampled import MotionSampler
-from hrl_escape.planning.motion.tracking import track
+from hrl_escape.planning.motion.trajectory import track
 from hrl_escape.planning.planner import RoomPlanner
 
 LIMITS = MotionLimits(speed=0.8, turn_speed=1.2, joint_speed=0.8)

@@ -13,8 +13,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError
 from hrl_escape.planning.motion.limits import MotionLimits
-from hrl_escape.planning.motion.tracking import track
-from hrl_escape.planning.motion.trajectory import make_trajectory
+from hrl_escape.planning.motion.trajectory import make_trajectory, track
 
 SLOWER = MotionLimits(speed=0.8, joint_speed=0.8)
 
