@@ -69,17 +69,11 @@ class FieldMaker:
     stands for several moves in a row, so that one of strides still spans about four cells.
 
     Attributes:
-        door_shut: True if there is a door and it is shut.
-        collision: clearances of the room.
+        collision: clearances of the room, with its exit door shut if `door_shut`.
+        grid: its cells, with the corner `low`, (2,), m, the side `size`, m, and the `shape` (columns, rows).
         headings: turn steps of a full turn.
-        grid: its cells.
-        low: corner of the grid, shape (2,), m.
-        size: side of a cell, m.
-        macro: primitives of a link.
-        span: length of the longest link, m.
+        macro: primitives of a link; the longest one spans `span`, m.
         bin_size: resolution of poses for a search, m.
-        shape: (columns, rows) of cells.
-        classes: heading classes.
         scene: the room for the compiled kernels.
         points: representative place of each cell, shape (cells, 2), m.
         standing: True where the body fits there at some heading, shape (cells,), bool.
@@ -135,7 +129,6 @@ class FieldMaker:
         return compute_distance_many(self.grid.get_centres(), shapes) <= width
 
     def _choose_points(self, begin: int, end: int, clock: Clock) -> None:
-        """Choose the places of some columns of cells."""
         rows = self.shape[1]
         stride = max(1, SLICE // rows)
         for first in range(begin, end, stride):
@@ -166,7 +159,6 @@ class FieldMaker:
         return self.fits.reshape(-1, layers)[cells][:, np.arange(headings) % layers]
 
     def _find_landings(self, begin: int, end: int, clock: Clock) -> None:
-        """Find the moves from some columns of cells."""
         rows = self.shape[1]
         stride = max(1, SLICE // self.classes)
         for first in range(begin * rows, end * rows, stride):

@@ -96,7 +96,6 @@ class OptionDomain:
 
     def has_left(self, subject: Any) -> bool:
         """Return whether the subject has changed, so that its options must be made anew."""
-        del subject
         return False
 
     @property
@@ -110,12 +109,11 @@ class OptionDomain:
         return tuple(str(self.make_action(index)) for index in range(int(space.n)))
 
     def make_default_options(self, flavour: str, planner: str) -> Any:
-        """Options of an environment that comes without any, or a function that makes them; only for rooms.
+        """Options of an environment that comes without any, or a function that makes them.
 
         Raises:
-            UnsupportedError: this is none.
+            UnsupportedError: it is no room, for which a planner makes options.
         """
-        del flavour, planner
         raise UnsupportedError(f"{self.env} is no room, for which a planner makes options: give "
                                "OptionsEnv(env, options) a list of them")
 
@@ -144,11 +142,7 @@ class OptionDomain:
         return None if self._discrete is None else int(action) - int(self._discrete.start)
 
     def check_action(self, action: Any) -> Any:
-        """Bring an option's primitive into the form that the environment takes.
-
-        Raises:
-            OptionError: it is none.
-        """
+        """Bring an option's primitive into the form that the environment takes. Raises `OptionError`."""
         space = self.env.action_space
         if self._discrete is not None:
             try:
@@ -298,8 +292,7 @@ OptionsSource: TypeAlias = Sequence[Option] | Callable[[Any], Sequence[Option]]
 def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:
     """Make the options of a room's instance, or of any other environment, and check that they belong to it.
 
-    Raises:
-        OptionError: two options share a name, one is no option, or one was made for another room.
+    Raises `OptionError` if two share a name, one is no option, or one was made for another room.
     """
     made = tuple(source(subject) if callable(source) else source)
     for option in made:
@@ -318,11 +311,7 @@ def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:
 
 @dataclasses.dataclass(frozen=True)
 class MetaSource:
-    """Makes the meta-actions of any room.
-
-    Raises:
-        ConfigError: no such flavour. Path planners load OMPL, so that an unknown method is found at the first room.
-    """
+    """Makes the meta-actions of any room, by a method of `RoomPlanner`. Raises `ConfigError` for an unknown flavour."""
 
     flavour: str  # of `FLAVOURS`
     planner: str = "auto"  # method of their plans, as in `RoomPlanner`

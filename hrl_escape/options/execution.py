@@ -97,8 +97,7 @@ class OptionExecution:
     def choose(self, state: Any, domain: OptionDomain | None = None) -> Any:
         """Next primitive, in the form of a domain if one is given; lower options are entered as the policies ask.
 
-        Raises:
-            OptionError: options nest too deep, or the primitive is none of that environment.
+        Raises `OptionError` if they nest too deep, or the primitive is none of that environment.
         """
         while True:
             option = self._stack[-1].option
@@ -148,15 +147,8 @@ class OptionExecution:
 class RunningDecision:
     """One decision while it runs: steps the wrapped environment and records the result.
 
-    Attributes:
-        state: present state, as options see it.
-        observation: of the wrapped environment, as its last step returned it, like `terminated`, `truncated`, `info`.
-        rewards: one a primitive.
-        steps: of the wrapped environment.
-        ended: ending, as in `info["option"]`.
-        reason: of an ending where planning failed; else empty.
-        report: planning done.
-        calls: runs of options that ended in it, nested ones included, innermost first.
+    Rewards are one a primitive. `ended` is as in `info["option"]`, with a `reason` where planning failed. `calls` are
+    runs of options that ended in it, nested ones included, innermost first.
     """
 
     def __init__(self, env: gymnasium.Env, domain: OptionDomain, observation: Any) -> None:

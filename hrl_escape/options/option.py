@@ -57,12 +57,10 @@ class Option(ABC):
 
     def initiation(self, state: Any) -> bool:
         """Return whether the option may start here. Cheap: it is asked at every decision."""
-        del state
         return True
 
     def start(self, state: Any) -> None:
         """Begin a run here. May raise `PlanningFailed`; the decision then costs one primitive."""
-        del state
         self.report = PlanningReport()
 
     def check_actions(self, state: Any, count: int) -> None:
@@ -79,7 +77,6 @@ class Option(ABC):
 
     def sample_action(self, state: Any, rng: np.random.Generator) -> Any:
         """Draw from a stochastic policy with the caller's generator; here the policy is deterministic."""
-        del rng
         return self.policy(state)
 
     @abstractmethod

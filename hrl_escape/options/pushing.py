@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
 from hrl_escape.env.floor_grid import FloorGrid, spread_waves
-from hrl_escape.env.geometry import Footprint, compute_distance, compute_distance_many, make_footprint, stack_footprints
+from hrl_escape.env.geometry import Footprint, compute_distance, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason
@@ -58,9 +58,7 @@ class PushField:
         self._instance = instance
         self.half, self.radius = block.prop.half_size, instance.robot.outer_radius
         self.goal, self.goal_half = (plate.x, plate.y), plate.prop.half_size
-        solids = (*instance.solids, *((instance.door,) if instance.door else ()))
-        self._solids = stack_footprints(
-            [make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw, s.shape == "cylinder") for s in solids])
+        self._solids = stack_footprints([solid.footprint for solid in instance.all_solids])
         self._grid = FloorGrid.cover(instance.reach_x, instance.reach_y, CELL)
 
     @cached_property

@@ -42,11 +42,8 @@ class Area(NamedTuple):
 def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
     """Area where the body's axis reaches a goal; of a press by hand, only the footprint is meaningful.
 
-    For a press by a rectangular base it is where the base touches the target at some heading, or nearly so.
-
-    Raises:
-        GoalError: no such target.
-        UnsupportedError: the goal is a push.
+    For a press by a rectangular base it is where the base touches the target at some heading, or nearly so. Raises
+    `GoalError` for no target of the room, `UnsupportedError` for a push.
     """
     if isinstance(goal, (PressGoal, GripGoal)):
         if not 0 <= goal.target < len(instance.targets):

@@ -48,11 +48,7 @@ class Orders:
         self._model = self._instance.symbolic_model
 
     def find_goals(self, state: RoomState, clock: Clock, settings: SearchSettings) -> tuple[Goal, ...]:
-        """List the goals of an escape from here in the cheapest order; the last one is the exit.
-
-        Raises:
-            PlanningFailed: there is no escape; its reason says why.
-        """
+        """List the goals of an escape from here in the cheapest order, the exit last. Raises `PlanningFailed`."""
         began = read_clock()
         doors, puzzle = self._routes.rules.inner_doors, self._instance.puzzle
         known = puzzle.symbolic.plan(state.puzzle, -1 if doors is None else doors.find_at(state.x, state.y))
@@ -64,11 +60,7 @@ class Orders:
         return (*(make_goal(op, self._instance) for op in tasks.operators), ExitGoal())
 
     def find_ancestors(self, state: RoomState, goal: Goal, report: PlanningReport | None = None) -> list[Goal]:
-        """List the goals that a goal's preconditions need, in the cheapest order, and the goal itself last.
-
-        Raises:
-            PlanningFailed: the preconditions cannot be met.
-        """
+        """Goals that a goal's preconditions need, in the cheapest order, and the goal last. Raises `PlanningFailed`."""
         self._routes.check_query(state, goal)
         facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
         ways = [op for op in self._model.operators if make_goal(op, self._instance) == goal]
@@ -258,7 +250,8 @@ class RoomPlanner:
 
     def prepare(self) -> None:
         """Compute now the fields that routes share, so that the first plans are as quick as later ones."""
-        self.routes.prepare()
+        with self.routes.lock:
+            self.routes.search.prepare()
 
     # --- plans -------------------------------------------------------------------------
 
@@ -391,10 +384,7 @@ class RoomPlanner:
         return dataclasses.replace(plan, expansions=spent, seconds=read_clock() - began, timed_out=clock.has_stopped)
 
     def shorten_escape(self, state: RoomState, plan: Plan, budget: int) -> Plan:
-        """Look for a shorter escape from a state than a known one, jointly over orders and the ends of legs.
-
-        The same budget of search nodes finds the same plan anywhere.
-        """
+        """Look for a shorter escape than a known one, jointly over orders and the ends of legs; nodes are limited."""
         clock, settings = Clock(self.routes.time_limit), self.routes.settings
         for effort in (0, 1, 2):
             plan, spent = self._shorten_escape(state, plan, settings._replace(effort=effort), clock, budget)
@@ -525,7 +515,6 @@ class RoomPlanner:
         return self._join_legs(state, legs, planner)
 
     def _join_legs(self, state: RoomState, legs: Sequence[Plan], planner: str) -> Plan:
-        """Plan made of consecutive legs."""
         primitives = tuple(action for leg in legs for action in leg.primitives)
         states = (state, *(s for leg in legs for s in leg.states[1:]))
         escapes = bool(legs) and isinstance(legs[-1].parts[-1].goal, ExitGoal)

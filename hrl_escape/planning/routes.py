@@ -64,14 +64,8 @@ RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, DoorKey | None], P
 class Routes:
     """Routes of one room; thread-safe by a lock, and picklable.
 
-    Attributes:
-        instance: the room as given.
-        rules: its kinematics with nothing random, by which routes are checked.
-        method: as in `RoomPlanner`, like the following ones.
-        budget: search nodes of a route.
-        time_limit: limit of one call, s; None for none.
-        search: searches of the room with its inner doors open; to be held under the lock.
-        lock: held while a route is searched.
+    `rules` are the room's kinematics with nothing random, by which routes are checked; method, budget of search nodes
+    and time limit, s, are as in `RoomPlanner`. `search` is of the room with its inner doors open.
     """
 
     def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
@@ -114,11 +108,6 @@ class Routes:
             self.search = before.search.adapt(self._quiet, self.rules)
             self._doors = self._make_door_searches()
 
-    def prepare(self) -> None:
-        """Compute now the fields that routes share, so that the first routes are as quick as later ones."""
-        with self.lock:
-            self.search.prepare()
-
     def get_field_maker(self, door_shut: bool) -> FieldMaker:
         """Grid of the cost-to-go fields, with the exit door shut or open."""
         with self.lock:
@@ -146,11 +135,7 @@ class Routes:
         return SearchSettings(self.method, self.budget)
 
     def check_query(self, state: RoomState, *goals: Goal) -> None:
-        """Check a state, wherever the body stands in it, and goals.
-
-        Raises:
-            StateError, GoalError: a field of the state is impossible in this room, or a goal is none of its.
-        """
+        """Check a state, wherever the body stands in it, and goals. Raises `StateError`, `GoalError`."""
         check_fields(self.rules, state)
         for goal in goals:
             check_goal(goal, self.instance)

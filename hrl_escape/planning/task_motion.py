@@ -56,8 +56,7 @@ class TaskMotionPlanner:
         """Primitives of each leg that can be made, by (place before, operator or `leave`).
 
         The place before is `start` or an operator, whose leg then begins where it ends if it comes first of all, or
-        else where it ends after the first operator from which it can be reached. With facts as goals there are no legs
-        to the exit.
+        else where it ends after the first operator from which it can be reached. With goals, no leg leads to the exit.
         """
         self.planner.routes.check_query(state)
         ends, costs, queue = {START: state}, {}, [START]
@@ -148,7 +147,7 @@ class TaskMotionPlanner:
         for name, goal in zip(names, goals, strict=True):
             if isinstance(goal, ExitGoal):
                 continue
-            op = self._operators[_split(name)[0]]
+            op = self._operators[_get_operator(name)]
             if not op.is_applicable(facts):
                 raise self.planner.routes.make_failure(PlanningReason.PRECONDITION_UNMET, state, goal,
                                                 advice=f"{name} needs {', '.join(sorted(op.preconditions - facts))}")
@@ -157,7 +156,7 @@ class TaskMotionPlanner:
         return self.planner.follow_goals(state, goals, Clock(routes.time_limit), routes.settings)
 
     def _find_goal(self, name: str) -> Goal:
-        operator = _split(name)[0]
+        operator = _get_operator(name)
         if operator == LEAVE:
             return ExitGoal()
         if operator not in self._operators:
@@ -188,11 +187,11 @@ class TaskMotionPlanner:
                                                        nearest=f"status {status}")
             names = _list_names(plan)
             here = state
-            for before, name in zip([START, *(_split(n)[0] for n in names)], names, strict=False):
+            for before, name in zip([START, *map(_get_operator, names)], names, strict=False):
                 try:
                     here = self.follow(here, [name]).states[-1]
                 except PlanningFailed:
-                    barred.add((before, _split(name)[0]))
+                    barred.add((before, _get_operator(name)))
                     break
             else:
                 return self.follow(state, names)
@@ -209,7 +208,5 @@ def _list_names(actions: Any) -> list[str]:
     return [a if isinstance(a, str) else a.action.name for a in getattr(actions, "actions", actions)]
 
 
-def _split(name: str) -> tuple[str, str]:
-    """Operator of an action, and the place before it; empty if the name does not say."""
-    operator, _, before = name.partition("-from-")
-    return operator, before
+def _get_operator(action: str) -> str:
+    return action.partition("-from-")[0]

@@ -244,9 +244,9 @@ def split_triangles(corners: NDArray[np.float64], longest: float) -> NDArray[np.
 
 
 def make_columns(heights: NDArray[np.float64], cell: float, corner: tuple[float, float]) -> list[Solid]:
-    """Boxes on the cells of a floor with a corner, m, as high as `heights` (rows, columns), m, over 0.
+    """Boxes on the cells of a floor with a corner, m, as high as `heights`, (rows along y, columns along x), m.
 
-    Rows run along y, columns along x; cells side by side of one height are one box.
+    Cells side by side of one height are one box.
     """
     x, y = corner
     return [Solid("box", x + cell * (a + b) / 2, y + cell * (c + d) / 2, cell * (b - a) / 2, cell * (d - c) / 2,

@@ -18,12 +18,7 @@ PARTS: Mapping[HierarchyKind, str] = {"maxq": "hierarchy", "ham": "program", "la
 
 
 def find_kind(agent: str) -> HierarchyKind:
-    """Kind of hierarchy that an agent acts by.
-
-    Raises:
-        UnknownNameError: no such agent.
-        UnsupportedError: no hierarchy is synthesised for it, or it chooses options.
-    """
+    """Kind of hierarchy that an agent acts by. Raises `UnknownNameError`, or `UnsupportedError` if there is none."""
     if agent.startswith(SMDP_PREFIX):
         raise UnsupportedError(f"{agent} chooses options, and a synthesised hierarchy calls primitives: take "
                                f"{agent.removeprefix(SMDP_PREFIX)}, or leave out `leaves`")

@@ -39,10 +39,7 @@ class Situation(NamedTuple):
 
 
 class Situations:
-    """Predicates, views and plans of one room.
-
-    Args:
-        cell: size of the squares by which learned leaves know a place, m; the length of a move by default.
+    """Predicates, views and plans of one room, of which tasks are made.
 
     Attributes:
         model: of the puzzle.
@@ -50,7 +47,7 @@ class Situations:
         space: of packed observations.
 
     Raises:
-        UnsupportedError: the puzzle asks for more than presses, of which tasks are made.
+        UnsupportedError: the puzzle asks for more than presses.
     """
 
     def __init__(self, instance: RoomInstance, cell: float | None = None) -> None:

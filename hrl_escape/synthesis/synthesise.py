@@ -233,10 +233,7 @@ def _split(operator: Operator) -> list[Operator]:
 
 
 class OpenLandmarks:
-    """Landmarks that come next, and the target to press on the way to one.
-
-    `names` are the facts that may be landmarks somewhere, and last the exit.
-    """
+    """Landmarks that come next, and the target to press on the way to one; `names` are all, the exit last."""
 
     def __init__(self, rooms: Situations) -> None:
         self._model = rooms.model

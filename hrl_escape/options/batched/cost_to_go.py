@@ -219,11 +219,7 @@ class FieldGrid:
 
 
 def check_presses(instance: RoomInstance) -> None:
-    """Check that a room needs nothing but presses and the exit, by a disc, without inner doors.
-
-    Raises:
-        UnsupportedError: it needs more.
-    """
+    """Refuse a room that needs more than presses and the exit, by a disc. Raises `UnsupportedError`."""
     if not instance.robot.base.turns_anywhere:
         raise UnsupportedError("batched options drive discs: use OptionsEnv over rooms with a base that is a "
                                f"{instance.robot.footprint}")
@@ -234,10 +230,7 @@ def check_presses(instance: RoomInstance) -> None:
 
 
 def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
-    """Compute the fields of an instance, some tenths of a second, once; later calls find them by its id.
-
-    Raises `UnsupportedError` as `check_presses` does.
-    """
+    """Compute an instance's fields, some tenths of a second, or recall them by its id. Raises `UnsupportedError`."""
     check_presses(instance)
     with _LOCK:
         found = _CACHE.get(instance.id)

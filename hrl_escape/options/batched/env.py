@@ -169,7 +169,6 @@ def compile_step(function: Callable[..., Any], constants: tuple, device: str, th
     Between ways as long as each other the last bit decides: it is a CPU's, which costs two fifths of an accelerator's
     rate.
     """
-    del shapes
     return CompiledStep(partial(function, *constants), device, threads, rounds_alike=True)
 
 

@@ -100,20 +100,12 @@ class ArmPlanner:
 
     def _get_collisions(self, margin: float) -> ArmCollisions:
         if margin not in self._collisions:
-            room = self.instance
-            solids = (*room.solids, *((room.door,) if room.door else ()))
-            self._collisions[margin] = ArmCollisions(self.rules.robot, room.robot.hand_radius, solids, margin,
-                                                     self._srdf)
+            self._collisions[margin] = ArmCollisions(self.rules.robot, self.instance.robot.hand_radius,
+                                                     self.instance.all_solids, margin, self._srdf)
         return self._collisions[margin]
 
     def is_free(self, state: RoomState, angles: Sequence[float], margin: float = 0.0) -> bool:
-        """Return whether the arm is clear of solids, the shut door and the robot itself.
-
-        Args:
-            state: says where the base stands.
-            angles: joint angles, rad.
-            margin: distance that counts as a collision already, m.
-        """
+        """Return whether the arm is clear of solids, the shut door and the robot by a margin, m; angles in rad."""
         return self._get_collisions(margin).is_free(state.x, state.y, self.rules.get_heading(state), angles)
 
     # --- inverse kinematics --------------------------------------------------------------

@@ -105,8 +105,7 @@ class Reacher:
     """Arm of one room's robot, with the configurations that press its targets by hand.
 
     Attributes:
-        instance: the room.
-        kinematics: its exact kinematics, without noise and slip.
+        kinematics: exact ones, without noise and slip.
         collide: whether configurations must be clear of walls, obstacles and the robot itself: under physics only, as
             kinematic arms pass through everything.
         limit: largest distance from the hand's centre to a target that counts, m: a touch, or, where a press
@@ -114,14 +113,7 @@ class Reacher:
     """
 
     def __init__(self, instance: RoomInstance) -> None:
-        """Store the room; everything else is computed on first use.
-
-        Args:
-            instance: the room.
-
-        Raises:
-            UnsupportedError: targets of this room are pressed with the body.
-        """
+        """Store the room. Raises `UnsupportedError` where targets are pressed with the body."""
         if instance.dynamics.press_with != "hand":
             raise UnsupportedError("targets of this room are pressed with the body, so no arm has to reach them: "
                                    "a Reacher is for dynamics.press_with = 'hand'")
@@ -348,9 +340,9 @@ class Reacher:
         return measure_gap(pose, hand, self._boxes[target]) <= self.limit
 
     def move_base(self, state: RoomState, moves: Sequence[int], others: int = 0) -> RoomState | None:
-        """State after moves of the base, the arm at rest; None where the arm meets a solid or begins to touch `others`.
+        """State after moves of the base, the arm at rest; None where it meets a solid or touches a target of `others`.
 
-        An arm in collision at first may take several moves to come out. `others` are bits of targets.
+        An arm in collision at first may take several moves to come out. `others` are bits.
         """
         is_stuck = self.collides(state)
         for move in moves:
@@ -404,8 +396,7 @@ class Reacher:
     @cached_property
     def collisions(self) -> ArmCollisions:
         """Test of the arm against walls, obstacles, the shut exit door and itself; targets are to be touched."""
-        door = (self.instance.door,) if self.instance.door else ()
-        return ArmCollisions(self.kinematics.robot, self.instance.robot.hand_radius, (*self.instance.solids, *door))
+        return ArmCollisions(self.kinematics.robot, self.instance.robot.hand_radius, self.instance.all_solids)
 
     def collides(self, state: RoomState) -> bool:
         """Return whether the arm meets something in a state, by `collisions`."""

@@ -173,7 +173,7 @@ def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionL
                  ) -> TimedTrajectory:
     """Join pieces, each of which begins where the one before ends, and slow them down until the arm can do it.
 
-    A bare path has no robot. The name is for errors, which are those of `make_trajectory`.
+    A bare path has no robot. Errors, by the name of the motion, are those of `make_trajectory`.
     """
     _check_joints(names, parts, robot)
     contacts, begin = [], 0.0

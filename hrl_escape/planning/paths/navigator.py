@@ -48,17 +48,10 @@ POSE_PLACES = 400
 class Navigator:
     """Plans paths in one room, with any registered planner. Not thread-safe; pickling keeps the room only.
 
-    Attributes:
-        instance: the room.
+    Clearances with the door shut or open are computed on first use unless a function gives them.
     """
 
     def __init__(self, instance: RoomInstance, get_collision: Callable[[bool], CollisionMap] | None = None) -> None:
-        """Store the room; clearances and planners are made on first use.
-
-        Args:
-            instance: the room.
-            get_collision: returns the clearances with the door shut or open; None to compute them.
-        """
         self.instance = instance
         self._get_collision = get_collision
         self._maps: dict[bool, CollisionMap] = {}

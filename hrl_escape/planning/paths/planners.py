@@ -55,11 +55,7 @@ def list_planners() -> tuple[str, ...]:
 
 
 def get_factory(name: str) -> PlannerFactory:
-    """The factory registered under a name.
-
-    Raises:
-        UnknownNameError: there is none.
-    """
+    """The factory registered under a name. Raises `UnknownNameError`."""
     if not isinstance(name, str) or name not in _FACTORIES:
         raise UnknownNameError("path planner", name, _FACTORIES)
     return _FACTORIES[name]
@@ -191,6 +187,5 @@ def _read_path(definition: Any, dimensions: int) -> NDArray[np.float64] | None:
 
 
 def _choose_shorter(one: NDArray[np.float64] | None, other: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    """The shorter of two paths."""
     known = [path for path in (one, other) if path is not None]
     return min(known, key=lambda path: float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), default=None)

@@ -73,18 +73,10 @@ class JointSearch:
 
     def find_escape(self, state: RoomState, order: Sequence[Goal], most: int, *, clock: Clock = NO_LIMIT,
                     effort: int = 0, budget: int = MOST_NODES) -> tuple[tuple[int, ...] | None, int]:
-        """Search for the fewest primitives that escape.
+        """Search for the fewest primitives, less than `most`, that escape; None without any, and the nodes expanded.
 
-        Args:
-            state: first state; heading and joints are on their lattices.
-            order: an order of goals; its puzzle states are used if the puzzle has more than `MOST_PUZZLE_STATES`.
-            most: plans of this many primitives or more are discarded.
-            clock: time limit.
-            effort: 0, 1 or 2; each has searches of its own, which take longer the higher it is.
-            budget: search nodes that may be expanded.
-
-        Returns:
-            Fewer than `most` primitives that end the episode by escaping, or None; and the nodes expanded.
+        The state's heading and joints are on their lattices. Where the puzzle has more than `MOST_PUZZLE_STATES`, those
+        along an order of goals are used. Each effort, 0, 1 or 2, has searches of its own, which take longer and longer.
         """
         fields = self.get_fields(state, order, clock)
         best, spent = None, 0
@@ -186,7 +178,6 @@ class JointSearch:
         return {puzzle: self._fields[number] for puzzle, number in numbers.items()}
 
     def _make_field(self, state: RoomState, ways: _Ways, clock: Clock) -> NDArray[np.int16]:
-        """Field of a puzzle state."""
         states, costs = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
         for target, after in ways:
             presses = self.find_presses(state, target)

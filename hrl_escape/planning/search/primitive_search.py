@@ -335,20 +335,11 @@ class _Variant(NamedTuple):
 class PrimitiveSearch:
     """Search for the fewest primitives to any goal in one room; fields of goals are kept for later searches.
 
-    Not thread-safe. Pickling keeps the room and drops the fields.
-
-    Attributes:
-        instance: the room.
-        kinematics: its exact kinematics without noise and slip, by which plans are replayed.
+    Noise and slip are ignored; physics is planned as if kinematic. Everything is computed on first use. Not
+    thread-safe. Pickling keeps the room and drops the fields.
     """
 
     def __init__(self, instance: RoomInstance, kinematics: Kinematics | None = None) -> None:
-        """Store the room; everything else is computed on first use.
-
-        Args:
-            instance: the room. Noise and slip are ignored; physics is planned as if kinematic.
-            kinematics: its kinematics with nothing random, if they exist already.
-        """
         self.instance = instance
         self.kinematics = kinematics or Kinematics(instance, is_still=True)
         operators = instance.symbolic_model.operators
@@ -391,14 +382,7 @@ class PrimitiveSearch:
         return self._makers[key]
 
     def adapt(self, instance: RoomInstance, kinematics: Kinematics) -> PrimitiveSearch:
-        """Make the search of an edited room; it takes over the grids and fields that the edit leaves as they are.
-
-        Refined grids, which few goals need, are left behind.
-
-        Args:
-            instance: the edited room.
-            kinematics: its kinematics without noise and slip.
-        """
+        """The search of an edited room, with the grids and fields that the edit leaves as they are; refined ones go."""
         new, old = PrimitiveSearch(instance, kinematics), self.instance
         if _get_floor(instance) != _get_floor(old) or not instance.robot.base.turns_anywhere:
             return new
@@ -430,27 +414,17 @@ class PrimitiveSearch:
                avoid: bool = True, refine: bool = True, keep_out: Sequence[Footprint] = (),
                budget_expansions: int = EXPANSIONS, clock: Clock | None = None, seed: int = 0, effort: int = 0
                ) -> SearchResult:
-        """Find the fewest primitives from a state to a goal.
+        """Find the fewest primitives from a state to a goal that is no push.
 
-        Args:
-            state: first state.
-            goal: the goal; not a push.
-            method: `fields`, `corridor` to search round the path of a path planner first, or `auto` to choose
-                between the two by room and goal.
-            planner: path planner for corridors, one of `list_planners()`.
-            avoid: touch no other target on the way, and do not leave by an open exit, unless two resolutions
-                show no other way; `also_pressed` lists the targets touched then.
-            refine: search finer grids, too, before giving up.
-            keep_out: footprints that the body must not meet on its way, such as blocks.
-            budget_expansions: nodes that may be expanded; the same budget gives the same result anywhere.
-            clock: time limit of the call that this one is part of; None leaves the decision to the budget.
-            seed: of the path planner.
-            effort: further searches for a shorter plan, at most `len(EFFORTS)`; -1 for the first plan found.
+        A corridor is one round the path of a path planner. To avoid is to touch no other target on the way, and not to
+        leave by an open exit, unless two resolutions show no other way; `also_pressed` lists the targets touched then.
+        To refine is to search finer grids, too, before giving up. The body meets no footprint to keep out of. The same
+        budget of nodes gives the same result anywhere, unless a clock limits the call. `effort` counts further searches
+        for a shorter plan, at most `len(EFFORTS)`; -1 takes the first plan found.
 
         Raises:
             UnknownNameError: no such method or path planner.
             GoalError: there is no such target.
-            UnsupportedError: the goal is a push.
         """
         if method not in METHODS:
             raise UnknownNameError("search method", method, METHODS)
@@ -567,7 +541,6 @@ class PrimitiveSearch:
 
     def _iterate_variants(self, problem: SearchProblem, method: str, planner: str, avoid: bool, refine: bool
                        ) -> Iterator[_Variant]:
-        """Variants of the search, in order."""
         is_open = self.instance.puzzle.is_solved(problem.state.puzzle)
         others = self._pressed - {getattr(problem.goal, "target", -1)}
         avoid = avoid and bool(others or (is_open and not isinstance(problem.goal, ExitGoal)))

@@ -97,15 +97,11 @@ class _Effects(NamedTuple):
 
 
 class TaskSearch:
-    """Search over the orders of a symbolic model's operators.
+    """Search over the orders of a symbolic model's operators that make facts true, by default the model's own goal.
 
-    Args:
-        model: propositions and operators.
-        goal: facts to make true; None for the model's own goal.
-        lower_bound: (operator done last or None, operator to do or None for the last leg) -> primitives
-            that this leg costs at least, from any place. A tighter bound is faster.
-        relevant_only: leave out operators that the goal does not need. Legs planned one by one may end better after
-            one of these.
+    `lower_bound` gives the primitives that a leg costs at least, from any place, by the operator done last, or None,
+    and the one to do, or None for the last leg; a tighter bound is faster. Not `relevant_only`, operators count that
+    the goal does not need: legs planned one by one may end better after one of these.
     """
 
     def __init__(self, model: SymbolicModel, goal: frozenset[str] | None = None,
@@ -143,7 +139,6 @@ class TaskSearch:
         return _Effects(table, sum(table))
 
     def _apply(self, n: int, facts: int) -> int:
-        """Facts after operator number `n`."""
         op, when = self._coded[n], self._when[n]
         adds, deletes = op.adds, op.deletes
         left = facts & when.bits

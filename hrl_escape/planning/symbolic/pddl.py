@@ -106,11 +106,7 @@ def save_pddl(instance: RoomInstance, folder: str | Path, state: RoomState | Non
 
 
 def read_problem(domain: str, problem: str) -> Any:
-    """Read PDDL texts as a `Problem` of unified-planning.
-
-    Raises:
-        MissingExtraError: unified-planning is not installed.
-    """
+    """Read PDDL texts as a `Problem` of unified-planning. Raises `MissingExtraError`."""
     try:
         from unified_planning.io import PDDLReader
         from unified_planning.shortcuts import get_environment
