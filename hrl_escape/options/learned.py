@@ -204,8 +204,7 @@ def make_learned_options(agent: Any, legal: LegalActions, *, observe: Callable[[
         prefix: put before every name, to tell the options of several agents apart.
 
     Raises:
-        OptionError: it is no such agent, has no policies to give, or `legal` is neither a number nor a
-            function.
+        OptionError: it is no such agent, has no policies to give, or `legal` is neither a number nor a function.
     """
     if not hasattr(agent, "get_options"):
         raise OptionError(f"{agent!r} has no get_options: give a trained agent, as train and load_agent return it")

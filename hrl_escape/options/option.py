@@ -30,9 +30,8 @@ class Option(ABC):
     environment, or what an `OptionDomain` of your own makes of it.
 
     Its caller calls `start` once, then alternates `sample_action(s)`, which asks `policy(s)`, and `termination(s')`,
-    where s' is the state that the primitive led to. An option may keep something between these calls (a plan, say),
-    but then it is no function of the state and `is_markov` must stay false: intra-option learning
-    relies on it.
+    where s' is the state that the primitive led to. An option may keep something between these calls (a plan, say), but
+    then it is no function of the state and `is_markov` must stay false: intra-option learning relies on it.
 
     Attributes:
         name: stable name; a verb phrase or `meta-NN`.

@@ -73,9 +73,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     Args:
         env: the environment, wrapped or not.
-        options: the options, or a function that makes them for an instance (needed where instances are
-            resampled) or, where there is no room, for `env`; None synthesises `meta-01` to `meta-NN` and `meta-exit`
-            of a room.
+        options: the options, or a function that makes them for an instance (needed where instances are resampled) or,
+            where there is no room, for `env`; None synthesises `meta-01` to `meta-NN` and `meta-exit` of a room.
         include_primitives: whether primitives are actions too, where the action space is Discrete.
         discount: gamma per primitive, in [0, 1]; readable as `gamma`.
         discounted_reward: return sum gamma^i r_i as the reward instead of sum r_i.

@@ -1,9 +1,8 @@
 """Pushing a block onto a plate under rigid-body physics: closed loop, one primitive at a time.
 
-A cost-to-go field over the block's places gives the side to push from next: the body must fit
-behind the block there, and a change of sides costs a drive round it. Between pushes the base
-drives to a place behind the block, round all blocks. The true motion of the block is observed
-after every primitive; nothing is predicted.
+A cost-to-go field over the block's places gives the side to push from next: the body must fit behind the block there,
+and a change of sides costs a drive round it. Between pushes the base drives to a place behind the block, round all
+blocks. The true motion of the block is observed after every primitive; nothing is predicted.
 """
 
 from __future__ import annotations

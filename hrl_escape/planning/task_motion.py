@@ -1,9 +1,8 @@
 """`TaskMotionPlanner`: a room's task for planners that know no geometry, with costs and constraints from motion.
 
-A task is exported as PDDL whose actions cost the primitives of their legs, from where the action
-before ends. A leg without a motion is not exported. The plan of an external planner is carried out by
-the room's own planner; a leg that fails then goes back as a constraint, and the task is solved again.
-Solving needs the extra `pddl`.
+A task is exported as PDDL whose actions cost the primitives of their legs, from where the action before ends. A leg
+without a motion is not exported. The plan of an external planner is carried out by the room's own planner; a leg that
+fails then goes back as a constraint, and the task is solved again. Solving needs the extra `pddl`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Hierarchies synthesised from a room: operators become tasks, preconditions legality, relevance abstraction.
 
-The symbolic model of the puzzle says which tasks there are, when each may be called and when it is over. What
-remains to be learned is their order and, with learned leaves, the way to each target. With planned leaves the planner
-walks.
+The symbolic model of the puzzle says which tasks there are, when each may be called and when it is over. What remains
+to be learned is their order and, with learned leaves, the way to each target. With planned leaves the planner walks.
 
 Landmarks are facts that every plan makes true, and the exit after them: goals of a manager. Which are left, and which
 of them come first, is found anew from the facts that hold, so that a landmark that was lost is one again.

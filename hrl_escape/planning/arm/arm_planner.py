@@ -114,10 +114,9 @@ class ArmPlanner:
                  only_free: bool = True) -> list[ArmPosture]:
         """Find the postures that bring the hand to a target, those farthest from joint limits first.
 
-        Levenberg-Marquardt searches begin at the arm's present posture and at points of a Halton sequence between
-        the joint limits; postures that coincide count once. An arm with as many joints as the target has
-        coordinates has finitely many, which enough seeds find; one with more has infinitely many, of which these are
-        a sample.
+        Levenberg-Marquardt searches begin at the arm's present posture and at points of a Halton sequence between the
+        joint limits; postures that coincide count once. An arm with as many joints as the target has coordinates has
+        finitely many, which enough seeds find; one with more has infinitely many, of which these are a sample.
 
         Args:
             target: in the room frame: position of the hand (3,), m, or placement of its link (4, 4).

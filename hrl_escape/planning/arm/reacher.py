@@ -359,9 +359,8 @@ class Reacher:
         """Plan joint steps round solids, along a path through the space of joint angles, the base at rest.
 
         The fewest joint steps may lead through solids where a path of joint angles leads round them. Rounding the path
-        to whole steps may touch what it clears, so the lattice is searched near it, and every step is tested in
-        between as well. None where no path is found, or no joint steps along it that press none of `others`, bits of
-        targets.
+        to whole steps may touch what it clears, so the lattice is searched near it, and every step is tested in between
+        as well. None where no path is found, or no joint steps along it that press none of `others`, bits of targets.
         """
         rules, robot, heading = self.kinematics, self.kinematics.robot, self.kinematics.get_heading(state)
         home = np.array(robot.compute_angles((0,) * len(joint_steps), state.joint_offsets))

@@ -46,8 +46,7 @@ class PathResult:
         bound: lower bound of any path's length, m: straight to the nearest place that reaches the goal.
         planner: name of the path planner.
         seconds: wall time without compilation.
-        checker_calls: places tested; a motion tested exactly counts as ten, a round of a planner's own loop
-            as one.
+        checker_calls: places tested; a motion tested exactly counts as ten, a round of a planner's own loop as one.
     """
 
     status: Status
