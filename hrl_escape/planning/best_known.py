@@ -232,7 +232,6 @@ class ExpectedEscape(NamedTuple):
 
     value: float  # undiscounted return
     primitives: float  # primitives to the escape; the horizon for a rollout without one
-    rollouts: int  # number of rollouts
 
 
 def compute_expected_escape(instance: RoomInstance, state: RoomState, rollouts: int = ROLLOUTS) -> ExpectedEscape:
@@ -256,4 +255,4 @@ def compute_expected_escape(instance: RoomInstance, state: RoomState, rollouts: 
             here, total, length, ended = step.state, total + step.reward, length + 1, step.terminated
         returns.append(total)
         lengths.append(length)
-    return ExpectedEscape(float(np.mean(returns)), float(np.mean(lengths)), rollouts)
+    return ExpectedEscape(float(np.mean(returns)), float(np.mean(lengths)))

@@ -47,7 +47,6 @@ class TaskPlan:
     legs: tuple[Leg, ...]  # one an operator, and the last leg
     cost: float  # primitives of all legs together
     lower_bound: float  # no order costs less, by these legs
-    searched: int  # legs examined
 
 
 def find_relevant_operators(model: SymbolicModel, goal: Iterable[str] | None = None) -> tuple[Operator, ...]:
@@ -203,14 +202,14 @@ class TaskSearch:
         while (entry := frontier.pop()) is not None:
             bound, _, cost, (at, last), (here, trail) = entry
             if last == EXIT:
-                return self._report(trail, cost, cost, searched)
+                return self._report(trail, cost, cost)
             if searched >= largest:
                 width = max(4, largest // (4 * len(self.operators) ** 2))
-                finished, more = self._search_beam(begin, place, extend, width, 1, 4 * len(self.operators) + 1)
+                finished = self._search_beam(begin, place, extend, width, 1, 4 * len(self.operators) + 1)
                 if not finished:
                     return None
                 cost, trail = min(finished, key=lambda order: order[0])
-                return self._report(trail, cost, min(bound, cost), searched + more)
+                return self._report(trail, cost, min(bound, cost))
             for n, leg, then in self._expand(at, here, extend):
                 searched += 1
                 total = cost + leg.cost
@@ -226,9 +225,8 @@ class TaskSearch:
         shorter from a place that took longer to reach.
         """
         width = max(1, 2 * most // max(len(self.operators), 1) ** 2)
-        finished, searched = self._search_beam(self._encode(facts), place, extend, width, count,
-                                               2 * len(self.operators) + 1)
-        plans = [self._report(trail, cost, 0.0, searched) for cost, trail in finished]
+        finished = self._search_beam(self._encode(facts), place, extend, width, count, 2 * len(self.operators) + 1)
+        plans = [self._report(trail, cost, 0.0) for cost, trail in finished]
         return sorted(plans, key=lambda plan: plan.cost)[:count]
 
     def _expand(self, at: int, here: Any, extend: ExtendLeg) -> Iterable[tuple[int, Leg, int]]:
@@ -244,22 +242,17 @@ class TaskSearch:
                 yield n, leg, self._apply(n, at) if leg.facts is None else self._encode(leg.facts)
 
     def _search_beam(self, begin: int, place: Any, extend: ExtendLeg, width: int, kept: int, most: int
-                     ) -> tuple[list[tuple[float, Any]], int]:
-        """Beam search: after every operator keep the most promising orders, `width` of them.
+                     ) -> list[tuple[float, Any]]:
+        """Complete orders, of at most `most` legs, as (cost, trail), by a beam search.
 
-        At most `kept` have the same facts and last operator, and an order has at most `most` legs.
-
-        Returns:
-            Complete orders as (cost, trail), and the number of legs examined.
+        After every operator it keeps the `width` most promising, at most `kept` with the same facts and last operator.
         """
         layer: list[tuple[float, float, int, int, Any, Any]] = [(0.0, 0.0, begin, START, place, None)]
         finished: list[tuple[float, Any]] = []
-        searched = 0
         for _ in range(most):
             found: dict[tuple[int, int], list[tuple[float, float, int, int, Any, Any]]] = {}
             for _, cost, at, _, here, trail in layer:
                 for n, leg, then in self._expand(at, here, extend):
-                    searched += 1
                     total = cost + leg.cost
                     if n == EXIT:
                         finished.append((total, (trail, n, leg)))
@@ -268,13 +261,13 @@ class TaskSearch:
                             (total + self._estimate(then), total, then, n, leg.place, (trail, n, leg)))
             cheapest = (sorted(entries, key=lambda entry: entry[:2])[:kept] for entries in found.values())
             layer = sorted(itertools.chain(*cheapest), key=lambda entry: entry[:4])[:width]
-        return finished, searched
+        return finished
 
-    def _report(self, trail: Any, cost: float, bound: float, searched: int) -> TaskPlan:
+    def _report(self, trail: Any, cost: float, bound: float) -> TaskPlan:
         steps = []
         while trail is not None:
             trail, n, leg = trail
             steps.append((n, leg))
         steps.reverse()
         operators = tuple(self.operators[n] for n, _ in steps if n >= 0)
-        return TaskPlan(operators, tuple(leg for _, leg in steps), cost, bound, searched)
+        return TaskPlan(operators, tuple(leg for _, leg in steps), cost, bound)
