@@ -25,9 +25,10 @@ MEMORY_WORDS = ("failed", "recent", "rank")
 
 
 class _Memories:
-    """Outcomes that several episodes have met, and the rule by which they are noted; `space` holds them too.
+    """Outcomes that several episodes have met, and the rule by which they are noted.
 
-    Arrays are those of a library, `numpy` or `torch`: what is called here has one name in both.
+    Arrays are those of a library, `numpy` or `torch`: what is called here has one name in both. `space` is that of
+    observations with memory.
 
     Raises:
         UnsupportedError: observations or actions of another kind.

@@ -19,7 +19,7 @@ from hrl_escape.errors import GoalError, UnknownNameError, show_value
 
 @dataclasses.dataclass(frozen=True)
 class PressGoal:
-    """Begin to touch the target of an index; one already in contact must be left first."""
+    """Begin to touch a target, by its index; one already in contact must be left first."""
 
     target: int
 
@@ -60,7 +60,7 @@ class RegionGoal:
 
 @dataclasses.dataclass(frozen=True)
 class PushGoal:
-    """Push the prop of an index onto another one (physics dynamics)."""
+    """Push one prop onto another, by their indices (physics dynamics)."""
 
     prop: int
     destination: int
@@ -71,7 +71,7 @@ GripAction = Literal["grip", "release", "use", "push-east", "push-north", "push-
 
 @dataclasses.dataclass(frozen=True)
 class GripGoal:
-    """Grip, release or use at the target of an index, or push it on a map, by an action or to a side.
+    """Grip, release or use at a target, by its index, or push it on a map: `action` names the primitive or the side.
 
     It is done while touching the target, on a map from the cell before it, and has the effect of the puzzle's symbolic
     model.

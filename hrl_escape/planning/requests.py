@@ -164,7 +164,7 @@ def compute_lacking_clearance(plan: Plan) -> float:
 
 def bound_cost(instance: RoomInstance, state: RoomState, goals: tuple[Goal, ...], request: PlanningRequest,
                primitives: float) -> float:
-    """Lower bound of a request's cost of every plan that reaches goals in order, by that of the primitives' number."""
+    """Lower bound of a request's cost of any plan to goals in order, by the bound of its number of primitives."""
     if request.objective == "primitives":
         return primitives
     if request.objective == "clearance":
