@@ -384,7 +384,7 @@ class RoomPlanner:
         return dataclasses.replace(plan, expansions=spent, seconds=read_clock() - began, timed_out=clock.has_stopped)
 
     def shorten_escape(self, state: RoomState, plan: Plan, budget: int) -> Plan:
-        """Look for a shorter escape than a known one, jointly over orders and the ends of legs, within a node budget."""
+        """Look for a shorter escape than a known one, jointly over orders and ends of legs, within a node budget."""
         clock, settings = Clock(self.routes.time_limit), self.routes.settings
         for effort in (0, 1, 2):
             plan, spent = self._shorten_escape(state, plan, settings._replace(effort=effort), clock, budget)
