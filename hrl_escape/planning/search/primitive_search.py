@@ -136,7 +136,8 @@ class SearchRun:
         """State the query; avoiding is to forbid touching other targets and entering an open exit."""
         self.problem, self.kinematics, self._maker, self._avoiding = problem, kinematics, maker, avoiding
         self._reacher = reacher
-        self._query = self._make_query(field, motions)
+        by_hand = kinematics.instance.dynamics.press_with == "hand"
+        self._query = self._make_query(field, self._press_by_hand(motions) if by_hand else motions)
         self._frontiers = frontiers
         self._frontier: a_star.Frontier | None = None
         self._nodes = _NODES
@@ -200,16 +201,19 @@ class SearchRun:
 
     # --- the query as arrays -----------------------------------------------------------
 
+    def _press_by_hand(self, motions: a_star.Motions) -> a_star.Motions:
+        """Motions with the resting hand as the presser of targets."""
+        state, turns, rules = self.problem.state, motions.turns, self.kinematics
+        x, y, z = rules.get_hand_in_base(state.joint_steps, state.joint_offsets)
+        presser = np.stack([turns @ (x, -y), turns @ (y, x)], axis=1)
+        return motions._replace(presser=presser, reaches=_compute_reaches(rules.instance, z))
+
     def _make_query(self, field: NDArray[np.int16], motions: a_star.Motions) -> a_star.SearchQuery:
         problem, rules, maker = self.problem, self.kinematics, self._maker
         state, goal, instance = problem.state, problem.goal, rules.instance
         target = goal.target if isinstance(goal, PressGoal) else -1
         others = sum(1 << i for i in range(len(instance.targets)) if i != target)
         by_hand = instance.dynamics.press_with == "hand"
-        if by_hand:
-            turns, hand = motions.turns, rules.get_hand_in_base(state.joint_steps, state.joint_offsets)
-            presser = np.stack([turns @ (hand[0], -hand[1]), turns @ (hand[1], hand[0])], axis=1)
-            motions = motions._replace(presser=presser, reaches=_compute_reaches(instance, hand[2]))
         shun_exit = self._avoiding and not isinstance(goal, ExitGoal) and instance.puzzle.is_solved(state.puzzle)
         area = instance.exit
         closed = (area.x_min, area.x_max, area.y_min, area.y_max) if shun_exit else (1.0, 0.0, 1.0, 0.0)
@@ -220,7 +224,8 @@ class SearchRun:
         facing = np.ones(rules.headings, dtype=bool) if problem.facing is None else problem.facing
         layers = len(field) // len(maker.points)
         return a_star.SearchQuery(
-            x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching), motions=motions,
+            x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
+            **motions._asdict(),
             forbidden=np.uint64(others if self._avoiding else 0), keep_out=stack_footprints(problem.keep_out),
             closed=np.array(closed), target=target, goal=stack_footprints([problem.area.footprint])[0],
             goal_reach=problem.area.reach + _ROUNDING, goal_headings=facing, field=field,
