@@ -41,7 +41,7 @@ ALGORITHM = '''
 """Always the first legal action."""
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.agent import AgentSettings
 
 import dataclasses
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.errors import AgentSettingsError, ConfigError, UnknownNameError
 from hrl_escape.settings import Range, Settings, describe_fields, read_field_documents, replace_settings
 

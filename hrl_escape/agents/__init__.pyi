@@ -1,10 +1,17 @@
-from .agent import Agent, OptionPolicy, SMDPTransition, compute_backup, make_transition
+from .agent import (
+    Agent,
+    AgentSettings,
+    LearningSettings,
+    OptionPolicy,
+    SMDPTransition,
+    compute_backup,
+    make_transition,
+)
 from .hierarchy.machine import choose, do, machine
 from .hierarchy.runner import StackAgent
 from .hierarchy.task import BaseTask, Call, Hierarchy
 from .hierarchy.task_graph import maxq
 from .registry import get_recipe, list_agents, make_agent
-from .settings import AgentSettings, LearningSettings
 from .state import Kept, Stateful
 from .training.archive import pack_run, read_summary, unpack_run
 from .training.callbacks import Callback, MLflow, OptunaPruning, TensorBoard, WeightsAndBiases

@@ -1,4 +1,4 @@
-"""The Agent protocol and the SMDP transition: the language between learners and environments.
+"""The Agent protocol, its settings and the SMDP transition: the language between learners and environments.
 
 Agents learn from SMDP transitions (Sutton, Precup and Singh 1999, section 3): one decision runs k >= 1 primitives. A
 flat environment is the case k = 1, so each algorithm is written once. This module knows Gymnasium and `info`, neither
@@ -12,16 +12,53 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Self
 
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Stateful
-from hrl_escape.errors import DiscountMismatchError, StepContractError, UnsupportedSpaceError
+from hrl_escape.errors import AgentSettingsError, DiscountMismatchError, StepContractError, UnsupportedSpaceError
+from hrl_escape.settings import Range, Settings
+
+# --- settings ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class AgentSettings(Settings):
+    """Base of agents' settings: impossible values raise `AgentSettingsError`."""
+
+    _error = AgentSettingsError
+
+
+@dataclass(frozen=True)
+class DiscountSettings(AgentSettings):
+    """Discount of agents that count time in primitives alone."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+
+
+@dataclass(frozen=True)
+class LearningSettings(AgentSettings):
+    """Discounting of actions of different duration, treatment of truncated episodes, and the clock of schedules."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive; per decision if `discounting` is `decision`."""
+    discounting: Literal["primitive", "decision"] = "primitive"
+    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
+    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    bootstrap_on_truncation: bool = True
+    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
+    the paper's agents."""
+    clock: Literal["primitive", "decision"] = "primitive"
+    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
+    the same work on the same experience."""
+
+
+# --- the protocol -----------------------------------------------------------------------
 
 
 class SMDPTransition(NamedTuple):

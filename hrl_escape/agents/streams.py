@@ -15,8 +15,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition
-from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.agent import Agent, LearningSettings, SMDPTransition
 from hrl_escape.agents.state import Kept, Stateful, StateTree, list_kept
 from hrl_escape.errors import DiscountMismatchError
 

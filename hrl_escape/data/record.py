@@ -23,8 +23,8 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.components.exploration import sample_legal
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
 from hrl_escape.agents.state import Kept, Stateful
-from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import EpisodeRecord
+from hrl_escape.agents.training.run import show_progress
 from hrl_escape.agents.training.train import train
 from hrl_escape.data.catalogue import BENCHMARK, DataSpec
 from hrl_escape.data.materialise import load_data

@@ -22,9 +22,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from gymnasium import spaces
 
+from hrl_escape.agents.algorithms.given.feudal_rl import DIRECTIONS, Quadtree
 from hrl_escape.agents.hierarchy.goal_space import GoalSet, GoalView
 from hrl_escape.agents.hierarchy.machine import Machine, choose, do, machine
-from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen
 from hrl_escape.agents.hierarchy.task_graph import Until, View, maxq
 from hrl_escape.env.instance import RoomInstance

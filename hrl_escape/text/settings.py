@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Literal, TypeAlias, get_args
 
-from hrl_escape.agents.settings import DiscountSettings
+from hrl_escape.agents.agent import DiscountSettings
 
 TOOLS = "smdp-tools"
 """Name of the agent that calls tools."""

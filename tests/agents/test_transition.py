@@ -5,8 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hrl_escape.agents.agent import check_observation, compute_backup, make_transition, read_action_mask
-from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.agent import (
+    LearningSettings,
+    check_observation,
+    compute_backup,
+    make_transition,
+    read_action_mask,
+)
 from hrl_escape.errors import DiscountMismatchError, StepContractError
 
 MASK = np.ones(3, np.bool_)

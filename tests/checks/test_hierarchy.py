@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.algorithms.given.deep_abstract_q import DeepAbstractQ
-from hrl_escape.agents.algorithms.given.feudal_rl import FeudalRl
+from hrl_escape.agents.algorithms.given.feudal_rl import FeudalRl, Quadtree
 from hrl_escape.agents.algorithms.given.h_dqn import HDqn
 from hrl_escape.agents.algorithms.given.hac import Hac
 from hrl_escape.agents.algorithms.given.hiro import Hiro
@@ -17,7 +17,6 @@ from hrl_escape.agents.algorithms.given.macro_q import MacroQ
 from hrl_escape.agents.algorithms.given.option_keyboard import OptionKeyboard
 from hrl_escape.agents.algorithms.given.sol import Sol
 from hrl_escape.agents.algorithms.q_learning import QLearning
-from hrl_escape.agents.hierarchy.regions import Quadtree
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackAgent, make_task_transition
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Hierarchy
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, maxq

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hrl_escape.agents.discovery.state_graph import NOTHING, TableSkill
+from hrl_escape.agents.discovery import NOTHING, TableSkill
 from tests.classic.exact import Array
 from tests.classic.tabular import Tables
 

@@ -11,8 +11,8 @@ def _trap(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str,
 
 def _discovery(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
     """The same for what discoveries share."""
-    folder = "algorithms/skills" if file in ("eigenoptions", "covering_options") else "discovery"
-    return bug, f"agents/{folder}/{file}.py", old, new, f"agents/{test}"
+    folder = "" if file == "discovery" else "algorithms/skills/"
+    return bug, f"agents/{folder}{file}.py", old, new, f"agents/{test}"
 
 
 def _meteorologists(bug: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
@@ -33,7 +33,7 @@ def _hrc(bug: str, old: str, new: str, test: str) -> tuple[str, str, str, str, s
 
 def _networks(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
     """The same for options over networks."""
-    folder = f"{ALGORITHMS}/options" if file in ("dac", "ppoc", "a2oc") else "agents/components/options"
+    folder = f"{ALGORITHMS}/options" if file in ("dac", "ppoc", "a2oc") else "agents/components"
     return bug, f"{folder}/{file}.py", old, new, f"{ALGORITHMS}/options/test_option_networks.py::{test}"
 
 
@@ -94,19 +94,19 @@ MUTATIONS = [
           "self._likely = beta * choice + (1 - beta) * self._eye[self._option]", "self._likely = choice",
           "::test_the_weight_of_an_option_is_the_chance_that_it_runs_given_the_one_before"),
     # options over networks
-    _networks("the option before an episode's first is option 0", "networks",
+    _networks("the option before an episode's first is option 0", "option_networks",
               ".masked_fill((former == NONE)[:, None], 1.0)", "",
               "test_the_option_before_is_kept_unless_it_ends_and_a_first_one_is_drawn_from_the_policy_over_options"),
-    _networks("terminations learn nothing of the choice", "networks",
+    _networks("terminations learn nothing of the choice", "option_networks",
               "kept + ends * (choice - kept)", "kept + ends.detach() * (choice - kept)",
               "test_terminations_learn_through_the_choice_of_options_and_the_value_s_error_moves_the_critic_alone"),
     ("the state reached at a time-out is worth the next episode's option",
      "agents/components/policy_gradient.py", "(after >= 0) & ~rollout.over", "after >= 0",
      f"{ALGORITHMS}/options/test_option_networks.py"
      "::test_the_state_reached_is_worth_the_option_that_ran_next_and_the_mean_where_none_did"),
-    _networks("illegal actions have a share", "networks",
+    _networks("illegal actions have a share", "option_networks",
               "option], mask)", "option], torch.ones_like(mask))", "test_with_one_option_it_is_ppo_to_the_bit"),
-    _networks("an option that is chosen again counts as going on", "rollouts",
+    _networks("an option that is chosen again counts as going on", "option_networks",
               "self._is_chosen = self._option, True", "self._is_chosen = self._option, False",
               "test_rows_tell_which_option_ran_before_and_whether_one_was_chosen"),
     _networks("the value's error moves the choice of options", "dac",
@@ -128,7 +128,7 @@ MUTATIONS = [
     _ppoc("termination over networks is learned in the state that was left",
           "choices.is_chosen, rollout.next_observation,", "choices.is_chosen, rollout.observation,",
           "test_terminations_step_with_every_minibatch_of_the_option_s_own_decisions"),
-    _networks("the best option over networks is ended more and more often", "networks",
+    _networks("the best option over networks is ended more and more often", "option_networks",
               "* (worse + margin) * goes_on", "* -(worse + margin) * goes_on",
               "test_ppocs_terminations_fall_where_the_option_that_ran_is_better_than_the_mean_at_the_state_reached"),
     _ppoc("termination over networks is learned where the task ended",
@@ -137,7 +137,7 @@ MUTATIONS = [
     _ppoc("terminations hardly move", "termination_rate: Annotated[float, Range(0)] = 2e-4",
           "termination_rate: Annotated[float, Range(0)] = 5e-7",
           "test_the_rate_of_terminations_is_what_the_published_program_comes_to"),
-    _networks("the deliberation cost over networks is a reward for ending", "networks",
+    _networks("the deliberation cost over networks is a reward for ending", "option_networks",
               "next_values - cost * ends", "next_values + cost * ends",
               "test_ppoc_pays_for_ending_upon_arrival_and_learns_choices_where_they_were_made"),
     _networks("a choice is learned where none was made", "ppoc",
@@ -155,7 +155,7 @@ MUTATIONS = [
     _networks("policies descend what they should climb", "a2oc",
               "policy_loss = -(take_column(", "policy_loss = (take_column(",
               "test_a2ocs_loss_equals_the_formula_by_hand"),
-    _networks("the value upon arrival forgets that the option may end", "networks",
+    _networks("the value upon arrival forgets that the option may end", "option_networks",
               "take_column(values, choices.option[after]), mean), mean",
               "take_column(values, choices.option[after]), take_column(values, choices.option)), mean",
               "test_the_state_reached_is_worth_the_option_that_ran_next_and_the_mean_where_none_did"),
@@ -191,39 +191,39 @@ MUTATIONS = [
                "enumerate((1.0, -1.0))", "enumerate((1.0, 1.0))",
                "algorithms/skills/test_discovery.py"
                "::test_eigenoptions_of_a_graph_that_was_met_are_those_of_the_graph_that_is"),
-    _discovery("the constant direction counts", "state_graph",
+    _discovery("the constant direction counts", "discovery",
                "values[1 : count + 1], _orient(vectors[:, 1 : count + 1])",
                "values[:count], _orient(vectors[:, :count])", "discovery/test_spectral.py"),
-    _discovery("directions of the walk keep the root of the degree", "state_graph",
+    _discovery("directions of the walk keep the root of the degree", "discovery",
                "        vectors = vectors / np.sqrt(adjacency.sum(axis=1))[:, None]\n", "        pass\n",
                "discovery/test_spectral.py"),
-    _discovery("an eigenoption never ends", "state_graph",
+    _discovery("an eigenoption never ends", "discovery",
                "lambda best: np.maximum(best, 0.0)", "lambda best: best",
                "discovery/test_spectral.py"),
-    _discovery("an eigenoption is paid for where it is", "state_graph",
+    _discovery("an eigenoption is paid for where it is", "discovery",
                ".reshape(model.known.shape) - purpose[:, None], -np.inf)", ".reshape(model.known.shape), -np.inf)",
                "discovery/test_spectral.py"),
-    _discovery("a covering option may begin anywhere", "state_graph",
+    _discovery("a covering option may begin anywhere", "discovery",
                "option.starts & (states == start)", "option.starts",
                "discovery/test_spectral.py"),
     _discovery("the same edge is found again and again", "covering_options",
                "joined[ends], joined[ends[::-1]] = 1.0, 1.0", "pass",
                "algorithms/skills/test_discovery.py::test_covering_options_join_the_corners_both_ways"),
-    _discovery("an action leads one way in the graph", "state_graph",
+    _discovery("an action leads one way in the graph", "discovery",
                "np.stack([after, before])], axis=1)", "np.stack([before, after])], axis=1)",
                "discovery/test_state_graph.py::test_an_action_joins_states_both_ways_and_one_that_stays_joins_none"),
-    _discovery("states that nothing connects have directions", "state_graph",
+    _discovery("states that nothing connects have directions", "discovery",
                "np.flatnonzero(parts == np.bincount(parts).argmax())", "np.arange(len(self))",
                "discovery/test_state_graph.py::test_directions_are_those_of_the_largest_connected_part"),
-    _discovery("options of exploration are in the greedy policy", "discovering_agent",
+    _discovery("options of exploration are in the greedy policy", "discovery",
                "if not self._chooses:", "if False:",
                "algorithms/skills/test_discovery.py"
                "::test_exploration_runs_an_option_to_its_end_and_the_policy_is_over_primitives"),
-    _discovery("an option that goes on is worth the best choice", "discovering_agent",
+    _discovery("an option that goes on is worth the best choice", "discovery",
                "if goes_on else best)", "if False else best)",
                "algorithms/skills/test_discovery.py"
                "::test_a_chosen_option_is_worth_what_it_earns_on_its_way_and_the_best_choice_where_it_ends"),
-    _discovery("a choice of an option that may not begin", "discovering_agent",
+    _discovery("a choice of an option that may not begin", "discovery",
                "if skill is not None and state < len(skill.actions) and skill.starts[state]:",
                "if skill is not None and state < len(skill.actions):",
                "algorithms/skills/test_discovery.py"
@@ -304,11 +304,11 @@ MUTATIONS = [
      "made / (made + 1)", "1 / (made + 1)",
      f"{ALGORITHMS}/structure/test_hrc.py::test_expected_costs_are_those_of_a_simulation"),
     # initiation connected to its target
-    _discovery("an initiation set is never connected to its target", "state_graph",
+    _discovery("an initiation set is never connected to its target", "discovery",
                "return TableSkill(name, chosen, on_the_way)", "return TableSkill(name, chosen, inside & ~targets)",
                "algorithms/skills/test_skill_chaining.py"
                "::test_states_without_a_known_way_inside_the_set_are_left_out"),
-    _discovery("the way to a target may leave the set", "state_graph",
+    _discovery("the way to a target may leave the set", "discovery",
                "np.where(inside, best, 0.0))", "best)",
                "algorithms/skills/test_skill_chaining.py"
                "::test_states_without_a_known_way_inside_the_set_are_left_out"),

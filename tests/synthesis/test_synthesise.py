@@ -6,8 +6,8 @@ import gymnasium
 import numpy as np
 import pytest
 
+from hrl_escape.agents.algorithms.given.feudal_rl import DIRECTIONS
 from hrl_escape.agents.hierarchy.machine import Do, MachineRun
-from hrl_escape.agents.hierarchy.regions import DIRECTIONS
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.agents.training.evaluation import evaluate

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import SMDPTransition, count_actions
+from hrl_escape.agents.agent import LearningSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.bonuses import NoveltySettings
 from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
@@ -43,7 +43,6 @@ from hrl_escape.agents.components.policy_gradient import (
     stack_decisions,
     take_column,
 )
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions
 from hrl_escape.settings import Range

@@ -15,11 +15,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, count_actions
+from hrl_escape.agents.agent import DiscountSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.factored.observation import FactorReader
-from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range

@@ -11,10 +11,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.agent import DiscountSettings, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
-from hrl_escape.agents.settings import DiscountSettings
 
 
 class RandomAgent(FixedPolicy):

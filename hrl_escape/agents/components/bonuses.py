@@ -15,8 +15,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.agents.components.tables import TabularSettings, make_cell_finder
-from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.agents.state import Columns, Stateful
 from hrl_escape.settings import Range
 

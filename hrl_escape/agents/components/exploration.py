@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.settings import Range
 
 

@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
 
-from hrl_escape.agents.agent import count_actions
-from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.agent import AgentSettings, count_actions
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import AgentSettingsError, DivergenceError, UnsupportedSpaceError
 from hrl_escape.settings import Range

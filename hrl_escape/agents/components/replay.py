@@ -24,10 +24,9 @@ import torch
 from numpy.typing import DTypeLike, NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions, count_steps
+from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup, count_actions, count_steps
 from hrl_escape.agents.components.exploration import EpsilonSettings, compute_epsilon, make_rng
 from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
 from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions, compute_backups
 from hrl_escape.errors import CheckpointError

@@ -15,7 +15,15 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, compute_backup, count_actions, count_steps
+from hrl_escape.agents.agent import (
+    Agent,
+    AgentSettings,
+    LearningSettings,
+    SMDPTransition,
+    compute_backup,
+    count_actions,
+    count_steps,
+)
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,
@@ -23,7 +31,6 @@ from hrl_escape.agents.components.exploration import (
     make_rng,
     sample_action,
 )
-from hrl_escape.agents.settings import AgentSettings, LearningSettings
 from hrl_escape.agents.state import Columns, Stateful
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range

@@ -26,10 +26,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor
 from torchrl.objectives import LossModule
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, DiscountSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.networks import ObservationEncoder, make_generator
-from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import DivergenceError
 from hrl_escape.settings import Range

@@ -1,28 +1,433 @@
-"""Agents that learn a factored model and plan in it: to open outcomes first, then to the end of the task.
+"""Factored model learned from a history of decisions, and agents that plan in it: to the unknown, then to the end.
 
-A subclass chooses the hypotheses that it believes.
+Everything but the history is derived from it, so the history is the checkpoint. The reward is modelled as a usual rate
+a primitive plus a bonus at a decision's end, and the bonus as an outcome like others. An action that is masked is a
+sample too: of doing nothing there, so that where an option may start is learned like what it does. Agents choose the
+hypotheses to believe.
+
+Durations are learned apart from outcomes, by the pose in which actions start. An action that ends at about the same
+pose every time leaves the robot at a place of its own. From place to place the mean of the durations seen counts;
+elsewhere a straight line of duration over distance, fitted to the history. Without a pose every action has its mean
+duration.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, DiscountSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
-from hrl_escape.agents.factored.compiled_model import ActionModel, compile_action
-from hrl_escape.agents.factored.model import Belief, FactoredModel, PendingPlan
-from hrl_escape.agents.factored.search import ModelPlan
-from hrl_escape.agents.factored.structure import StructureLearner
-from hrl_escape.agents.settings import DiscountSettings
-from hrl_escape.agents.state import Kept
+from hrl_escape.agents.factored.observation import FactorReader
+from hrl_escape.agents.factored.search import (
+    MOST_ACTIONS,
+    ActionModel,
+    ChooseHypotheses,
+    ModelPlan,
+    Packing,
+    compile_action,
+    find_plan,
+    find_relevant,
+    make_tables,
+)
+from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
+from hrl_escape.agents.state import Kept, Stateful, StateTree
+from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range
+
+NEAR = 0.15
+"""A pose belongs to a place within this share of the distance that poses are apart on average."""
+
+
+class DurationHistory(NamedTuple):
+    """Decisions in the order they were made, none cut inside."""
+
+    starts: NDArray[np.float64]  # (decisions, pose) before each
+    actions: NDArray[np.int64]  # (decisions,)
+    ends: NDArray[np.float64]  # (decisions, pose) after each
+    durations: NDArray[np.float64]  # (decisions,), primitives
+    previous: NDArray[np.int64]  # (decisions,), the action before in the same episode, or -1
+
+
+class DurationModel:
+    """Durations between places; made by `fit_durations`.
+
+    Args:
+        table: (actions + 1, actions), primitives of each action from each place; the last row from nowhere special.
+        places: (actions,), the row that holds after each action.
+        homes: (actions, pose), where each action ends.
+        weights: (pose,), how much each number of the pose counts in a distance.
+        line: duration = line[0] + line[1] * distance.
+        near: see `NEAR`, in units of that distance.
+    """
+
+    def __init__(self, table: NDArray[np.float64], places: NDArray[np.int64], homes: NDArray[np.float64],
+                 weights: NDArray[np.float64], line: tuple[float, float], near: float) -> None:
+        self._table, self.places, self._homes = table, places, homes
+        self._weights, self._line, self._near = weights, line, near
+
+    def compute_durations(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+        """`table` with a last row that holds at this pose."""
+        has_home = self.places < len(self.places)
+        if not has_home.any():
+            return self._table
+        away = np.linalg.norm((self._homes - pose) * self._weights, axis=1)
+        table = self._table.copy()
+        table[-1] = np.where(has_home, _predict(self._line, away), self._table[-1])
+        nearest = int(np.where(has_home, away, np.inf).argmin())
+        if away[nearest] <= self._near:
+            table[-1] = table[nearest]
+        return table
+
+
+def _predict(line: tuple[float, float], distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.maximum(line[0] + line[1] * distance, 1.0)
+
+
+def fit_durations(history: DurationHistory, actions: int) -> DurationModel:
+    """Fit durations to a history, which may be empty."""
+    starts, chosen, ends, duration, previous = history
+    if not len(chosen):
+        return DurationModel(np.ones((actions + 1, actions)), np.full(actions, actions), np.zeros((actions, 0)),
+                             np.zeros(0), (1, 0), 0)
+    counts = np.bincount(chosen, minlength=actions)
+    means = np.full(actions, duration.mean())
+    means[counts > 0] = (np.bincount(chosen, duration, actions) / np.maximum(counts, 1))[counts > 0]
+    table = np.tile(means, (actions + 1, 1))
+    homes = np.zeros((actions, ends.shape[1]))
+    np.add.at(homes, chosen, ends)
+    homes /= np.maximum(counts, 1)[:, None]
+    spread, scatter = ends.std(axis=0), np.sqrt(((ends - homes[chosen]) ** 2).mean(axis=0))
+    weights = (scatter < 0.5 * spread).astype(np.float64)  # numbers in which actions end alike: not the heading
+    if len(chosen) < 3 or not weights.any():
+        return DurationModel(table, np.full(actions, actions), homes, weights, (float(duration.mean()), 0.0), 0.0)
+    scatters = np.linalg.norm((ends - homes[chosen]) * weights, axis=1)
+    width = np.linalg.norm((ends - ends.mean(axis=0)) * weights, axis=1).mean()
+    own = np.bincount(chosen, scatters, actions) / np.maximum(counts, 1)
+    has_home = (counts > 0) & (own <= NEAR * width)
+    places = np.where(has_home, np.arange(actions), actions)
+    known = has_home[chosen]
+    distance = np.linalg.norm((starts - homes[chosen]) * weights, axis=1)
+    line = (float(duration.mean()), 0.0)
+    if known.sum() >= 2 and distance[known].std() > 1e-9:
+        design = np.column_stack([np.ones(known.sum()), distance[known]])
+        offset, slope = np.linalg.lstsq(design, duration[known], rcond=None)[0]
+        line = (float(offset), float(slope)) if slope > 0 else line
+    between = np.linalg.norm((homes[:, None] - homes[None]) * weights, axis=2)
+    pairs = has_home[:, None] & has_home[None]
+    table[:-1] = np.where(pairs, _predict(line, between), table[:-1])
+    travelled = previous >= 0
+    cells = previous[travelled] * actions + chosen[travelled]
+    seen = np.bincount(cells, minlength=actions * actions).reshape(actions, actions)
+    total = np.bincount(cells, duration[travelled], actions * actions).reshape(actions, actions)
+    table[:-1] = np.where(seen > 0, total / np.maximum(seen, 1), table[:-1])
+    return DurationModel(table, places, homes, weights, line, NEAR * float(width))
+
+
+REMEMBERED_DECISIONS = 2_000
+"""Decisions that durations are fitted to."""
+
+
+class Belief:
+    """A compiled model, kept up to date action by action.
+
+    Args:
+        choose: the hypotheses to go by; asked again about an action after each sample of it.
+        visits: samples that make a context known.
+
+    Attributes:
+        models: of all actions, as of the last `update`.
+    """
+
+    def __init__(self, choose: ChooseHypotheses, visits: int) -> None:
+        self.choose, self.visits = choose, visits
+        self.models: list[ActionModel] = []
+        self._stale: set[int] = set()
+
+    def forget(self, action: int | None = None) -> None:
+        """Mark an action, or (None) every action, for compilation."""
+        if action is None:
+            self.models = []
+        self._stale.add(-1 if action is None else action)
+
+    def update(self, model: FactoredModel) -> None:
+        """Compile the marked actions."""
+        if not self._stale and self.models:
+            return
+        packing, bonuses = model.packing, model.bonuses
+        for action in range(model.learner.actions):
+            if action >= len(self.models):
+                self.models.append(model.compile(model.learner, packing, action, self.choose, bonuses, self.visits))
+            elif action in self._stale:
+                self.models[action] = model.compile(model.learner, packing, action, self.choose, bonuses, self.visits)
+        self._stale.clear()
+        self.tables = make_tables(self.models)
+        self.bonus = max([rule.bonus for each in self.models for rule in each.rules], default=0.0)
+        self.relevant = find_relevant(self.models, packing.wide, with_gaps=False)
+        self.relevant_with_gaps = find_relevant(self.models, packing.wide, with_gaps=True)
+
+
+class PendingPlan(Stateful):
+    """Rest of a plan, followed as long as it leads to the states it predicted."""
+
+    STATE = ("_states", "_actions")
+
+    def __init__(self) -> None:
+        self._states: list[int] = []
+        self._actions: list[int] = []
+
+    def begin(self, plan: ModelPlan) -> None:
+        """Follow another plan from now on."""
+        self._states, self._actions = list(plan.states), list(plan.actions)
+
+    def drop(self) -> None:
+        """Follow no plan until one begins."""
+        self._states, self._actions = [], []
+
+    def take(self, state: int, legal: NDArray[np.bool_]) -> int | None:
+        """The next action, if this is the state that was expected and the action is legal."""
+        if not self._states or self._states[0] != state or not legal[self._actions[0]]:
+            return None
+        self._states.pop(0)
+        return self._actions.pop(0)
+
+
+class FactoredModel:
+    """History of an agent, and the model derived from it.
+
+    Args:
+        conditions: `all-on` or `any`; see `FactoredRMaxSettings`.
+        make_learner: (sizes of the factors, actions, max_parents, all_on) -> the learner.
+        compile: makes the model of an action, with the arguments of `compile_action`.
+
+    Attributes:
+        repeatable: bool (actions,), actions that were seen to be legal right after themselves.
+    """
+
+    def __init__(
+        self, space: gymnasium.Space, actions: int, gamma: float, max_parents: int, conditions: str, agent: str,
+        make_learner: Callable[..., StructureLearner] = StructureLearner,
+        compile: Callable[..., ActionModel] = compile_action,
+    ) -> None:
+        if actions > MOST_ACTIONS:
+            raise UnsupportedSpaceError(f"{agent} plans with at most {MOST_ACTIONS} actions, not {actions}")
+        self.gamma, self._actions, self._max_parents, self._agent = gamma, actions, max_parents, agent
+        self._make_learner, self.compile = make_learner, compile
+        self._reader = FactorReader(space, agent)
+        self._all_on = conditions == "all-on" and bool((self._reader.sizes == 2).all())
+        self._before: list[NDArray[np.float64]] = []
+        self._after: list[NDArray[np.float64]] = []
+        self._masks: list[NDArray[np.bool_]] = []  # before
+        # action, duration, summed reward, over, previous, legal again
+        self._rows: list[tuple[int, int, float, bool, int, bool]] = []
+        self._previous = -1  # the action before in the same episode
+        self._rates: Counter[float] = Counter()
+        self._beliefs: list[Belief] = []
+        self._rebuild()
+
+    def _rebuild(self, rate: float = 0.0) -> None:
+        """Derive the model anew, because the factors or the usual rate have changed."""
+        self._packing: Packing | None = None  # at the first need: a Box's numbers are sorted out by then
+        self.learner = self._make_learner(self._reader.sizes, self._actions, self._max_parents, self._all_on)
+        self.rate = rate
+        self._levels: dict[float, int] = {0.0: 0}
+        self._durations: DurationModel | None = None
+        self._history: DurationHistory | None = None  # of the decisions before `_told`
+        self._told = 0
+        self.repeatable = np.ones(self._actions, dtype=np.bool_)
+        self._tried: set[int] = set()
+        self._done: set[int] = set()  # and masked ever since
+        self._masked: set[tuple[bytes, int]] = set()
+        for number in range(len(self._rows)):
+            self._learn(number)
+        for belief in self._beliefs:
+            belief.forget()
+
+    def _learn(self, number: int) -> None:
+        action, duration, reward, over, previous, again = self._rows[number]
+        self.repeatable[action] = again or (self.repeatable[action] and action in self._tried)
+        self._tried.add(action)
+        before, after = self._reader.read(self._before[number]), self._reader.read(self._after[number])
+        self._learn_mask(before, self._masks[number], previous)
+        self.learner.add(before, action, after, over, self._get_level(round(reward - self.rate * duration, 6)))
+
+    def _learn_mask(self, state: NDArray[np.int64], mask: NDArray[np.bool_], previous: int) -> None:
+        """Take in, once a state, that masked actions do nothing; one masked since it was done may just have worked."""
+        masked = (~mask).nonzero()[0].tolist()
+        self._done = {action for action in masked if previous >= 0 and (action == previous or action in self._done)}
+        for action in masked:
+            key = state.tobytes(), action
+            if action not in self._done and key not in self._masked:
+                self._masked.add(key)
+                self.learner.add(state, action, state, False, 0)
+                for belief in self._beliefs:
+                    belief.forget(action)
+
+    def _get_level(self, bonus: float) -> int:
+        if bonus not in self._levels:
+            if len(self._levels) == LEVELS:
+                return self._levels[min(self._levels, key=lambda level: abs(level - bonus))]
+            self._levels[bonus] = len(self._levels)
+        return self._levels[bonus]
+
+    @property
+    def components(self) -> NDArray[np.int64]:
+        """Index of each factor in the observation."""
+        return self._reader.components
+
+    @property
+    def bonuses(self) -> list[float]:
+        """The bonus of each level."""
+        return sorted(self._levels, key=lambda bonus: self._levels[bonus])
+
+    @property
+    def packing(self) -> Packing:
+        """Bit layout of states."""
+        if self._packing is None:
+            self._packing = Packing(self.learner, self._agent)
+        return self._packing
+
+    @property
+    def is_empty(self) -> bool:
+        """Nothing was recorded yet."""
+        return not self._rows
+
+    def get_alive(self, action: int, outcome: int) -> NDArray[np.int64]:
+        """Every hypothesis that the history does not contradict, small ones first."""
+        return self.learner.get_alive(action, outcome)
+
+    def get_likeliest(self, action: int, outcome: int) -> NDArray[np.int64]:
+        """The smallest hypothesis that the history does not contradict."""
+        return self.learner.get_alive(action, outcome)[:1]
+
+    def make_belief(self, choose: ChooseHypotheses, visits: int) -> Belief:
+        """A compiled model that hears of everything recorded from now on; see `compile_action`."""
+        belief = Belief(choose, visits)
+        self._beliefs.append(belief)
+        return belief
+
+    def record(self, transition: SMDPTransition) -> None:
+        """Take in a decision; an option cut inside by truncation shows no outcome and is left out."""
+        previous = self._previous
+        self._previous = -1 if transition.terminated or transition.truncated else transition.action
+        if transition.cut:
+            return
+        before = self._reader.flatten(transition.observation)
+        after = self._reader.flatten(transition.next_observation)
+        self._before.append(before)
+        self._after.append(after)
+        self._masks.append(np.asarray(transition.action_mask, dtype=np.bool_))
+        again = bool(transition.next_action_mask[transition.action])
+        row = (transition.action, transition.duration, transition.summed_reward, transition.terminated, previous, again)
+        self._rows.append(row)
+        self._count_rate(row)
+        usual, count = self._rates.most_common(1)[0] if self._rates else (self.rate, 0)
+        usual = usual if count > self._rates[self.rate] else self.rate
+        if self._reader.notice(np.stack([before, after])) or usual != self.rate:
+            self._rebuild(usual)
+        else:
+            self._learn(len(self._rows) - 1)
+            self._durations = None
+            for belief in self._beliefs:
+                belief.forget(transition.action)
+
+    def _count_rate(self, row: tuple[int, int, float, bool, int, bool]) -> None:
+        _, duration, reward, over, *_ = row
+        if not over:
+            self._rates[round(reward / duration, 9)] += 1
+
+    def pack(self, observation: Any) -> int:
+        """The state as one word."""
+        return self.packing.pack(self._reader.read(self._reader.flatten(observation)))
+
+    def search(self, belief: Belief, observation: Any, legal: NDArray[np.bool_], seek_gaps: bool, most_nodes: int
+               ) -> ModelPlan:
+        """Plan from an observation; see `find_plan`."""
+        belief.update(self)
+        relevant = belief.relevant_with_gaps if seek_gaps else belief.relevant
+        return find_plan(belief.tables, self.pack(observation), legal, self.repeatable, relevant,
+                         *self.estimate_durations(observation), self.rate, self.gamma, belief.bonus, seek_gaps,
+                         most_nodes)
+
+    def estimate_durations(self, observation: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Primitives of each action after each action, in the last row from here, (actions + 1, actions).
+
+        Also the row that holds after each action, (actions,).
+        """
+        if self._durations is None:
+            self._durations = fit_durations(self._extend_history(), self._actions)
+        pose = self._reader.read_pose(self._reader.flatten(observation))
+        return self._durations.compute_durations(pose), self._durations.places
+
+    def _extend_history(self) -> DurationHistory:
+        """The last decisions, as far as durations are concerned; those told of before are not read again."""
+        first = max(self._told, len(self._rows) - REMEMBERED_DECISIONS)
+        rows, self._told = self._rows[first:], len(self._rows)
+        actions, durations, previous = (np.array([row[column] for row in rows]) for column in (0, 1, 4))
+        starts, ends = (np.ascontiguousarray(self._reader.read_pose(np.array(flat[first:])))
+                        for flat in (self._before, self._after))
+        new = DurationHistory(starts, actions, ends, durations.astype(np.float64), previous)
+        if self._history is not None and len(self._history.actions):
+            new = DurationHistory._make(np.concatenate(both)[-REMEMBERED_DECISIONS:]
+                                        for both in zip(self._history, new, strict=True))
+        self._history = new
+        return new
+
+    def find_graph(self, choose: ChooseHypotheses) -> frozenset[tuple[int, int]]:
+        """Edges (parent, child): some action puts the child up, and the parent is one of those that decide it.
+
+        Numbers are those of the observation's components. A child's own value is no parent.
+        """
+        edges: set[tuple[int, int]] = set()
+        for action in range(self._actions):
+            for outcome in self.learner.list_active(action):
+                if outcome >= self.learner.over:
+                    continue
+                hypothesis = int(choose(action, int(outcome))[0])
+                counts = self.learner.get_counts(action, hypothesis, int(outcome))
+                if self.learner.sizes[outcome] == 2 and not counts[:, 0, 1].any():
+                    continue  # it only ever goes off here
+                child = int(self.components[outcome])
+                parents = (int(self.components[p]) for p in self.learner.hypotheses[hypothesis])
+                edges |= {(parent, child) for parent in parents if parent != child}
+        return frozenset(edges)
+
+    def state_dict(self) -> StateTree:
+        """Decisions in columns, in the order they were made; the model follows from them."""
+        names = ("action", "duration", "reward", "over", "previous", "again")
+        columns = zip(*self._rows, strict=True) if self._rows else ([] for _ in names)
+        return {
+            "rate": self.rate,
+            "last": self._previous,
+            "before": np.array(self._before),
+            "after": np.array(self._after),
+            "masks": np.array(self._masks),
+            **{name: np.array(list(column)) for name, column in zip(names, columns, strict=True)},
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        self._previous = int(state["last"])
+        self._before, self._after, self._masks = list(state["before"]), list(state["after"]), list(state["masks"])
+        columns = (state[name].tolist() for name in ("action", "duration", "reward", "over", "previous", "again"))
+        self._rows = [tuple(row) for row in zip(*columns, strict=True)]
+        for rows in (self._before, self._after):
+            if rows:
+                self._reader.notice(np.stack(rows))
+        self._rates.clear()
+        for row in self._rows:
+            self._count_rate(row)
+        self._rebuild(float(state["rate"]))
+
+
+# --- agents -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

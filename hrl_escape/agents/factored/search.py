@@ -1,22 +1,198 @@
-"""Forward search in a compiled model: the best plan to an end of the task, or to an open outcome.
+"""A learned factored model compiled into bit rules, and forward search in it: the best plan to an end or to a gap.
 
-A* over (state, place), where a place is the action that was just done: outcomes depend on the state alone,
-durations on the place. It maximises the discounted semi-Markov return with an upper bound as heuristic (Nilsson
-1980; SMDP backup of Sutton, Precup and Singh 1999), so states that no plan needs are never enumerated. Importing
-this module imports numba.
+A state is one 64-bit word, a field of bits for each factor. An action is a list of rules (where `state & care ==
+value`: clear, set and flip bits, end the task, earn a bonus) and of gaps (where it matches, the outcome is open).
+The caller chooses the hypotheses; nothing here learns.
+
+The search is A* over (state, place), where a place is the action that was just done: outcomes depend on the state
+alone, durations on the place. It maximises the discounted semi-Markov return with an upper bound as heuristic (Nilsson
+1980; SMDP backup of Sutton, Precup and Singh 1999), so states that no plan needs are never enumerated.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.factored.compiled_model import ActionModel
+from hrl_escape.agents.factored.structure import StructureLearner
+from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.kernels import kernel
+
+MOST_BITS = 56
+"""Bits of a state; a search keeps its place in the other eight."""
+
+ChooseHypotheses = Callable[[int, int], NDArray[np.int64]]
+"""(action, outcome) -> the hypotheses to go by; the first one predicts, a context that any has not met is a gap."""
+
+
+class Packing:
+    """Bit layout of states: the position of each factor, and the pattern of each context of each hypothesis.
+
+    Attributes:
+        shifts: (factors,), lowest bit of each.
+        masks: for each factor, all its bits.
+        wide: the bits of factors that have more than two values.
+        patterns: by hypothesis and context, the disjoint pairs (care, value) that make it up.
+
+    Raises:
+        UnsupportedSpaceError: the factors do not fit into a word.
+    """
+
+    def __init__(self, learner: StructureLearner, agent: str) -> None:
+        widths = [max(1, int(size - 1).bit_length()) for size in learner.sizes]
+        if sum(widths) > MOST_BITS:
+            raise UnsupportedSpaceError(
+                f"{agent} plans over states of at most {MOST_BITS} bits; these factors have {sum(widths)}"
+            )
+        self.shifts = np.cumsum([0, *widths])[:-1].astype(np.int64)
+        self.masks = [((1 << width) - 1) << int(shift) for width, shift in zip(widths, self.shifts, strict=True)]
+        self.wide = sum(mask for mask, size in zip(self.masks, learner.sizes, strict=True) if size > 2)
+        self.patterns = [
+            [tuple(self._list_patterns(learner, parents, context)) for context in range(contexts)]
+            for parents, contexts in zip(learner.hypotheses, learner.context_counts.tolist(), strict=True)
+        ]
+
+    def _list_patterns(self, learner: StructureLearner, parents: tuple[int, ...], context: int
+                       ) -> Iterator[tuple[int, int]]:
+        if not learner.all_on:
+            care = value = 0
+            for parent in parents:
+                context, setting = divmod(context, int(learner.sizes[parent]))
+                care |= self.masks[parent]
+                value |= setting << int(self.shifts[parent])
+            yield care, value
+        elif context == 0:
+            every = sum(self.masks[parent] for parent in parents)
+            yield every, every
+        else:  # the first that is off, those before it on
+            on = 0
+            for parent in parents:
+                yield on | self.masks[parent], on
+                on |= self.masks[parent]
+
+    def pack(self, values: NDArray[np.int64]) -> int:
+        """One word for the values of the factors, (factors,)."""
+        return int((values << self.shifts).sum())
+
+
+class Rule(NamedTuple):
+    """Effect of an action in states that match."""
+
+    care: int
+    value: int
+    clear: int
+    put: int
+    flip: int
+    over: bool
+    bonus: float
+
+
+@dataclass(frozen=True)
+class ActionModel:
+    """Believed effects of one action."""
+
+    rules: tuple[Rule, ...]  # all that match apply
+    gaps: NDArray[np.uint64]  # uint64 (gaps, 2), pairs (care, value) where the outcome is open
+
+
+def compile_action(learner: StructureLearner, packing: Packing, action: int, choose: ChooseHypotheses,
+                   bonuses: Sequence[float], visits: int) -> ActionModel:
+    """Turn chosen hypotheses into rules and gaps.
+
+    An action that has never changed anything has no rules; all hypotheses of `choose(action, over)` then
+    say where it was tried.
+    """
+    active = learner.list_active(action)
+    found: dict[tuple[int, int], list] = {}
+    gaps: set[tuple[int, int]] = set()
+    asked: set[bytes] = set()
+    for outcome in active.tolist() if len(active) else [learner.over]:
+        chosen = choose(action, outcome)
+        if chosen.tobytes() not in asked:
+            asked.add(chosen.tobytes())
+            for hypothesis, context in learner.find_unseen(action, chosen, visits):
+                gaps.update(packing.patterns[hypothesis][context])
+        if len(active):
+            gaps.update(_find_disputes(learner, packing, action, chosen, outcome))
+            _add_rules(found, learner, packing, action, int(chosen[0]), outcome, bonuses)
+    rules = tuple(Rule(care, value, *effect) for (care, value), effect in found.items() if any(effect))
+    return ActionModel(rules, np.array(sorted(gaps), dtype=np.uint64).reshape(-1, 2))
+
+
+def _find_disputes(learner: StructureLearner, packing: Packing, action: int, chosen: NDArray[np.int64], outcome: int
+                   ) -> Iterator[tuple[int, int]]:
+    """Patterns of states in which the first hypothesis and another one predict different outcomes."""
+    samples = learner.get_samples(action, chosen, outcome)  # (hypotheses, contexts, own, values)
+    says, speaks = np.asarray(samples.argmax(axis=-1)), np.asarray(samples.any(axis=-1))
+    differ = (says[1:, None] != says[0][:, None]) & speaks[1:, None] & speaks[0][:, None]
+    is_bit = outcome < learner.over and learner.sizes[outcome] == 2
+    for other, first_context, context, own in np.argwhere(differ).tolist():
+        own_care = packing.masks[outcome] if is_bit else 0
+        own_value = own_care if own else 0
+        for care, value in packing.patterns[int(chosen[0])][first_context]:
+            for other_care, other_value in packing.patterns[int(chosen[1 + other])][context]:
+                pairs = ((care, value), (other_care, other_value), (own_care, own_value))
+                if all(not (a[0] & b[0] & (a[1] ^ b[1])) for a, b in itertools.combinations(pairs, 2)):
+                    yield care | other_care | own_care, value | other_value | own_value
+
+
+def _add_rules(found: dict[tuple[int, int], list], learner: StructureLearner, packing: Packing, action: int,
+               hypothesis: int, outcome: int, bonuses: Sequence[float]) -> None:
+    """Add one outcome's effects in every context to `found`: (care, value) -> clear, put, flip, over, bonus."""
+    counts = learner.get_counts(action, hypothesis, outcome)
+    for context in counts.any(axis=(1, 2)).nonzero()[0]:
+        cell = counts[context]
+        for pattern in packing.patterns[hypothesis][context]:
+            effect = found.setdefault(pattern, [0, 0, 0, False, 0.0])
+            if outcome == learner.over:
+                effect[3] = bool(cell[0].argmax())
+            elif outcome == learner.bonus:
+                effect[4] = bonuses[int(cell[0].argmax())]
+            elif learner.sizes[outcome] == 2:
+                after = [int(row.argmax()) if row.any() else own for own, row in enumerate(cell)]  # untried: it stays
+                if after != [0, 1]:
+                    effect[[[0, 0], [1, 1], [1, 0]].index(after)] |= packing.masks[outcome]
+            else:
+                effect[0] |= packing.masks[outcome]
+                effect[1] |= int(cell[0].argmax()) << int(packing.shifts[outcome])
+
+
+def find_relevant(models: Sequence[ActionModel], wide: int, with_gaps: bool) -> NDArray[np.bool_]:
+    """Actions that can bear on ending the task or earning a bonus, bool (actions,): a backward closure.
+
+    With gaps, what has to be arranged to fill a relevant action's gaps is relevant too. All are, as long as no rule
+    ends the task or earns anything.
+    """
+    relevant = np.zeros(len(models), dtype=np.bool_)
+    rules = [(action, rule) for action, model in enumerate(models) for rule in model.rules]
+    if not any(rule.over or rule.bonus > 0 for _, rule in rules):
+        return ~relevant
+    wanted_on = wanted_off = 0
+    has_grown = True
+    while has_grown:
+        before = wanted_on, wanted_off, relevant.sum()
+        for action, rule in rules:
+            both = wanted_on | wanted_off
+            reaches = rule.put & wanted_on or rule.clear & wanted_off or rule.flip & both
+            if rule.over or rule.bonus > 0 or reaches or (rule.put | rule.clear) & wide & both:
+                relevant[action] = True
+                wanted_on |= rule.value | rule.care & wide
+                wanted_off |= rule.care & ~rule.value | rule.care & wide
+        for model in (models[a] for a in relevant.nonzero()[0].tolist()) if with_gaps else ():
+            care = int(np.bitwise_or.reduce(model.gaps[:, 0]))
+            wanted_on |= int(np.bitwise_or.reduce(model.gaps[:, 1])) | care & wide
+            wanted_off |= int(np.bitwise_or.reduce(model.gaps[:, 0] & ~model.gaps[:, 1])) | care & wide
+        has_grown = before != (wanted_on, wanted_off, relevant.sum())
+    return relevant
+
+
+# --- search -----------------------------------------------------------------------------
 
 MOST_ACTIONS = 250
 _EMPTY = np.uint64(0xFFFFFFFFFFFFFFFF)

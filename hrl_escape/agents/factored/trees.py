@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma, xlogy
 
-from hrl_escape.agents.factored.compiled_model import ActionModel, ChooseHypotheses, Packing, Rule
+from hrl_escape.agents.factored.search import ActionModel, ChooseHypotheses, Packing, Rule
 from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
 
 GROWTH = 1.2

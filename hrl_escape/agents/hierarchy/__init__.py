@@ -1,1 +1,1 @@
-"""Hierarchies: tasks, the stack of running calls, task graphs, machines, goals, regions."""
+"""Hierarchies: tasks, the stack of running calls, task graphs, machines, goals."""

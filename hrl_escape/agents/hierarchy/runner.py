@@ -20,7 +20,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, OptionPolicy, RunningCall, SMDPTransition
+from hrl_escape.agents.agent import Agent, DiscountSettings, OptionPolicy, RunningCall, SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_action
 from hrl_escape.agents.hierarchy.task import (
     BaseTask,
@@ -35,7 +35,6 @@ from hrl_escape.agents.hierarchy.task import (
     load_stack,
     save_stack,
 )
-from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import RowStreamAgent, StreamAgent, StreamTransitions
 from hrl_escape.errors import AgentSettingsError, DiscountMismatchError, StepContractError, UnsupportedError

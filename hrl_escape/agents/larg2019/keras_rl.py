@@ -8,9 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, compute_backup
+from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup
 from hrl_escape.agents.components.replay import Experience
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, Stateful, StateTree
 
 

@@ -16,9 +16,8 @@ import gymnasium
 from hrl_escape.agents.components.offline import Decisions, OfflineAgent, OfflineData, Primitives
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe, list_offline_agents
 from hrl_escape.agents.training.callbacks import Callback
-from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import SegmentRecord, read_row
-from hrl_escape.agents.training.run import Run, RunArguments
+from hrl_escape.agents.training.run import Reporter, Run, RunArguments
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import replace_settings
 

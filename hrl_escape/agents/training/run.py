@@ -19,6 +19,8 @@ from types import FrameType
 from typing import Any, Protocol, cast
 
 import gymnasium
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hrl_escape.agents.agent import (
     Agent,
@@ -34,7 +36,6 @@ from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.training.callbacks import Callback, RunDescription
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
-from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import EpisodeRecord, SegmentRecord, TrainResult, make_evaluation_row, read_row
 from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
@@ -473,3 +474,52 @@ def refusing_damage(what: str) -> Iterator[None]:
     except Exception as error:
         raise CheckpointError(f"{what} is damaged, or of another agent ({describe_damage(error)}). Delete the run's "
                               "folder to start anew") from error
+
+
+# --- the progress line ------------------------------------------------------------------
+
+REFRESH_SECONDS = 0.2
+
+Reporter = Callable[[int, str], None]
+"""Takes the progress of a run: primitives so far, and the latest returns in words."""
+
+
+@contextmanager
+def show_progress(name: str, total: int, done: int, show: bool | None) -> Iterator[Reporter]:
+    """Show a line on standard error while training up to `total` primitives; with `show=None` on a terminal only."""
+    console = Console(stderr=True)
+    if not (console.is_terminal if show is None else show):
+        yield lambda primitives, words: None
+        return
+    columns = (  # fits 80 characters
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=8),
+        TextColumn("{task.completed:,.0f}/{task.total:,.0f}"),
+        TextColumn("{task.fields[rate]}"),
+        TextColumn("{task.fields[words]}"),
+        TimeRemainingColumn(compact=True),
+    )
+    with Progress(*columns, console=console) as progress:
+        if done:
+            console.print(f"{name} goes on from primitive {done:,}", markup=False)
+        task = progress.add_task(name, total=total, completed=done, rate="", words="")
+        started = last = time.monotonic()
+        latest = done, ""
+
+        def refresh() -> None:
+            primitives, words = latest
+            rate = (primitives - done) / max(last - started, 1e-9)
+            progress.update(task, completed=min(primitives, total), rate=f"{rate:,.0f}/s", words=words)
+
+        def report(primitives: int, words: str) -> None:
+            nonlocal last, latest
+            now, latest = time.monotonic(), (primitives, words)
+            if now - last >= REFRESH_SECONDS:
+                last = now
+                refresh()
+
+        try:
+            yield report
+        finally:  # the line that stays
+            last = time.monotonic()
+            refresh()

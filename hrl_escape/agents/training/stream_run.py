@@ -38,9 +38,8 @@ from hrl_escape.agents.streams import (
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed
-from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import SegmentRecord, read_row
-from hrl_escape.agents.training.run import NO_OPTIONS, Run, RunArguments
+from hrl_escape.agents.training.run import NO_OPTIONS, Reporter, Run, RunArguments
 from hrl_escape.agents.training.run_folder import RunFolder
 from hrl_escape.errors import CheckpointError, StepContractError
 

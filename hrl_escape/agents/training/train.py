@@ -26,9 +26,16 @@ from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed
-from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import TrainResult
-from hrl_escape.agents.training.run import Probe, Run, RunArguments, load_agent_state, make_origin, refusing_damage
+from hrl_escape.agents.training.run import (
+    Probe,
+    Run,
+    RunArguments,
+    load_agent_state,
+    make_origin,
+    refusing_damage,
+    show_progress,
+)
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
 from hrl_escape.errors import AgentSettingsError, CheckpointError
 from hrl_escape.plugins import RUN_OBSERVERS

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from hrl_escape.agents.agent import SMDPTransition, make_transition
 from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
 from hrl_escape.agents.algorithms.r_max import RMax, RMaxSettings
-from hrl_escape.agents.factored.model import DurationHistory, FactoredModel, fit_durations
+from hrl_escape.agents.factored.planning_agent import DurationHistory, FactoredModel, fit_durations
 from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.agents.training.train import train
@@ -260,7 +260,7 @@ def test_what_a_cut_ended_inside_is_no_evidence():
 
 
 def test_durations_heard_one_by_one_are_those_of_the_last_decisions_read_at_once(monkeypatch):
-    monkeypatch.setattr("hrl_escape.agents.factored.model.REMEMBERED_DECISIONS", 40)
+    monkeypatch.setattr("hrl_escape.agents.factored.planning_agent.REMEMBERED_DECISIONS", 40)
     rng, mask = np.random.default_rng(0), np.ones(3, np.bool_)
     model, again = (FactoredModel(spaces.Box(-9, 9, (2,), np.float64), 3, 0.9, 1, "all-on", "test") for _ in range(2))
     homes, here = rng.uniform(-9, 9, (3, 2)), np.zeros(2)
@@ -291,7 +291,7 @@ def test_an_action_masked_since_it_was_done_is_no_sample():
 
 def test_old_durations_are_forgotten(monkeypatch):
     """Three decisions of 5 primitives after three of 50, to another place, are all that counts."""
-    monkeypatch.setattr("hrl_escape.agents.factored.model.REMEMBERED_DECISIONS", 3)
+    monkeypatch.setattr("hrl_escape.agents.factored.planning_agent.REMEMBERED_DECISIONS", 3)
     model = FactoredModel(spaces.Box(-9, 9, (2,)), 1, 0.9, 1, "all-on", "test")
     mask = np.ones(1, np.bool_)
     for duration, place in ((50, 4.0), (5, 2.0)):

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hrl_escape.agents.agent import SMDPTransition, compute_backup
+from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup
 from hrl_escape.agents.components.replay import Experience, NStep, ReplayBuffer
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.errors import CheckpointError
 

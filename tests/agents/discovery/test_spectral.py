@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from hrl_escape.agents.discovery.state_graph import (
+from hrl_escape.agents.discovery import (
     NOTHING,
     StateModel,
     compute_laplacian,

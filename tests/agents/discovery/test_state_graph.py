@@ -2,7 +2,7 @@
 
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.algorithms.skills.eigenoptions import Eigenoptions
-from hrl_escape.agents.discovery.state_graph import NOTHING, StateGraph
+from hrl_escape.agents.discovery import NOTHING, StateGraph
 from tests.agents.algorithms.skills.test_discovery import ALL, make, show_everything
 
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_escape.agents.agent import SMDPTransition, compute_backup
+from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.larg2019.keras_rl import LateTerminal, LinearRelaxation
-from hrl_escape.agents.settings import LearningSettings
 
 MASK = np.ones(3, np.bool_)
 SETTINGS = LearningSettings(gamma=0.9, discounting="decision", bootstrap_on_truncation=False)

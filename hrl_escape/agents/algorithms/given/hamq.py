@@ -17,7 +17,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import OptionPolicy, RunningCall, SMDPTransition, count_actions
+from hrl_escape.agents.agent import DiscountSettings, OptionPolicy, RunningCall, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import (
     choose_best,
     compute_epsilon,
@@ -39,7 +39,6 @@ from hrl_escape.agents.hierarchy.machine import (
 )
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
-from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.errors import StepContractError

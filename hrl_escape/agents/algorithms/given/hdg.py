@@ -24,12 +24,25 @@ from hrl_escape.agents.components.exploration import (
     sample_legal,
 )
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
-from hrl_escape.agents.hierarchy.regions import Landmarks
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.streams import RowStreamAgent
-from hrl_escape.errors import UnsupportedError
+from hrl_escape.errors import AgentSettingsError, UnsupportedError
 from hrl_escape.settings import Range
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """States that stand for the region around them."""
+
+    states: tuple[Hashable, ...]  # the landmarks' states
+    region: Callable[[Hashable], int]  # state -> number of the landmark whose region it lies in
+    state: Callable[[Any], Hashable] = int  # observation -> state; the observation itself by default
+
+    def __post_init__(self) -> None:
+        for number, state in enumerate(self.states):
+            if self.region(state) != number:
+                raise AgentSettingsError("Landmarks.region", state, f"{number}, its own region, for landmark {number}")
 
 
 @dataclass(frozen=True)

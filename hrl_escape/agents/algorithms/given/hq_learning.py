@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, count_actions
+from hrl_escape.agents.agent import DiscountSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_index
 from hrl_escape.agents.components.tables import (
     QTable,
@@ -24,7 +24,6 @@ from hrl_escape.agents.components.tables import (
     ValueTable,
     make_discretiser,
 )
-from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range

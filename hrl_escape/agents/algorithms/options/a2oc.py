@@ -17,9 +17,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.components.exploration import compute_epsilon_greedy
-from hrl_escape.agents.components.options.agent import OptionSettings
-from hrl_escape.agents.components.options.networks import OptionChoices, OptionHeads
-from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
+from hrl_escape.agents.components.option_agent import OptionSettings
+from hrl_escape.agents.components.option_networks import OptionChoices, OptionHeads, StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import AdvantageSettings, Rollout, compute_entropy, take_column
 from hrl_escape.settings import Range
 

@@ -13,9 +13,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.components.options.agent import OptionSettings
-from hrl_escape.agents.components.options.networks import SMALLEST, OptionChoices, mix_values
-from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
+from hrl_escape.agents.components.option_agent import OptionSettings
+from hrl_escape.agents.components.option_networks import SMALLEST, OptionChoices, StreamOptionAgent, mix_values
 from hrl_escape.agents.components.policy_gradient import (
     ClippedSettings,
     Rollout,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, LearningSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.networks import (
     Learner,
@@ -39,7 +39,6 @@ from hrl_escape.agents.components.policy_gradient import (
     take_column,
     unstack_decisions,
 )
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 

@@ -23,7 +23,7 @@ from hrl_escape.agents.components.exploration import (
     mask_values,
     sample_index,
 )
-from hrl_escape.agents.components.options.agent import OptionAgent, OptionSettings
+from hrl_escape.agents.components.option_agent import OptionAgent, OptionSettings
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.state import StateTree, pack_keys, unpack_keys
 from hrl_escape.settings import Range

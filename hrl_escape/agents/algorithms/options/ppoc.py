@@ -20,9 +20,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.components.networks import Learner
-from hrl_escape.agents.components.options.agent import OptionSettings
-from hrl_escape.agents.components.options.networks import OptionChoices, mix_values
-from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
+from hrl_escape.agents.components.option_agent import OptionSettings
+from hrl_escape.agents.components.option_networks import OptionChoices, StreamOptionAgent, mix_values
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, take_column
 from hrl_escape.agents.state import Kept, read_value
 from hrl_escape.settings import Range

@@ -12,8 +12,15 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent, GraphDiscovery, GraphDiscoverySettings
-from hrl_escape.agents.discovery.state_graph import StateModel, TableSkill, find_covering_edge, make_point_option
+from hrl_escape.agents.discovery import (
+    DiscoveringAgent,
+    GraphDiscovery,
+    GraphDiscoverySettings,
+    StateModel,
+    TableSkill,
+    find_covering_edge,
+    make_point_option,
+)
 from hrl_escape.settings import Range
 
 

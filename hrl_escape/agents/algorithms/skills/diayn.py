@@ -20,14 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.agent import LearningSettings, SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.networks import Learner, make_generator, make_network
-from hrl_escape.agents.components.options.networks import OptionChoices, OptionHeads
-from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
+from hrl_escape.agents.components.option_networks import OptionChoices, OptionHeads, StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, compute_advantages, take_column
 from hrl_escape.agents.factored.observation import FactorReader
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.settings import Range

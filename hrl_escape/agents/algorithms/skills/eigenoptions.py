@@ -12,9 +12,11 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent, GraphDiscovery, GraphDiscoverySettings
-from hrl_escape.agents.discovery.state_graph import (
+from hrl_escape.agents.discovery import (
     NOTHING,
+    DiscoveringAgent,
+    GraphDiscovery,
+    GraphDiscoverySettings,
     StateModel,
     TableSkill,
     compute_successor_representation,

@@ -14,14 +14,17 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.discovery.discovering_agent import (
+from hrl_escape.agents.discovery import (
+    NOTHING,
     DiscoveringAgent,
     Discovery,
     DiscoverySettings,
+    StateGraph,
+    TableSkill,
     load_skills,
+    make_subgoal_option,
     save_skills,
 )
-from hrl_escape.agents.discovery.state_graph import NOTHING, StateGraph, TableSkill, make_subgoal_option
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 

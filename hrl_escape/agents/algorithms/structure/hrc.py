@@ -18,10 +18,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, DiscountSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_index, sample_legal
 from hrl_escape.agents.factored.observation import FactorReader
-from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from hrl_escape.settings import Range

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import MarkovRun, OptionPolicy, SMDPTransition
 from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
-from hrl_escape.agents.factored.compiled_model import ActionModel, compile_action
-from hrl_escape.agents.factored.search import ModelPlan, SearchTables
+from hrl_escape.agents.factored.search import ActionModel, ModelPlan, SearchTables, compile_action
 from hrl_escape.agents.factored.structure import GrowingSets, StructureLearner
 from hrl_escape.agents.factored.trees import TreeLearner, compile_trees
 from hrl_escape.settings import Range

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.agent import make_transition
-from hrl_escape.agents.algorithms.given.feudal_rl import SEARCH, FeudalRl, make_feudal_hierarchy
-from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
+from hrl_escape.agents.algorithms.given.feudal_rl import DIRECTIONS, SEARCH, FeudalRl, Quadtree, make_feudal_hierarchy
 from hrl_escape.agents.hierarchy.task import Frame, Seen
 from hrl_escape.errors import AgentSettingsError
 from tests.agents.running import interact, learn

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.agent import make_transition
-from hrl_escape.agents.algorithms.given.hdg import Hdg
-from hrl_escape.agents.hierarchy.regions import Landmarks
+from hrl_escape.agents.algorithms.given.hdg import Hdg, Landmarks
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.checks import check_agent
 from hrl_escape.errors import AgentSettingsError

@@ -6,7 +6,7 @@ import pytest
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.algorithms.skills.covering_options import CoveringOptions
 from hrl_escape.agents.algorithms.skills.eigenoptions import Eigenoptions
-from hrl_escape.agents.discovery.state_graph import NOTHING, TableSkill
+from hrl_escape.agents.discovery import NOTHING, TableSkill
 from tests.agents.running import interact
 from tests.classic.diffusion import compute_diffusion_time, make_next_states
 from tests.classic.four_rooms import GRID, FourRooms

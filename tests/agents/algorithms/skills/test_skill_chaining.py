@@ -6,7 +6,7 @@ from scipy import sparse
 
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.algorithms.skills.skill_chaining import SkillChaining
-from hrl_escape.agents.discovery.state_graph import NOTHING, StateModel, make_subgoal_option
+from hrl_escape.agents.discovery import NOTHING, StateModel, make_subgoal_option
 from tests.agents.running import interact
 from tests.classic.diffusion import make_next_states
 from tests.classic.four_rooms import GRID, FourRooms

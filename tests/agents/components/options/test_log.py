@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 
-from hrl_escape.agents.components.options.agent import WINDOW, OptionLog
+from hrl_escape.agents.components.option_agent import WINDOW, OptionLog
 
 
 def fill(log, *runs):

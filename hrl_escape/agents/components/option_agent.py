@@ -12,9 +12,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, MarkovRun, OptionPolicy, RunningCall
+from hrl_escape.agents.agent import Agent, LearningSettings, MarkovRun, OptionPolicy, RunningCall
 from hrl_escape.agents.components.exploration import sample_index
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.settings import Range
 

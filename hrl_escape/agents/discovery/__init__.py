@@ -1,1 +1,0 @@
-"""Discovery: options made while learning, from the graph of the states that were met."""
