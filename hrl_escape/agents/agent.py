@@ -60,6 +60,9 @@ class LearningSettings(AgentSettings):
 
 # --- the protocol -----------------------------------------------------------------------
 
+CATALOGUE = "hrl_escape.agents.algorithms"
+"""Package of the algorithms, one file each, named like the file."""
+
 
 class SMDPTransition(NamedTuple):
     """One decision and its outcome.
@@ -122,6 +125,8 @@ class Agent(Stateful, ABC):
     The other members say what an agent can do beyond that. Their defaults are those of an agent that can do no more.
     """
 
+    name: ClassVar[str] = ""
+    """Name in messages; of the algorithms of this package that of their file, under which `make_agent` knows them."""
     Settings: ClassVar[type]
     recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Name -> settings, beside `corrected`, which is `Settings()`. Names with the prefix `smdp-` hold over options."""
@@ -134,8 +139,16 @@ class Agent(Stateful, ABC):
     origin: Mapping[str, Any] = MappingProxyType({})
     """Training that made it what it is, filled in by `train` and `load_agent`: `agent`, `run` (key of the run's
     folder, empty without one), `seed` and `primitives`; empty where there was none."""
+    privileges: tuple[str, ...] = ()
+    """Information that it is given and a flat agent is not."""
     made_for: int | None = None
     """Number of actions of the space it was made with; None where its class is constructed in another way."""
+
+    def __init_subclass__(cls) -> None:
+        """Name an algorithm like its file."""
+        package, _, file = cls.__module__.rpartition(".")
+        if package.startswith(CATALOGUE):
+            cls.name = file.replace("_", "-")
 
     def __new__(cls, *arguments: Any, **named: Any) -> Self:
         """Note the number of actions."""

@@ -21,7 +21,7 @@ from typing import Any
 
 import gymnasium
 
-from hrl_escape.agents.agent import Agent, read_goal_rule
+from hrl_escape.agents.agent import CATALOGUE, Agent, read_goal_rule
 from hrl_escape.agents.larg2019.recipes import PAPER
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 from hrl_escape.plugins import load_entry_point
@@ -35,7 +35,6 @@ GIVEN_PARTS = ("hierarchy", "program", "goals", "goal_space", "landmarks", "tree
 GOAL_RULE = "goal_rule"
 """Name under which agents take what an environment says of its goals; those that do not take it do without."""
 
-_CATALOGUE = "hrl_escape.agents.algorithms"
 _APART = ("given", "offline")
 """Families whose agents need more than spaces and settings."""
 
@@ -87,7 +86,7 @@ def _is_agent(thing: Any) -> bool:
 @cache
 def _find_shipped() -> dict[str, str]:
     """Name -> module of every shipped algorithm: those of no family, then family by family; imports none of them."""
-    found = walk_packages(importlib.import_module(_CATALOGUE).__path__, f"{_CATALOGUE}.")
+    found = walk_packages(importlib.import_module(CATALOGUE).__path__, f"{CATALOGUE}.")
     modules = sorted((module.name for module in found if not module.ispkg), key=lambda name: name.count("."))
     return {module.rpartition(".")[2].replace("_", "-"): module for module in modules}
 
@@ -167,12 +166,12 @@ def make_agent(name: str, observation_space: gymnasium.Space, action_space: gymn
 
 def list_given_agents() -> list[str]:
     """Names of the shipped agents that act by a hierarchy that they are given."""
-    return [name for name, module in _find_shipped().items() if module.startswith(f"{_CATALOGUE}.given.")]
+    return [name for name, module in _find_shipped().items() if module.startswith(f"{CATALOGUE}.given.")]
 
 
 def list_offline_agents() -> list[str]:
     """Names of the shipped agents that learn from a data set."""
-    return [name for name, module in _find_shipped().items() if module.startswith(f"{_CATALOGUE}.offline.")]
+    return [name for name, module in _find_shipped().items() if module.startswith(f"{CATALOGUE}.offline.")]
 
 
 def find_given_part(name: str) -> str | None:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_legal
-from hrl_escape.agents.components.networks import make_forward
 from hrl_escape.agents.registry import get_recipe
 from hrl_escape.settings import replace_settings
 
@@ -50,7 +49,6 @@ class ExploringDQN(DQN):
 
     def __init__(self, observation_space: gymnasium.Space, seed: int, settings: ExploringSettings) -> None:
         super().__init__(observation_space, gymnasium.spaces.Discrete(settings.primitives), seed, settings)
-        self._forward_online = make_forward(self.values.online)
         self._repeated = (0, 0)  # a primitive, and for how many decisions more
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
@@ -62,7 +60,7 @@ class ExploringDQN(DQN):
             return choice
         epsilon, length = compute_epsilon(settings, self._schedule.steps), float(np.mean(settings.lengths))
         if self._action_rng.random() >= epsilon / (epsilon + length * (1 - epsilon)):
-            return choose_best(self._forward_online(self._encoder.encode(observation)), legal)
+            return choose_best(self.values.online.compute(self._encoder.encode(observation)), legal)
         options = np.flatnonzero(action_mask[settings.primitives:]) + settings.primitives
         if settings.explores_by == "options" and len(options):
             return int(self._action_rng.choice(options))

@@ -35,8 +35,8 @@ MUTATIONS = [
     Mutation(
         "the greedy policy follows the network that learns",
         "agents/algorithms/dqn.py",
-        "make_forward(self.online), make_forward(self.average)",
-        "make_forward(self.online), make_forward(self.online)",
+        "self.average.compute(self._encoder",
+        "self.online.compute(self._encoder",
         "agents/algorithms/test_deep_losses.py agents/components/test_learner.py",
     ),
     Mutation(
@@ -162,7 +162,7 @@ MUTATIONS = [
         "a metric is a mean over all decisions",
         "agents/training/run.py",
         "total / self._counts[name] for name",
-        "total / self.decisions for name",
+        "total / max(self._counts.values()) for name",
         "agents/training/test_train.py::test_a_logged_metric_is_the_mean_over_the_decisions_that_gave_it",
     ),
     Mutation(
@@ -298,7 +298,7 @@ MUTATIONS = [
         "a run's folder runs whatever code it names",
         "agents/training/env_description.py",
         "if known == name), None)",
-        "if known == name), lambda: import_part(name))",
+        "if known == name), lambda: resolve_name(name))",
         "agents/training/test_hostile_runs.py",
     ),
     Mutation(

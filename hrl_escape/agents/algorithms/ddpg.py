@@ -26,13 +26,7 @@ from hrl_escape.agents.components.exploration import (
     mask_values,
     sample_legal,
 )
-from hrl_escape.agents.components.networks import (
-    Learner,
-    compute_td_loss,
-    make_forward,
-    make_generator,
-    make_network,
-)
+from hrl_escape.agents.components.networks import Learner, compute_td_loss, make_generator, make_network
 from hrl_escape.agents.components.replay import (
     Experience,
     ReplaySettings,
@@ -117,7 +111,6 @@ class DDPG(ReplayStreamAgent):
     the actor's outputs over legal actions; the relaxation turns it into the vector a that the critic sees.
     """
 
-    name: ClassVar[str] = "ddpg"
     Settings: ClassVar[type] = DDPGSettings
     settings: DDPGSettings
     STATE = (Kept("_actor_learner", "actor"), Kept("_critic_learner", "critic"), "_vector",
@@ -135,7 +128,6 @@ class DDPG(ReplayStreamAgent):
         self.target_critic = make_network(encoder, 1, settings, generator, actions).requires_grad_(False)
         self.target_actor.blend(self.actor, 1.0)
         self.target_critic.blend(self.critic, 1.0)
-        self._make_forwards()
         actors = {"actor": self.actor, "target_actor": self.target_actor}
         critics = {"critic": self.critic, "target_critic": self.target_critic}
         self._actor_learner = Learner(self.name, actors, ["actor"], settings)
@@ -146,17 +138,14 @@ class DDPG(ReplayStreamAgent):
         self._vector = np.zeros(actions, np.float32)  # of the last action, as replay keeps it
         self._conduct: dict[str, float] = {}
 
-    def _make_forwards(self) -> None:
-        self._explore = make_forward(self.actor)
-        self._exploit = make_forward(self.target_actor) if self.settings.average_actor else self._explore
-
     def compute_preferences(self, observation: Any) -> NDArray:
         """Outputs of the actor behind the greedy policy at an observation, before the mask, float32 (actions,)."""
-        return self._exploit(self._encoder.encode(observation))
+        actor = self.target_actor if self.settings.average_actor else self.actor
+        return actor.compute(self._encoder.encode(observation))
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """The argmax of the actor's outputs with noise, or a random action, as the settings say."""
-        preferences = outputs = self._explore(self._encoder.encode(observation))
+        preferences = outputs = self.actor.compute(self._encoder.encode(observation))
         if self._noise is not None:
             outputs = preferences + self._noise.sample(self._action_rng).astype(np.float32)
         epsilon = compute_epsilon(self.settings, self._schedule.steps)
@@ -190,7 +179,6 @@ class DDPG(ReplayStreamAgent):
         """Move networks and optimisers to a device."""
         for learner in (self._actor_learner, self._critic_learner):
             learner.move(device)
-        self._make_forwards()
 
     def compute_scores(self, encoded: torch.Tensor) -> torch.Tensor:
         """Outputs of the actor, (n, actions)."""

@@ -40,7 +40,6 @@ from hrl_escape.agents.components.networks import (
     compute_td_loss,
     copy_network,
     make_action_network,
-    make_forward,
     make_generator,
 )
 from hrl_escape.agents.components.replay import (
@@ -50,7 +49,7 @@ from hrl_escape.agents.components.replay import (
     ReplayStreamAgent,
     make_experience,
 )
-from hrl_escape.agents.state import Kept, Stateful
+from hrl_escape.agents.state import Kept
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
@@ -87,7 +86,7 @@ class DQNSettings(NoveltySettings, ValueSettings):
     (Andrychowicz et al. 2017, who take 4). 0 for none. For environments with goals, such as `GoalsEnv`."""
 
 
-class ActionValues(Stateful):
+class ActionValues:
     """Q_theta, its target and its average: choices by them, and steps of Q_theta towards given targets.
 
     Args:
@@ -101,8 +100,6 @@ class ActionValues(Stateful):
             as a plain mean, so that it forgets the first weights. With `average_rate` 0 it is the online network.
         conduct: entropy of the latest exploring choice, and whether it was greedy, to log.
     """
-
-    STATE = ("learner",)
 
     def __init__(self, name: str, encoder: ObservationEncoder, action_space: gymnasium.Space, seed: int, settings: Any,
                  network: nn.Module | None = None) -> None:
@@ -119,23 +116,14 @@ class ActionValues(Stateful):
                 copy.requires_grad_(False).blend(self.online, 1.0)
         self.learner = Learner(name, networks, ["online"], settings)
         self.conduct: dict[str, float] = {}
-        self._make_forwards()
-
-    def _make_forwards(self) -> None:
-        self._forward, self._exploit = make_forward(self.online), make_forward(self.average)
-
-    def move(self, device: torch.device) -> None:
-        """Move networks and optimiser to a device."""
-        self.learner.move(device)
-        self._make_forwards()
 
     def compute(self, observation: Any) -> NDArray:
         """Q(s, .) behind the greedy policy at an observation, in units of return, float32 (actions,)."""
-        return self._exploit(self._encoder.encode(observation)) / self._settings.reward_scale
+        return self.average.compute(self._encoder.encode(observation)) / self._settings.reward_scale
 
     def explore(self, encoded: NDArray, action_mask: NDArray[np.bool_], steps: int, rng: np.random.Generator) -> int:
         """Draw from the exploring policy at an encoded observation, `steps` on the clock; notes how, in `conduct`."""
-        values = self._forward(encoded) / self._settings.reward_scale
+        values = self.online.compute(encoded) / self._settings.reward_scale
         action = sample_action(values, action_mask, self._settings, steps, rng)
         self.conduct = {
             "entropy": compute_exploration_entropy(values, action_mask, self._settings, steps),
@@ -182,7 +170,6 @@ class DQN(ReplayStreamAgent):
         AgentSettingsError: `hindsight_goals` in an environment without goals, or the module does not fit.
     """
 
-    name: ClassVar[str] = "dqn"
     Settings: ClassVar[type] = DQNSettings
     settings: DQNSettings
     STATE = (Kept("values.learner", "learner"), "_n_step", "_bonus", Kept("_hindsight", is_left_out=True))
@@ -255,7 +242,7 @@ class DQN(ReplayStreamAgent):
 
     def move(self, device: torch.device) -> None:
         """Move networks and optimiser to a device."""
-        self.values.move(device)
+        self.values.learner.move(device)
 
     def compute_scores(self, encoded: Tensor) -> Tensor:
         """Values of the online network, in units of return, (n, actions)."""

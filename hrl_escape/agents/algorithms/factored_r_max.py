@@ -31,7 +31,6 @@ class FactoredRMaxSettings(PlanningSettings):
 class FactoredRMax(PlanningAgent):
     """Believes every set of parents that leaves the fewest samples unexplained, and looks where two of them differ."""
 
-    name: ClassVar[str] = "factored-r-max"
     Settings: ClassVar[type] = FactoredRMaxSettings
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,

@@ -40,7 +40,6 @@ class MonteCarloModelSettings(PlanningSettings):
 class MonteCarloModel(PlanningAgent):
     """Believes structures drawn from their posterior, anew in each episode and after each sample of an action."""
 
-    name: ClassVar[str] = "monte-carlo-model"
     Settings: ClassVar[type] = MonteCarloModelSettings
     settings: MonteCarloModelSettings
     STATE = ("_episode", "_redraws", "_seed")

@@ -25,7 +25,6 @@ from hrl_escape.agents.components.networks import (
     Learner,
     ObservationEncoder,
     make_action_network,
-    make_forward,
     make_generator,
     make_state_network,
 )
@@ -72,7 +71,6 @@ class PPO(StreamAgent):
     the rollout in which it was made counts in the next one, with the probability that it was made with.
     """
 
-    name: ClassVar[str] = "ppo"
     Settings: ClassVar[type] = PPOSettings
     settings: PPOSettings
     is_markov: bool = True
@@ -89,7 +87,6 @@ class PPO(StreamAgent):
         size = 0 if self._memory is None else self._memory.size
         self.policy = make_action_network(self._encoder, action_space, settings, generator, 0.01, size)
         self.critic = make_state_network(self._encoder, settings, generator, size)
-        self._forward, self._forward_critic = make_forward(self.policy), make_forward(self.critic)
         networks = {"policy": self.policy, "critic": self.critic}
         self.is_markov = self._memory is None
         if self._memory is not None:
@@ -115,11 +112,11 @@ class PPO(StreamAgent):
 
         With a memory: of the latest choice, if this was its observation, else of an episode that begins here.
         """
-        return self._forward(self._see(observation))
+        return self.policy.compute(self._see(observation))
 
     def compute_state_value(self, observation: Any) -> float:
         """V(s) at an observation, in units of return."""
-        return float(self._forward_critic(self._see(observation))[0]) / self.settings.reward_scale
+        return float(self.critic.compute(self._see(observation))[0]) / self.settings.reward_scale
 
     def _see(self, observation: Any, recollection: NDArray | None = None) -> NDArray:
         """Input of the networks: the encoded observation, with what is remembered once it is seen."""
@@ -143,7 +140,7 @@ class PPO(StreamAgent):
         """Draw from the policy over legal actions."""
         seen = self._see(observation, self._recollection)
         self._before, self._recollection = self._recollection, self._recall(seen)
-        policy = compute_softmax(mask_values(self._forward(seen), action_mask))
+        policy = compute_softmax(mask_values(self.policy.compute(seen), action_mask))
         return sample_index(policy, self._action_rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
@@ -151,7 +148,7 @@ class PPO(StreamAgent):
         running, recollection = self._evaluation or (None, None)
         seen = self._see(observation, recollection if running is rng else np.zeros_like(self._before))
         self._evaluation = rng, self._recall(seen)
-        return choose_best(self._forward(seen), action_mask)
+        return choose_best(self.policy.compute(seen), action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Keep the decision; update when the rollout is full. Streams are over with it, and what they collected."""
@@ -180,7 +177,6 @@ class PPO(StreamAgent):
             self._open.begin_episodes()
             return
         self._learner.move(device)
-        self._forward, self._forward_critic = make_forward(self.policy), make_forward(self.critic)
         self._open = OpenChoices(count, self._actions, device, self._stream_rng, len(self._before))
         self._forget()
 

@@ -26,7 +26,6 @@ class QLearningSettings(BonusSettings, TabularAgentSettings):
 class QLearning(RowStreamAgent, TabularAgent):
     """Q(s, o) <- Q(s, o) + alpha [R + gamma^k (1 - terminated) max over legal o' of Q(s', o') - Q(s, o)]."""
 
-    name: ClassVar[str] = "q-learning"
     Settings: ClassVar[type] = QLearningSettings
     settings: QLearningSettings
     STATE = ("_bonus",)

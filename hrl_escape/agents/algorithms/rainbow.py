@@ -148,7 +148,6 @@ class Rainbow(DQN):
     With one atom the loss is that of `dqn`. Evaluation follows the means of noisy weights.
     """
 
-    name: ClassVar[str] = "rainbow"
     Settings: ClassVar[type] = RainbowSettings
     settings: Any
     STATE = ("_priorities", "_noise_rng")

@@ -58,7 +58,6 @@ class Sarsa(ReplayStreamAgent):
     Q_target(s', o') of one o' drawn from pi. R = sum gamma^i r_i, b = gamma^k (1 - terminated).
     """
 
-    name: ClassVar[str] = "sarsa"
     Settings: ClassVar[type] = SarsaSettings
     settings: SarsaSettings
     STATE = (Kept("values.learner", "learner"), "_next_action", "_late_terminal")
@@ -117,7 +116,7 @@ class Sarsa(ReplayStreamAgent):
 
     def move(self, device: torch.device) -> None:
         """Move networks and optimiser to a device."""
-        self.values.move(device)
+        self.values.learner.move(device)
 
     def compute_scores(self, encoded: torch.Tensor) -> torch.Tensor:
         """Values of the online network, in units of return, (n, actions)."""

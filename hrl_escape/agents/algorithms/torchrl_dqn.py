@@ -19,39 +19,30 @@ from torchrl.objectives import DQNLoss, HardUpdate, ValueEstimators
 
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import EpsilonSettings
-from hrl_escape.agents.components.replay import UpdateSchedule
-from hrl_escape.agents.components.torchrl_agent import TorchRLAgent, TorchRLReplay, TorchRLSettings
+from hrl_escape.agents.components.torchrl_agent import TorchRLReplayAgent, TorchRLReplaySettings
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class TorchRLDQNSettings(EpsilonSettings, TorchRLSettings):
-    """Exploration, replay and targets of `torchrl-dqn`."""
+class TorchRLDQNSettings(EpsilonSettings, TorchRLReplaySettings):
+    """Exploration and targets of `torchrl-dqn`, beside replay."""
 
     double: bool = True
     """The online network chooses the next action, the target network values it."""
     target_every: Annotated[int, Range(1)] = 200
     """Updates between copies of the online network into the target network."""
-    replay_capacity: Annotated[int, Range(1)] = 50_000
-    """Decisions kept for replay."""
-    warmup: Annotated[int, Range(0)] = 500
-    """Primitives before the first update."""
-    updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates for each primitive; an option of 16 primitives is followed by 16 times as many."""
 
 
-class TorchRLDQN(TorchRLAgent):
+class TorchRLDQN(TorchRLReplayAgent):
     """Minimise the Huber loss of R + gamma^k (1 - terminated) Q_target(s', o*) - Q_theta(s, o) over replay.
 
     o* is the legal argmax at s' of Q_theta, or of Q_target without `double`.
     """
 
-    name: ClassVar[str] = "torchrl-dqn"
     Settings: ClassVar[type] = TorchRLDQNSettings
     settings: TorchRLDQNSettings
-    STATE = ("replay", "_exploration", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"),
-             Kept("_target.counter", "since_target"))
+    STATE = (Kept("_target.counter", "since_target"),)
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: TorchRLDQNSettings | None = None) -> None:
@@ -68,8 +59,6 @@ class TorchRLDQN(TorchRLAgent):
         self._target = HardUpdate(loss, value_network_update_interval=settings.target_every)
         self._greed = EGreedyModule(spec, settings.epsilon_start, settings.epsilon_end, settings.epsilon_steps,
                                     action_mask_key="action_mask")
-        self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
-        self.replay = TorchRLReplay(settings.replay_capacity, settings.batch_size)
 
     @property
     def _exploration(self) -> dict[str, torch.Tensor]:
@@ -85,12 +74,6 @@ class TorchRLDQN(TorchRLAgent):
         return self._greed(self._actor(seen))
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Store the decision, then make the updates that are due."""
-        self.replay.add(self._make_decision(transition))
+        """Let epsilon fall, store the decision, then make the updates that are due."""
         self._greed.step(transition.duration)
-        told: dict[str, float] = {}
-        for _ in range(self._schedule.advance(transition.duration, len(self.replay))):
-            with self._own_chance():
-                told = self._descend(self.replay.sample())
-            self._target.step()
-        return told
+        return super().observe(transition)

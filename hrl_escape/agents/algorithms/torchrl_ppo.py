@@ -48,7 +48,6 @@ class TorchRLPPO(TorchRLAgent):
     A are generalised advantages in which a decision of k primitives discounts by gamma^k lambda.
     """
 
-    name: ClassVar[str] = "torchrl-ppo"
     Settings: ClassVar[type] = TorchRLPPOSettings
     settings: TorchRLPPOSettings
     STATE = (Kept("_rollout", "rollout", unpack=dict),)

@@ -6,7 +6,6 @@ entropy is worth a temperature that is learned.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
@@ -16,44 +15,32 @@ from numpy.typing import NDArray
 from tensordict.nn import TensorDictModule
 from torchrl.objectives import DiscreteSACLoss, SoftUpdate, ValueEstimators
 
-from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.components.replay import UpdateSchedule
-from hrl_escape.agents.components.torchrl_agent import TorchRLAgent, TorchRLReplay, TorchRLSettings
-from hrl_escape.agents.state import Kept
+from hrl_escape.agents.components.torchrl_agent import TorchRLReplayAgent, TorchRLReplaySettings
 from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True)
-class TorchRLSACSettings(TorchRLSettings):
-    """Temperature, replay and targets of `torchrl-sac`."""
+class TorchRLSACSettings(TorchRLReplaySettings):
+    """Temperature and targets of `torchrl-sac`, beside replay."""
 
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
     alpha: Annotated[float, Range(0, open_low=True)] = 0.1
     """Temperature at the beginning, in scaled rewards a nat."""
     entropy_share: Annotated[float, Range(0, 1)] = 0.2
     """Share of the entropy of the uniform policy over all actions towards which the temperature is learned."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.02
     """Share of the critics blended into their targets at each update."""
-    replay_capacity: Annotated[int, Range(1)] = 50_000
-    """Decisions kept for replay."""
-    warmup: Annotated[int, Range(0)] = 500
-    """Primitives before the first update."""
-    updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates for each primitive."""
 
 
-class TorchRLSAC(TorchRLAgent):
+class TorchRLSAC(TorchRLReplayAgent):
     """Maximise E[Q(s, o) + alpha H(pi(. | s))], with two critics whose smaller value counts.
 
     The critics' target is R + gamma^k (1 - terminated) sum over legal o' of pi(o' | s') (min Q'(s', o') - alpha log
     pi(o' | s')).
     """
 
-    name: ClassVar[str] = "torchrl-sac"
     Settings: ClassVar[type] = TorchRLSACSettings
     settings: TorchRLSACSettings
-    STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: TorchRLSACSettings | None = None) -> None:
@@ -68,19 +55,7 @@ class TorchRLSAC(TorchRLAgent):
         loss.make_value_estimator(ValueEstimators.TD0, gamma=settings.gamma)
         self._begin(actor, loss)
         self._target = SoftUpdate(loss, tau=settings.target_rate)
-        self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
-        self.replay = TorchRLReplay(settings.replay_capacity, settings.batch_size)
 
     def compute_preferences(self, observation: Any) -> NDArray:
         """Compute the logits of the policy at an observation, before any mask, float32 (actions,)."""
         return self._compute(observation)
-
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Store the decision, then make the updates that are due."""
-        self.replay.add(self._make_decision(transition))
-        told: dict[str, float] = {}
-        for _ in range(self._schedule.advance(transition.duration, len(self.replay))):
-            with self._own_chance():
-                told = self._descend(self.replay.sample())
-            self._target.step()
-        return told

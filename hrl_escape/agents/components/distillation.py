@@ -20,13 +20,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.components.bonuses import CountBonus
 from hrl_escape.agents.components.exploration import make_rng
-from hrl_escape.agents.components.networks import (
-    Learner,
-    ObservationEncoder,
-    make_forward,
-    make_generator,
-    make_network,
-)
+from hrl_escape.agents.components.networks import Learner, ObservationEncoder, make_generator, make_network
 from hrl_escape.agents.state import Kept, Stateful
 
 FEATURES = 32
@@ -50,15 +44,12 @@ class DistillationBonus(Stateful):
 
     STATE = ("_learner", "_visits", "_errors", "_mean", "_squares", Kept("_kept_batch", "batch"))
 
-    def __init__(
-        self, space: gymnasium.Space, seed: int, weight: float, settings: Any, agent: str
-    ) -> None:
+    def __init__(self, space: gymnasium.Space, seed: int, weight: float, settings: Any, agent: str) -> None:
         self._weight = weight
         self._encoder = encoder = ObservationEncoder(space, settings.scale_observations)
         generator = make_generator(make_rng(seed, "distillation"))
         self._random = make_network(encoder, FEATURES, settings, generator).requires_grad_(False)
         self._predictor = make_network(encoder, FEATURES, settings, generator)
-        self._forward_random, self._forward = make_forward(self._random), make_forward(self._predictor)
         networks = {"random": self._random, "predictor": self._predictor}
         self._learner = Learner(agent, networks, ["predictor"], settings)
         self._visits, self._errors = 0, 0.0
@@ -68,7 +59,7 @@ class DistillationBonus(Stateful):
     def visit(self, observation: Any) -> float:
         """Learn from an observation; returns the bonus that it gives before, 0 or below, in units of return."""
         whitened = self._whiten(self._encoder.encode(observation))
-        error = float(((self._forward(whitened) - self._forward_random(whitened)) ** 2).mean())
+        error = float(((self._predictor.compute(whitened) - self._random.compute(whitened)) ** 2).mean())
         self._errors += error
         self._batch.append(whitened)
         if len(self._batch) == BATCH:
@@ -129,9 +120,7 @@ class DistillationBonus(Stateful):
         self._batch = list(saved)
 
 
-def make_bonus(
-    space: gymnasium.Space, seed: int, settings: Any, agent: str
-) -> CountBonus | DistillationBonus:
+def make_bonus(space: gymnasium.Space, seed: int, settings: Any, agent: str) -> CountBonus | DistillationBonus:
     """The bonus that an agent's settings ask for; with a weight of 0 it counts nothing.
 
     Raises:

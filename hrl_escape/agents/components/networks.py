@@ -218,6 +218,7 @@ class Network(nn.Sequential):
 
     def _tie(self, parameters: list[nn.Parameter]) -> None:
         """Make each parameter and its gradient views of the vectors."""
+        self._compute: Callable[[NDArray], NDArray] | None = None  # made at the first need
         pieces = zip(parameters, self.weights.split(self.sizes), self.gradient.split(self.sizes), strict=True)
         for parameter, weights, gradient in pieces:
             parameter.data = weights.view(parameter.shape)
@@ -229,6 +230,16 @@ class Network(nn.Sequential):
         parameters = list(self.parameters())
         self.weights, self.gradient = self.weights.to(device), self.gradient.to(device)
         self._tie(parameters)
+
+    def compute(self, observation: NDArray) -> NDArray:
+        """Outputs for one encoded observation, (outputs,), without gradients.
+
+        Perceptrons on a CPU run in numpy on views of the network's own weights; deep sets there remember their outputs
+        while the weights stay.
+        """
+        if self._compute is None:
+            self._compute = _make_forward(self)
+        return self._compute(observation)
 
     def forward(self, input: torch.Tensor) -> torch.Tensor:
         """Outputs, (n, outputs) from (n, inputs); those of many rows through a perceptron block by block."""
@@ -502,12 +513,8 @@ def copy_network(module: nn.Module, encoder: ObservationEncoder, action_space: g
     return made
 
 
-def make_forward(network: Network) -> Callable[[NDArray], NDArray]:
-    """A function from one encoded observation to the network's outputs, (outputs,), without gradients.
-
-    Perceptrons on a CPU run in numpy on views of the network's own weights, so later updates are seen; deep sets there
-    remember their outputs while the weights stay. Make the function again after `Network.move`.
-    """
+def _make_forward(network: Network) -> Callable[[NDArray], NDArray]:
+    """The function behind `Network.compute`, for as long as the weights lie where they are."""
     device = network.weights.device
     if device.type != "cpu" or not all(isinstance(layer, (nn.Linear, nn.ReLU, nn.Tanh)) for layer in network):
 

@@ -21,7 +21,14 @@ from torch import Tensor
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng
-from hrl_escape.agents.components.networks import Learner, Network, ObservationEncoder, make_forward, make_generator
+from hrl_escape.agents.components.networks import (
+    Learner,
+    Network,
+    ObservationEncoder,
+    make_action_network,
+    make_generator,
+    make_state_network,
+)
 from hrl_escape.agents.components.replay import ReplaySettings
 from hrl_escape.agents.components.tables import ResolutionSettings, make_cell_finder
 from hrl_escape.agents.state import Kept, pack_keys, unpack_keys
@@ -181,8 +188,8 @@ def list_best(data: Decisions, share: float) -> NDArray[np.bool_]:
 class OfflineAgent(Agent):
     """Base of agents that learn from a data set: `begin` takes it, each `update` is one sweep or one minibatch.
 
-    A subclass gives `improve` for tables, `make_networks` and `compute_loss` for networks. Its policy takes the argmax
-    of the table's `scores`, or of the network named `acting`.
+    A subclass gives `improve` for tables, `heads` and `compute_loss` for networks. Its policy takes the argmax of the
+    table's `scores`, or of the network named `acting`.
 
     Attributes:
         is_fitted: a further sweep would change nothing.
@@ -192,7 +199,8 @@ class OfflineAgent(Agent):
         q: with a table, Q of what the data shows, float64 (states, actions).
     """
 
-    name: ClassVar[str]
+    heads: ClassVar[Mapping[str, str]] = {}
+    """Name of a network -> what it gives a number for: each `action`, or the `state`; `target_NAME` follows NAME."""
     acting: ClassVar[str] = "q"
     has_table: ClassVar[bool] = True
     reads_both: ClassVar[bool] = False
@@ -224,7 +232,6 @@ class OfflineAgent(Agent):
         for target in self.networks.keys() - trained:
             self.networks[target].requires_grad_(False).blend(self.networks[target.removeprefix("target_")], 1.0)
         self._learner = Learner(self.name, self.networks, trained, settings)
-        self._forward = make_forward(self.networks[self.acting])
 
     # --- learning ------------------------------------------------------------------------
 
@@ -284,10 +291,11 @@ class OfflineAgent(Agent):
         """Make the next Q and the scores of the policy from the present Q, each (states, actions), for tables."""
         raise NotImplementedError
 
-    @abstractmethod
     def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
                       generator: torch.Generator) -> dict[str, Network]:
-        """Make the networks by name; `target_NAME` follows NAME."""
+        """Make the networks by name, those of `heads` by default."""
+        return {name: make_action_network(encoder, action_space, settings, generator) if about == "action" else
+                make_state_network(encoder, settings, generator) for name, about in self.heads.items()}
 
     @abstractmethod
     def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
@@ -303,7 +311,7 @@ class OfflineAgent(Agent):
     def compute_preferences(self, observation: Any) -> NDArray:
         """Scores that the policy takes the argmax of, (actions,); equal in states that a table does not know."""
         if not self.is_table:
-            return self._forward(self._encoder.encode(observation))
+            return self.networks[self.acting].compute(self._encoder.encode(observation))
         state = self.find_state(observation)
         return np.zeros(self._actions) if state is None else self.scores[state]
 

@@ -21,13 +21,7 @@ from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
-from hrl_escape.agents.components.networks import (
-    Learner,
-    ObservationEncoder,
-    make_forward,
-    make_generator,
-    make_network,
-)
+from hrl_escape.agents.components.networks import Learner, ObservationEncoder, make_generator, make_network
 from hrl_escape.agents.components.option_agent import OptionAgent, OptionLog
 from hrl_escape.agents.components.policy_gradient import (
     Rollout,
@@ -139,7 +133,7 @@ class OpenOptions(Stateful):
         self._over = []
 
 
-class OptionHeads(Stateful):
+class OptionHeads:
     """Networks of a fixed number of options over encoded observations, and their optimiser.
 
     Args:
@@ -152,7 +146,6 @@ class OptionHeads(Stateful):
             `initial_termination`, (options,). `chooser`: logits of the policy over options, (options,).
     """
 
-    STATE = ("learner",)
     names: ClassVar[tuple[str, ...]] = ("policy", "critic", "ending", "chooser")
 
     def __init__(self, name: str, encoder: ObservationEncoder, actions: int, seed: int, settings: Any,
@@ -166,15 +159,6 @@ class OptionHeads(Stateful):
             self.networks[head] = make_network(encoder, outputs, settings, generator, 0, gain)
         self.policy, self.critic = self.networks["policy"], self.networks["critic"]
         self.learner = Learner(name, self.networks, trained or self.names, settings)
-        self._make_forwards()
-
-    def _make_forwards(self) -> None:
-        self._forward = {name: make_forward(network) for name, network in self.networks.items()}
-
-    def move(self, device: torch.device) -> None:
-        """Move networks and optimiser to a device."""
-        self.learner.move(device)
-        self._make_forwards()
 
     @property
     def _shift(self) -> float:
@@ -185,7 +169,7 @@ class OptionHeads(Stateful):
 
     def compute(self, network: str, observation: Any) -> NDArray[np.float64]:
         """Outputs of a network for one observation."""
-        return self._forward[network](self._encoder.encode(observation)).astype(np.float64)
+        return self.networks[network].compute(self._encoder.encode(observation)).astype(np.float64)
 
     def compute_policies(self, observation: Any, action_mask: NDArray[np.bool_]) -> NDArray[np.float64]:
         """pi_o(a | s) over legal actions, float64 (options, actions)."""
@@ -282,7 +266,6 @@ class OptionHeads(Stateful):
 class StreamOptionAgent(OptionAgent, StreamAgent):
     """Base of agents that learn options over networks from rollouts, with `stream_rollout` among the settings."""
 
-    name: ClassVar[str]
     Heads: ClassVar[type[OptionHeads]] = OptionHeads
     trained: ClassVar[tuple[str, ...]] = ()
     """Networks that are learned with `learning_rate`; empty for all."""
@@ -409,7 +392,7 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
 
     def move(self, device: torch.device) -> None:
         """Move networks, optimisers and what waits for updates to a device."""
-        self.heads.move(device)
+        self.heads.learner.move(device)
 
     def begin_streams(self, count: int, device: torch.device) -> None:
         """Move to a device; every stream begins an episode, and what was collected ends there.

@@ -16,7 +16,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -305,7 +305,6 @@ class ReplayStreams(NamedTuple):
 class ReplayStreamAgent(StreamAgent):
     """Base of agents that learn action values or preferences by updates from replay."""
 
-    name: ClassVar[str]
     settings: Any
     is_markov: bool = True
     STATE = (Kept("_streams", is_left_out=True), Kept("_stream_rng", is_left_out=True), "replay",

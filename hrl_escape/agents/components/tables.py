@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -172,7 +172,6 @@ class TabularAgent(Agent):
     frozen tables twice gives the same numbers.
     """
 
-    name: ClassVar[str]
     STATE = ("table", "_steps", "_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,

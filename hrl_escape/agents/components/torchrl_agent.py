@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -25,10 +25,12 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor
 from torchrl.objectives import LossModule
+from torchrl.objectives.utils import TargetNetUpdater
 
 from hrl_escape.agents.agent import Agent, DiscountSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.networks import ObservationEncoder, make_generator
+from hrl_escape.agents.components.replay import UpdateSchedule
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import DivergenceError
 from hrl_escape.settings import Range
@@ -65,7 +67,6 @@ class TorchRLAgent(Agent):
     A subclass makes the actor and the loss and calls `_begin` with them; it runs on the CPU.
     """
 
-    name: ClassVar[str]
     settings: Any
     is_markov = True
     STATE = ("_weights", Kept("_moments", "moments", unpack=dict), "_chance")
@@ -182,6 +183,43 @@ class TorchRLAgent(Agent):
                 state.setdefault(int(index), {})[name] = torch.from_numpy(np.array(value))
         self._adam.load_state_dict({**self._adam.state_dict(), "state": state})
         self._updates = int(saved["updates"])
+
+
+@dataclass(frozen=True)
+class TorchRLReplaySettings(TorchRLSettings):
+    """Those of agents with replay."""
+
+    replay_capacity: Annotated[int, Range(1)] = 50_000
+    """Decisions kept for replay."""
+    warmup: Annotated[int, Range(0)] = 500
+    """Primitives before the first update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates for each primitive; an option of 16 primitives is followed by 16 times as many."""
+
+
+class TorchRLReplayAgent(TorchRLAgent):
+    """Base of agents with replay, whose target networks `_target` moves after each update."""
+
+    STATE = ("replay", Kept("_exploration", is_left_out=True), Kept("_schedule.steps", "steps"),
+             Kept("_schedule._due", "updates_due"))
+    _exploration: Any = None
+    _target: TargetNetUpdater
+
+    def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any
+                 ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self._schedule = UpdateSchedule(self.settings.warmup, self.settings.updates_per_step)
+        self.replay = TorchRLReplay(self.settings.replay_capacity, self.settings.batch_size)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Store the decision, then make the updates that are due."""
+        self.replay.add(self._make_decision(transition))
+        told: dict[str, float] = {}
+        for _ in range(self._schedule.advance(transition.duration, len(self.replay))):
+            with self._own_chance():
+                told = self._descend(self.replay.sample())
+            self._target.step()
+        return told
 
 
 class TorchRLReplay:

@@ -17,7 +17,7 @@ from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -450,7 +450,6 @@ class PlanningAgent(Agent):
         model: the history, and everything derived from it.
     """
 
-    name: ClassVar[str]
     STATE = ("model", "_pending", Kept("_is_exploring", "exploring"), "_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,

@@ -68,7 +68,7 @@ class CallRunner(RowStreamAgent):
     """After `act`: the stack down to the primitive, and the moment. Asking again chooses anew."""
 
     def __init__(self, hierarchy: Hierarchy, seed: int, settings: StackSettings) -> None:
-        self.hierarchy = hierarchy
+        self.hierarchy, self.privileges = hierarchy, hierarchy.privileges
         self.settings: Any = settings
         self._rng = make_rng(seed, "calls")
         self.begin_episode()
@@ -90,11 +90,6 @@ class CallRunner(RowStreamAgent):
     def moment(self) -> Seen | None:
         """The moment at which the primitive was chosen; None before `act`."""
         return None if self._chosen is None else self._chosen[1]
-
-    @property
-    def privileges(self) -> tuple[str, ...]:
-        """Information that the agent is given and a flat one is not."""
-        return self.hierarchy.privileges
 
     # --- what subclasses say ----------------------------------------------------------
 

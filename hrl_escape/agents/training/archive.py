@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from hrl_escape.agents.training.checkpoint import drop_experience, load_checkpoint, save_checkpoint
-from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, name_room_sets
+from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts
 from hrl_escape.agents.training.run_folder import BEST, LAST, check_run, read_run
 from hrl_escape.errors import (
     CheckpointError,
@@ -308,7 +308,7 @@ def pack_run(folder: str | os.PathLike[str], path: str | os.PathLike[str], is_fr
     with _keeping_others_out(folder), tempfile.TemporaryDirectory() as made:
         described, files = read_run(folder), _list_files(folder)
         if is_frozen:
-            described = name_room_sets(described)
+            described = hash_large_parts(described, list)
             files = {name: Path(made) / name for name, path in files.items() if name in FROZEN}
             write_json(files[DESCRIBED], described)
             if LAST in files:

@@ -18,11 +18,11 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib
 import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import entry_points
+from pkgutil import resolve_name
 from typing import Any, Protocol, runtime_checkable
 
 import gymnasium
@@ -119,11 +119,8 @@ def describe_many(env: Any) -> dict[str, Any]:
     while isinstance(env, VectorWrapper):
         wrappers.append(name_part(type(env)))
         env = env.env
-    arguments = None
-    if isinstance(env, DescribedEnv):
-        arguments = env.describe()
-    elif getattr(env, "spec", None) is not None:
-        arguments = env.spec.kwargs
+    spec = getattr(env, "spec", None)
+    arguments = env.describe() if isinstance(env, DescribedEnv) else None if spec is None else spec.kwargs
     return {"class": name_part(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
 
 
@@ -160,22 +157,13 @@ def list_foreign(description: Any) -> list[Any]:
     return foreign
 
 
-def hash_large_parts(value: Any) -> Any:
-    """Copy of a JSON value in which the hash of a large argument stands for its content."""
+def hash_large_parts(value: Any, kinds: type | tuple[type, ...] = object) -> Any:
+    """Copy of a JSON value in which the hash of a large argument, whose content is of some kind, stands for it."""
     if isinstance(value, Mapping):
-        if value.keys() == {"id", "content"}:
+        if value.keys() == {"id", "content"} and isinstance(value["content"], kinds):
             return value["id"]
-        return {name: hash_large_parts(part) for name, part in value.items()}
-    return [hash_large_parts(part) for part in value] if isinstance(value, list) else value
-
-
-def name_room_sets(value: Any) -> Any:
-    """Copy of a JSON value in which the id of a set of rooms stands for the rooms; a single room stays."""
-    if isinstance(value, Mapping):
-        if value.keys() == {"id", "content"} and isinstance(value["content"], list):
-            return value["id"]
-        return {name: name_room_sets(part) for name, part in value.items()}
-    return [name_room_sets(part) for part in value] if isinstance(value, list) else value
+        return {name: hash_large_parts(part, kinds) for name, part in value.items()}
+    return [hash_large_parts(part, kinds) for part in value] if isinstance(value, list) else value
 
 
 def compute_digest(value: Any) -> str:
@@ -201,11 +189,9 @@ def _list_names(value: Any) -> Iterator[Any]:
 
 def _load(name: Any, trust: bool) -> Any:
     load = find_part(name)
-    if load is not None:
-        return load()
-    if not trust:
+    if load is None and not trust:
         raise TrustError([name])
-    return import_part(name)
+    return resolve_name(name) if load is None else load()
 
 
 def _make_env(description: Mapping[str, Any], trust: bool,
@@ -326,21 +312,12 @@ def find_part(name: Any) -> Callable[[], Any] | None:
 
 
 def _list_parts() -> Iterator[tuple[str, Callable[[], Any]]]:
-    yield from ((name, lambda name=name: import_part(name)) for name in OWN)
+    yield from ((name, lambda name=name: resolve_name(name)) for name in OWN)
     yield from ((name_part(wrapper), lambda wrapper=wrapper: wrapper) for wrapper in _COMPUTING)
     for spec in gymnasium.registry.values():
         made_by = spec.entry_point
         if isinstance(made_by, str):
-            yield made_by, lambda made_by=made_by: import_part(made_by)
+            yield made_by, lambda made_by=made_by: resolve_name(made_by)
         elif isinstance(made_by, type):
             yield name_part(made_by), lambda made_by=made_by: made_by
     yield from ((point.value, point.load) for point in entry_points(group=PARTS_GROUP))
-
-
-def import_part(name: str) -> Any:
-    """Import a part by its name, which runs its module's code."""
-    module, _, path = name.partition(":")
-    found: Any = importlib.import_module(module)
-    for part in path.split("."):
-        found = getattr(found, part)
-    return found

@@ -17,7 +17,7 @@ from hrl_escape.agents.components.offline import Decisions, OfflineAgent, Offlin
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe, list_offline_agents
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.results import SegmentRecord, read_row
-from hrl_escape.agents.training.run import Reporter, Run, RunArguments
+from hrl_escape.agents.training.run import Means, Reporter, Run, RunArguments
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import replace_settings
 
@@ -77,8 +77,7 @@ class OfflineRun(Run):
     def __init__(self, agent: Any, arguments: RunArguments, material: Material, callbacks: Sequence[Callback] = ()
                  ) -> None:
         super().__init__(agent, material.env, material.env, arguments, callbacks=callbacks)
-        data = material.data
-        self._identity = dict(data.identity)
+        self._identity = dict(material.data.identity)
         agent.begin(material.decisions, material.primitives)
 
     @property
@@ -93,22 +92,16 @@ class OfflineRun(Run):
 
     def run_unit(self, report: Reporter) -> dict[str, Any]:
         """Make some updates; returns their row of the log."""
-        started, before = time.perf_counter(), self.primitives
-        sums: dict[str, float] = {}
-        count = 0
+        started, before, means = time.perf_counter(), self.primitives, Means()
         for _ in range(SEGMENT_UPDATES):
             metrics, decisions, primitives = self.agent.update()
-            self.primitives, self.decisions, count = self.primitives + primitives, self.decisions + decisions, count + 1
-            for name, value in metrics.items():
-                sums[name] = sums.get(name, 0.0) + value
+            self.primitives, self.decisions = self.primitives + primitives, self.decisions + decisions
+            means.note(metrics)
             report(self.primitives, self.describe_returns())
             if self.is_over or self.agent.is_table:
                 break
-        seconds = time.perf_counter() - started
-        self.seconds += seconds
         row = {"kind": "segment", "primitives": self.primitives, "decisions": self.decisions, "train/episodes": 0,
                "train/successes": 0, "train/return": None, "train/length": None,
-               **{f"train/{name}": total / count for name, total in sums.items()}, "time/seconds": self.seconds,
-               "time/primitives_per_second": (self.primitives - before) / max(seconds, 1e-9)}
+               **means.make_row(), **self.stop_clock(started, before)}
         self.segments.append(cast("SegmentRecord", read_row(row)))
         return row

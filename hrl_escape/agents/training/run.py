@@ -266,8 +266,7 @@ class Run(Stateful):
 
     def run_unit(self, report: Reporter) -> dict[str, Any]:
         """Train for one episode; returns its row of the log."""
-        started = time.perf_counter()
-        tally = _Tally()
+        started, before, tally = time.perf_counter(), self.primitives, _Tally()
         agent, env = self.agent, self.env
         observation, info = env.reset(seed=compute_episode_seed(self.arguments.seed, "training", len(self.episodes)))
         check_observation(observation, "at the episode's start")
@@ -290,8 +289,7 @@ class Run(Stateful):
             if transition.terminated or transition.truncated:
                 end = "terminated" if transition.terminated else "truncated"
             observation, mask = transition.next_observation, transition.next_action_mask
-        seconds = time.perf_counter() - started
-        self.seconds += seconds
+        clock = self.stop_clock(started, before)
         self.planner_calls += tally.planner_calls
         self.planner_seconds += tally.planner_seconds
         row = {
@@ -307,13 +305,19 @@ class Run(Stateful):
             **tally.make_row(),
             "option/planner_calls": self.planner_calls,
             "time/planner_seconds": self.planner_seconds,
-            "time/seconds": self.seconds,
-            "time/primitives_per_second": tally.length / max(seconds, 1e-9),
+            **clock,
         }
         self.episodes.append(cast("EpisodeRecord", read_row(row)))
         if self.probe is not None:
             self.probe.after_episode(agent, self.episodes[-1])
         return row
+
+    def stop_clock(self, started: float, before: int) -> dict[str, float]:
+        """Count the seconds since a moment, at which `before` primitives had run; returns what the log tells of time."""
+        seconds = time.perf_counter() - started
+        self.seconds += seconds
+        return {"time/seconds": self.seconds,
+                "time/primitives_per_second": (self.primitives - before) / max(seconds, 1e-9)}
 
     def describe_returns(self) -> str:
         """Describe the latest returns for the progress line."""
@@ -402,10 +406,29 @@ def _deferring_interrupts() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-class _Tally:
+class Means:
+    """Means of what an agent logs, each over the times that it was logged."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, float] = {}
+        self._counts: dict[str, int] = {}
+
+    def note(self, metrics: Mapping[str, float]) -> None:
+        """Take in the numbers of one decision, step or update."""
+        for name, value in metrics.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+            self._counts[name] = self._counts.get(name, 0) + 1
+
+    def make_row(self) -> dict[str, Any]:
+        """The means, under their logged names."""
+        return {f"train/{name}": total / self._counts[name] for name, total in self._sums.items()}
+
+
+class _Tally(Means):
     """Sums over one training episode."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.episode_return = self.planner_seconds = 0.0
         self.length = self.decisions = self.planner_calls = 0
         self.success = False
@@ -414,8 +437,6 @@ class _Tally:
         self._failures = 0
         self._last_action: int | None = None
         self._repeat = self._longest_repeat = 0
-        self._sums: dict[str, float] = {}
-        self._counts: dict[str, int] = {}
 
     def add(self, transition: SMDPTransition, info: Mapping[str, Any], metrics: Mapping[str, float]) -> None:
         """Count a decision's reward, primitives and metrics, and how often it repeats the one before."""
@@ -434,14 +455,11 @@ class _Tally:
             self._failures += option.get("ended") == "planning-failed"
             self.planner_calls += option.get("planner_calls", 0)
             self.planner_seconds += option.get("planner_seconds", 0.0)
-        for name, value in metrics.items():
-            self._sums[name] = self._sums.get(name, 0.0) + value
-            self._counts[name] = self._counts.get(name, 0) + 1
+        self.note(metrics)
 
     def make_row(self) -> dict[str, Any]:
         """Means of the agent's metrics, and counts of its choices, under their logged names."""
-        row: dict[str, Any] = {f"train/{name}": total / self._counts[name] for name, total in self._sums.items()}
-        row["train/longest_repeat"] = self._longest_repeat
+        row = super().make_row() | {"train/longest_repeat": self._longest_repeat}
         if self._choices:
             row["option/choices"] = self._choices
             row["option/primitives"] = self._choice_primitives

@@ -39,7 +39,7 @@ from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import SegmentRecord, read_row
-from hrl_escape.agents.training.run import NO_OPTIONS, Reporter, Run, RunArguments
+from hrl_escape.agents.training.run import NO_OPTIONS, Means, Reporter, Run, RunArguments
 from hrl_escape.agents.training.run_folder import RunFolder
 from hrl_escape.errors import CheckpointError, StepContractError
 
@@ -257,9 +257,7 @@ class StreamRun(Run):
         started = time.perf_counter()
         streams, agent, tally = self.streams, self.agent, self._tally
         before, words = self.primitives, self.describe_returns()
-        self._is_fresh = False
-        sums: dict[str, float] = {}
-        counts: dict[str, int] = {}
+        self._is_fresh, means = False, Means()
         for _ in range(self._steps):
             if self.is_spent:
                 break
@@ -268,21 +266,15 @@ class StreamRun(Run):
             action[asking] = agent.act_streams(streams.observation[asking], streams.action_mask[asking], asking)
             ended = streams.step(action)
             decisions = gather_decisions(ended, streams.gamma, agent.gamma)
-            for name, value in agent.observe_streams(decisions).items():
-                sums[name], counts[name] = sums.get(name, 0.0) + value, counts.get(name, 0) + 1
+            means.note(agent.observe_streams(decisions))
             self.primitives += tally.add(decisions, ended.success[decisions.stream])
             self.decisions += len(decisions.stream)
             report(self.primitives, words)
         if self.primitives == self.decisions and before == 0 and self.arguments.name.startswith(SMDP_PREFIX):
             warnings.warn(NO_OPTIONS.format(name=self.arguments.name), stacklevel=2)
-        seconds = time.perf_counter() - started
-        self.seconds += seconds
-        row = {
-            "kind": "segment", "primitives": self.primitives, "decisions": self.decisions, **tally.take_row(),
-            **{f"train/{name}": total / counts[name] for name, total in sums.items()},
-            "time/seconds": self.seconds,
-            "time/primitives_per_second": (self.primitives - before) / max(seconds, 1e-9),
-        }
+        clock = self.stop_clock(started, before)
+        row = {"kind": "segment", "primitives": self.primitives, "decisions": self.decisions, **tally.take_row(),
+               **means.make_row(), **clock}
         self.segments.append(cast("SegmentRecord", read_row(row)))
         return row
 

@@ -11,7 +11,6 @@ from hrl_escape.agents.components.networks import (
     MOST_KNOWN,
     ObservationEncoder,
     make_action_network,
-    make_forward,
     make_generator,
     make_state_network,
 )
@@ -97,7 +96,7 @@ def test_outputs_that_are_remembered_are_those_of_the_weights_now_and_nobody_els
     settings = PPOSettings(network="objects", hidden=(12, 12))
     network = make_action_network(ObservationEncoder(make_space(), True), PointingDiscrete(len(ABOUT), ABOUT), settings,
                                   make_generator(rng))
-    forward, calls = make_forward(network), []
+    forward, calls = network.compute, []
     network.register_forward_hook(lambda *_: calls.append(1))
     rows, context = make_observation(rng)
     seen = [row.numpy().copy() for row in flatten(rows, context)]

@@ -6,7 +6,7 @@ import functools
 import json
 import pickle
 from importlib import import_module
-from pkgutil import walk_packages
+from pkgutil import resolve_name, walk_packages
 
 import gymnasium
 import numpy as np
@@ -18,7 +18,6 @@ from hrl_escape.agents.training.env_description import (
     OWN,
     describe_env,
     hash_large_parts,
-    import_part,
     make_described_env,
     name_part,
 )
@@ -229,7 +228,7 @@ def test_every_environment_and_wrapper_of_the_package_is_a_known_part():
                 is_own = isinstance(kind, type) and kind.__module__ == module.name and not kind.__name__.startswith("_")
                 if is_own and issubclass(kind, (gymnasium.Env, gymnasium.Wrapper)):
                     found.add(name_part(kind))
-    parts = {name_part(import_part(name)) for name in OWN}
+    parts = {name_part(resolve_name(name)) for name in OWN}
     assert parts == OWN
     recorders = {"hrl_escape.comparison.episodes:StateRecorder", "hrl_escape.data.record:ActionLog"}
     assert found <= OWN | recorders, "recorders change no number"

@@ -29,7 +29,6 @@ from hrl_escape.agents.components.networks import (
     NetworkSettings,
     ObservationEncoder,
     compute_td_loss,
-    make_forward,
     make_generator,
     make_network,
 )
@@ -153,8 +152,8 @@ class HDqn(CallRunner):
         for returned in returns:
             frame, decision = returned.frame, returned.decision
             goal = frame.context
-            is_worker = goal is not None
-            reached = is_worker and self._get_worker(returned).is_reached(frame, returned.seen)
+            is_worker = isinstance(frame.task, Worker)
+            reached = isinstance(frame.task, Worker) and frame.task.is_reached(frame, returned.seen)
             if is_worker and (returned.ended or returned.terminated):
                 rate = self.settings.success_rate
                 self.successes[goal] += rate * (reached - self.successes[goal])
@@ -181,11 +180,6 @@ class HDqn(CallRunner):
         for level in levels.values():
             level.waits = False
         return {**metrics, **{name: level.update(most=1) for name, level in levels.items()}}
-
-    def _get_worker(self, returned: Return) -> Worker:
-        task = returned.frame.task
-        assert isinstance(task, Worker)
-        return task
 
 
 class _TableValues(QTable):
@@ -226,7 +220,6 @@ class _NetworkValues(Stateful):
         self.online = make_network(self._encoder, actions, settings, generator, extra_inputs=goals)
         self._target = make_network(self._encoder, actions, settings, generator, extra_inputs=goals)
         self._target.requires_grad_(False).blend(self.online, 1.0)
-        self._forward = make_forward(self.online)
         self._learner = Learner("h-dqn", {"online": self.online, "target": self._target}, ["online"], settings)
         shape = (self._encoder.shape[0] + goals,) if goals else self._encoder.shape
         self._replay = ReplayBuffer(settings.replay_capacity, shape, self._encoder.dtype, actions)
@@ -243,7 +236,7 @@ class _NetworkValues(Stateful):
         return np.concatenate([encoded, told])
 
     def compute(self, observation: Any, goal: int | None) -> NDArray:
-        return self._forward(self._encode(observation, goal)) / self._settings.reward_scale
+        return self.online.compute(self._encode(observation, goal)) / self._settings.reward_scale
 
     def learn(self, backup: _Backup) -> float:
         self._replay.add(Experience(self._encode(backup.observation, backup.goal), self._all, backup.action,

@@ -112,13 +112,9 @@ class HUct(CallRunner):
         get_graph(self.hierarchy, "h-uct")
         self._discretise = make_discretiser(observation_space, settings, "h-uct")
         self._simulator = simulator
+        self.privileges += ("simulator",) * (simulator is not None)
         self._met: _Met = {}
         self._search_rng = make_rng(seed, "search")
-
-    @property
-    def privileges(self) -> tuple[str, ...]:
-        """Information that the agent is given and a flat one is not."""
-        return super().privileges if self._simulator is None else (*super().privileges, "simulator")
 
     def make_key(self, task: GraphTask, seen: Seen) -> Hashable:
         """Key of a task at a moment, by the task's view."""

@@ -117,6 +117,7 @@ class Hamq(RowStreamAgent):
         self.settings = settings = settings or HamqSettings()
         count_actions(action_space, "hamq")
         self._program, self._see, self._read = program or flat_machine, see, read
+        self.privileges = ("program",) * (program is not None) + ("state",) * (read is not None)
         self._discretise = None if see is not None else make_discretiser(observation_space, settings, "hamq")
         self.table = ValueTable(settings.learning_rate, settings.learning_rate_power, settings.initial_value)
         self.successors: dict[Hashable, _Point] = {}
@@ -137,12 +138,6 @@ class Hamq(RowStreamAgent):
         """Choice points since then."""
         self._open: _Point | None = None
         self._reward, self._discount, self._duration = 0.0, 1.0, 0
-
-    @property
-    def privileges(self) -> tuple[str, ...]:
-        """Information that the agent is given and a flat one is not."""
-        given = () if self._program is flat_machine else ("program",)
-        return given if self._read is None else (*given, "state")
 
     def compute_choice_values(self, key: Hashable, count: int) -> NDArray[np.float64]:
         """Q(s, m, .) at a choice point, (count,)."""

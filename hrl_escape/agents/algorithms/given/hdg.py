@@ -94,11 +94,9 @@ class Hdg(RowStreamAgent):
         self.settings = settings = settings or HdgSettings()
         self._actions = count_actions(action_space, "hdg")
         self._landmarks, self._goal = landmarks, goal
-        self._find_state: Callable[[Any], Hashable]
-        if landmarks is None:
-            self._find_state = make_discretiser(observation_space, settings, "hdg")
-        else:
-            self._find_state = landmarks.state
+        self.privileges = () if landmarks is None else ("landmarks",)
+        self._find_state: Callable[[Any], Hashable] = (
+            make_discretiser(observation_space, settings, "hdg") if landmarks is None else landmarks.state)
         self._rng = make_rng(seed, "actions")
         self._steps = 0
         self._begin()
@@ -116,11 +114,6 @@ class Hdg(RowStreamAgent):
         """(regions, regions): neighbours, or the same."""
         for state in () if self._landmarks is None else self._landmarks.states:
             self.number(state)
-
-    @property
-    def privileges(self) -> tuple[str, ...]:
-        """Information that the agent is given and a flat one is not."""
-        return () if self._landmarks is None else ("landmarks",)
 
     def number(self, state: Hashable) -> int:
         """Number of a state, a new one at the first meeting; landmarks have the first ones."""

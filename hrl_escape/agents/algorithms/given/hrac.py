@@ -43,12 +43,8 @@ class Hrac(Hiro):
                  count_steps: CountSteps | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings, goal_space)
         self._count_steps = count_steps
+        self.privileges += ("adjacency",) * (count_steps is not None)
         self._adjacent: set[bytes] = set()
-
-    @property
-    def privileges(self) -> tuple[str, ...]:
-        """Those of the goal space, and exact adjacency where it is given."""
-        return super().privileges + ("adjacency",) * (self._count_steps is not None)
 
     def find_adjacent(self, point: GoalPoint, targets: GoalPoint) -> NDArray[np.bool_]:
         """Mask of the points (count, dimensions) that are held to be within a window of a point, (count,)."""

@@ -19,13 +19,7 @@ from torch.nn import functional
 
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
-from hrl_escape.agents.components.networks import (
-    Learner,
-    ObservationEncoder,
-    make_forward,
-    make_generator,
-    make_network,
-)
+from hrl_escape.agents.components.networks import Learner, ObservationEncoder, make_generator, make_network
 from hrl_escape.agents.components.policy_gradient import (
     PolicySettings,
     compute_entropy,
@@ -165,7 +159,6 @@ class Sol(CallRunner):
         self._numbers = self._actions, self.options * len(lengths)
         self.network = make_network(self._encoder, sum(self._numbers) + 1, settings, make_generator(
             make_rng(seed, "weights")), extra_inputs=self.options + 1, output_gain=0.1)
-        self._forward = make_forward(self.network)
         self._learner = Learner("sol", {"network": self.network}, ["network"], settings)
         self._action_rng = make_rng(seed, "actions")
 
@@ -184,7 +177,7 @@ class Sol(CallRunner):
     def compute_policy(self, frame: Frame, observation: Any, legal: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Probabilities of the choices of a running call, (choices,)."""
         policy = 0 if frame.context is None else 1 + int(frame.context[0])
-        output = self._forward(self._see(observation, policy))
+        output = self.network.compute(self._see(observation, policy))
         logits = output[: self._actions] if policy else output[self._actions : -1]
         return compute_softmax(mask_values(logits, legal))
 

@@ -9,14 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-import gymnasium
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import cross_entropy
 
-from hrl_escape.agents.components.networks import Network, ObservationEncoder, make_action_network
 from hrl_escape.agents.components.offline import (
     Batch,
     Decisions,
@@ -40,7 +37,7 @@ class BehaviourCloningSettings(OfflineSettings):
 class BehaviourCloning(OfflineAgent):
     """pi(o | s) = share of o among the data's choices at s; the greedy policy takes the most frequent."""
 
-    name: ClassVar[str] = "behaviour-cloning"
+    heads = {"policy": "action"}
     acting: ClassVar[str] = "policy"
     Settings: ClassVar[type] = BehaviourCloningSettings
     settings: BehaviourCloningSettings
@@ -54,11 +51,6 @@ class BehaviourCloning(OfflineAgent):
     def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Counts, which no sweep changes."""
         return q, table.counts
-
-    def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
-                      generator: torch.Generator) -> dict[str, Network]:
-        """The logits of the policy."""
-        return {"policy": make_action_network(encoder, action_space, settings, generator)}
 
     def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
         """Mean of -log pi(o | s) over legal actions, for the data's choices."""

@@ -30,7 +30,6 @@ class CQL(FittedQ):
     equation 2): choices likelier under pi than in the data are valued below what the data says.
     """
 
-    name: ClassVar[str] = "cql"
     Settings: ClassVar[type] = CQLSettings
     settings: CQLSettings
 

@@ -98,7 +98,6 @@ class DecisionTransformer(OfflineAgent):
     In evaluation G falls by what was earned; the history is that of the episode, told apart by its generator.
     """
 
-    name: ClassVar[str] = "decision-transformer"
     acting: ClassVar[str] = "policy"
     has_table: ClassVar[bool] = False
     is_markov = False
@@ -165,7 +164,7 @@ class DecisionTransformer(OfflineAgent):
         window = np.zeros((self.settings.context, len(tokens[0])), np.float32)
         recent = tokens[-self.settings.context :]
         window[-len(recent) :] = recent
-        return self._forward(window)[-1]
+        return self.networks["policy"].compute(window)[-1]
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The likeliest legal choice, given the episode so far."""

@@ -7,15 +7,14 @@ what the data never shows run ahead (Fujimoto, Meger and Precup 2019): `cql` and
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.components.networks import Network, ObservationEncoder, compute_td_loss, make_action_network
+from hrl_escape.agents.components.networks import compute_td_loss
 from hrl_escape.agents.components.offline import Batch, DecisionTable, OfflineAgent, OfflineSettings
 
 
@@ -25,18 +24,13 @@ class FittedQ(OfflineAgent):
     Networks are trained as double Q-learning is: the online network chooses o', the target network values it.
     """
 
-    name: ClassVar[str] = "fitted-q"
     Settings: ClassVar[type] = OfflineSettings
+    heads = {"q": "action", "target_q": "action"}
 
     def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """A sweep of exact backups; what the data never shows scores below what it shows."""
         found = table.back_up(np.where(table.shown, q, -np.inf).max(axis=1))
         return found, np.where(table.shown, found, min(table.worst, found.min()) - 1.0)
-
-    def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
-                      generator: torch.Generator) -> dict[str, Network]:
-        """Q and its target."""
-        return {name: make_action_network(encoder, action_space, settings, generator) for name in ("q", "target_q")}
 
     def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
         """Temporal-difference loss, and what `penalise` adds."""

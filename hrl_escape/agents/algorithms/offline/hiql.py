@@ -19,9 +19,7 @@ from hrl_escape.agents.algorithms.offline.iql import MOST_WEIGHT, IQLSettings, e
 from hrl_escape.agents.components.networks import (
     Network,
     ObservationEncoder,
-    make_forward,
     make_network,
-    make_state_network,
 )
 from hrl_escape.agents.components.offline import (
     Batch,
@@ -40,7 +38,7 @@ class HIQL(OfflineAgent):
     clones the primitives of options given the state in which each ended. It acts by primitives, under the name `hiql`.
     """
 
-    name: ClassVar[str] = "hiql"
+    heads = {"value": "state", "target_value": "state"}
     acting: ClassVar[str] = "low"
     has_table: ClassVar[bool] = False
     reads_both: ClassVar[bool] = True
@@ -60,10 +58,9 @@ class HIQL(OfflineAgent):
                       generator: torch.Generator) -> dict[str, Network]:
         """V and its target, the subgoal predicted from a state, and the logits of primitives given both."""
         size = int(np.prod(encoder.shape))
-        return {"value": make_state_network(encoder, settings, generator),
-                "target_value": make_state_network(encoder, settings, generator),
-                "high": make_network(encoder, size, settings, generator),
-                "low": make_network(encoder, self._actions, settings, generator, size)}
+        return super().make_networks(encoder, action_space, settings, generator) | {
+            "high": make_network(encoder, size, settings, generator),
+            "low": make_network(encoder, self._actions, settings, generator, size)}
 
     def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
         """Sum of the losses of the value, of the subgoals, and of the primitives towards them."""
@@ -84,4 +81,4 @@ class HIQL(OfflineAgent):
     def compute_preferences(self, observation: Any) -> NDArray:
         """Logits of the primitives towards the predicted subgoal, (actions,)."""
         encoded = self._encoder.encode(observation)
-        return self._forward(np.concatenate([encoded, make_forward(self.networks["high"])(encoded.copy())]))
+        return self.networks["low"].compute(np.concatenate([encoded, self.networks["high"].compute(encoded.copy())]))

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
-import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.components.networks import (
-    Network,
-    ObservationEncoder,
     compute_td_loss,
-    make_action_network,
-    make_state_network,
 )
 from hrl_escape.agents.components.offline import Batch, DecisionTable, OfflineAgent, OfflineSettings
 from hrl_escape.settings import Range
@@ -70,7 +65,7 @@ class IQL(OfflineAgent):
     The policy clones the data's choices weighted by exp(inverse temperature x (Q - V)).
     """
 
-    name: ClassVar[str] = "iql"
+    heads = {"q": "action", "target_q": "action", "policy": "action", "value": "state"}
     acting: ClassVar[str] = "policy"
     Settings: ClassVar[type] = IQLSettings
     settings: IQLSettings
@@ -83,13 +78,6 @@ class IQL(OfflineAgent):
             found, table.counts, self.settings.expectile)[:, None])
         scores = np.log(np.maximum(table.counts, 1e-300)) + np.where(table.shown, advantage, 0.0)
         return found, np.where(table.shown, scores, scores[table.shown].min() - 1.0)
-
-    def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
-                      generator: torch.Generator) -> dict[str, Network]:
-        """Q, its target, V and the logits of the policy."""
-        made = {name: make_action_network(encoder, action_space, settings, generator)
-                for name in ("q", "target_q", "policy")}
-        return made | {"value": make_state_network(encoder, settings, generator)}
 
     def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
         """Sum of the three losses; none sends its gradient into another's network."""

@@ -34,7 +34,6 @@ class SharsaSettings(IQLSettings):
 class Sharsa(IQL):
     """o = argmax over `proposals` draws o_j ~ clone(s) of Q(s, o_j), with Q the SARSA value of the behaviour."""
 
-    name: ClassVar[str] = "sharsa"
     Settings: ClassVar[type] = SharsaSettings
     settings: Any
     is_markov = False

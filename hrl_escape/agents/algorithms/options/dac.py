@@ -47,7 +47,6 @@ class DAC(StreamOptionAgent):
     order. An episode that was cut bootstraps both by v(s', o). Terminations learn through pi alone.
     """
 
-    name: ClassVar[str] = "dac"
     Settings: ClassVar[type] = DACSettings
     settings: DACSettings
 

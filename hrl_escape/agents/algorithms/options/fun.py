@@ -127,7 +127,6 @@ class Fun(Agent):
     the c after it are there, where the episode goes on so long.
     """
 
-    name: ClassVar[str] = "fun"
     Settings: ClassVar[type] = FunSettings
     STATE = ("_learner", Kept("_kept", "rollout", unpack=dict), "_new", "_followed", "_action_rng")
 

@@ -78,7 +78,6 @@ class OptionCritic(OptionAgent):
     pi_o(a | s) / pi(a | s) of the option that ran; no step is longer than its rate.
     """
 
-    name: ClassVar[str] = "option-critic"
     Settings: ClassVar[type] = OptionCriticSettings
     settings: OptionCriticSettings
     STATE = ("log", "_option", "_decisions", "_likely", "_rng")

@@ -80,7 +80,6 @@ class PPOC(StreamOptionAgent):
     Each option is updated from its own decisions, once there are `least_samples`.
     """
 
-    name: ClassVar[str] = "ppoc"
     Settings: ClassVar[type] = PPOCSettings
     settings: PPOCSettings
     trained: ClassVar[tuple[str, ...]] = ("policy", "critic", "chooser")

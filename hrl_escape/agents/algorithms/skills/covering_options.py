@@ -62,7 +62,6 @@ class CoveringOptions(DiscoveringAgent):
     fewest primitives; its twin goes back. Each pair raises the algebraic connectivity, which bounds the cover time.
     """
 
-    name: ClassVar[str] = "covering-options"
     Settings: ClassVar[type] = CoveringOptionsSettings
     settings: CoveringOptionsSettings
     Discovery = CoveringDiscovery

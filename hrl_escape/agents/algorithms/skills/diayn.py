@@ -80,7 +80,6 @@ class DIAYN(StreamOptionAgent):
     among skills alone: in evaluation the one runs whose episodes earned the most in training.
     """
 
-    name: ClassVar[str] = "diayn"
     Settings: ClassVar[type] = DIAYNSettings
     settings: DIAYNSettings
     Heads = SkillHeads

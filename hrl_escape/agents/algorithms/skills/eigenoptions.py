@@ -86,7 +86,6 @@ class Eigenoptions(DiscoveringAgent):
     ends where nothing more can be earned, and may begin everywhere else.
     """
 
-    name: ClassVar[str] = "eigenoptions"
     Settings: ClassVar[type] = EigenoptionsSettings
     settings: EigenoptionsSettings
     Discovery = EigenoptionDiscovery

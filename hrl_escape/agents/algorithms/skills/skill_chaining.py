@@ -173,7 +173,6 @@ class SkillChaining(DiscoveringAgent):
     (arrivals + 1) / (runs + 2) is `start_rate` at least. The chain is complete when episodes begin inside it.
     """
 
-    name: ClassVar[str] = "skill-chaining"
     Settings: ClassVar[type] = SkillChainingSettings
     settings: SkillChainingSettings
     Discovery = SkillChain

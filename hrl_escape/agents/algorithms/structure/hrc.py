@@ -77,7 +77,6 @@ class Hrc(Agent):
         cost: sum over bits found after the first intervention of 1 and the interventions by then.
     """
 
-    name: ClassVar[str] = "hrc"
     Settings: ClassVar[type] = HrcSettings
     settings: HrcSettings
     STATE = (

@@ -139,7 +139,6 @@ class MetRMaxSettings(FactoredRMaxSettings):
 class MetRMax(FactoredRMax):
     """Believes every set of parents that none has beaten, and looks where two of them differ."""
 
-    name: ClassVar[str] = "met-r-max"
     Settings: ClassVar[type] = MetRMaxSettings
     settings: MetRMaxSettings
 

@@ -60,7 +60,6 @@ class VigoritoBarto(FactoredRMax):
     from a state that is worth less than what was found before.
     """
 
-    name: ClassVar[str] = "vigorito-barto"
     Settings: ClassVar[type] = VigoritoBartoSettings
     settings: VigoritoBartoSettings
 
