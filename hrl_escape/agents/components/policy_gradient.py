@@ -28,8 +28,6 @@ class PolicySettings(NetworkSettings):
 
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
     """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
     """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     entropy_weight: Annotated[float, Range(0)] = 0.01

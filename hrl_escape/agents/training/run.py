@@ -313,7 +313,7 @@ class Run(Stateful):
         return row
 
     def stop_clock(self, started: float, before: int) -> dict[str, float]:
-        """Count the seconds since a moment, at which `before` primitives had run; returns what the log tells of time."""
+        """Count the seconds since a moment at which `before` primitives had run; returns what the log tells of time."""
         seconds = time.perf_counter() - started
         self.seconds += seconds
         return {"time/seconds": self.seconds,
