@@ -221,6 +221,22 @@ class Agent(Stateful, ABC):
         return None
 
 
+class FixedPolicy(Agent):
+    """Base of agents that follow a rule and learn nothing: a subclass gives `act`, which is evaluated as it is."""
+
+    Settings: ClassVar[type] = DiscountSettings
+    STATE = ()
+    settings: Any = DiscountSettings()
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Same choice as `act`."""
+        return self.act(observation, action_mask)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Learn nothing and log nothing."""
+        return {}
+
+
 # --- what an agent learned, as data -----------------------------------------------------
 
 

@@ -370,7 +370,6 @@ class DiscoveringAgent(TabularAgent):
         return action
 
     def _choose(self, observation: Any, mask: NDArray[np.bool_]) -> int:
-        """A primitive, or the number of actions and a slot."""
         if self._rng.random() < compute_epsilon(self.settings, self._steps):
             available = self.compute_available(observation, mask)
             if available.any() and self._rng.random() < self.settings.option_share:
@@ -417,7 +416,6 @@ class DiscoveringAgent(TabularAgent):
             self._running = NOTHING
 
     def _learn(self, transition: SMDPTransition) -> float:
-        """Back up the primitive, and the options that would have done the same."""
         key = self._discretise(transition.observation)
         reward, bootstrap = compute_backup(transition, self.settings)
         values, legal = self._compute_choices(transition.next_observation, transition.next_action_mask)

@@ -210,7 +210,6 @@ class RowStreamAgent(StreamAgent):
         return {name: sum(values) / len(values) for name, values in logged.items()}
 
     def _enter(self, stream: int) -> None:
-        """Put a stream's episode in its place."""
         self._stream = stream
         self._place(stream)
 

@@ -33,8 +33,7 @@ from numpy.typing import NDArray
 from typing_extensions import Self
 
 import hrl_escape
-from hrl_escape.agents.agent import Agent, SMDPTransition, read_success
-from hrl_escape.agents.components.fixed_policy import FixedPolicy
+from hrl_escape.agents.agent import Agent, FixedPolicy, SMDPTransition, read_success
 from hrl_escape.agents.training.archive import (
     ArchiveKind,
     Part,

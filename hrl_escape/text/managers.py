@@ -23,7 +23,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.components.fixed_policy import FixedPolicy
+from hrl_escape.agents.agent import FixedPolicy
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.plugins import load_entry_point
 from hrl_escape.text.recordings import RecordedModel

@@ -8,9 +8,8 @@ import gymnasium
 import numpy as np
 import pytest
 
+from hrl_escape.agents.agent import DiscountSettings, FixedPolicy
 from hrl_escape.agents.algorithms.random import RandomAgent
-from hrl_escape.agents.components.fixed_policy import FixedPolicy
-from hrl_escape.agents.settings import DiscountSettings
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.comparison.grid import AgentSpec

@@ -102,7 +102,6 @@ class PPO(StreamAgent):
         self._forget()
 
     def _forget(self) -> None:
-        """Begin an empty rollout."""
         self._chunks: list[Rollout] = []
         self._rows: list[tuple] = []  # of the one environment, after the chunks
         self._collected = 0
@@ -209,7 +208,6 @@ class PPO(StreamAgent):
     # --- learning ------------------------------------------------------------------------
 
     def _gather(self) -> Rollout:
-        """The rollout so far, as one."""
         first = sum(len(chunk.place) for chunk in self._chunks)
         chunks = self._chunks + ([stack_decisions(self._rows, first)] if self._rows else [])
         return Rollout(*map(torch.cat, zip(*chunks, strict=True)))
@@ -251,7 +249,6 @@ class PPO(StreamAgent):
             "gradient_norm": self._learner.gradient_norm, "value": mean_value}
 
     def _value(self, seen: Tensor) -> Tensor:
-        """V, (n,), of inputs of the networks."""
         return self.critic(seen).squeeze(1)
 
     def _draw_batches(self, rollout: Rollout) -> Iterator[tuple[Tensor, Tensor]]:

@@ -46,7 +46,6 @@ _KEPT = SMDPTransition._fields[:-2]  # nothing that was cut, and no trace
 
 
 def _save_history(history: list[SMDPTransition]) -> StateTree:
-    """Columns by name."""
     return {name: np.array([getattr(each, name) for each in history]) for name in _KEPT}
 
 
@@ -198,7 +197,6 @@ class RMax(RowStreamAgent):
         return {"states": len(self._legal)}
 
     def _learn(self, transition: SMDPTransition) -> None:
-        """Take one transition in."""
         action = transition.action
         before, after = self._number(transition.observation), self._number(transition.next_observation)
         is_new = bool((transition.action_mask & ~self._legal[before]).any())

@@ -11,9 +11,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import DiscountSettings, count_actions
+from hrl_escape.agents.agent import DiscountSettings, FixedPolicy, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
-from hrl_escape.agents.components.fixed_policy import FixedPolicy
 
 
 class RandomAgent(FixedPolicy):

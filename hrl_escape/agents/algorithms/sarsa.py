@@ -149,6 +149,5 @@ class Sarsa(ReplayStreamAgent):
 
 
 def _as_batch(experience: Experience) -> Experience:
-    """The same experience with a leading dimension of one."""
     single = experience._replace(reward=np.float32(experience.reward), bootstrap=np.float32(experience.bootstrap))
     return Experience(*(np.asarray(field)[None] for field in single))

@@ -81,7 +81,6 @@ class TorchRLPPO(TorchRLAgent):
         return self._learn() if len(self._rows) >= self.settings.rollout else {}
 
     def _stack(self) -> Any:
-        """The rollout as one TensorDict."""
         rows: Any = self._rows  # torch's annotations know no TensorDict
         return torch.stack(rows)
 

@@ -217,7 +217,6 @@ class Network(nn.Sequential):
         self._tie(parameters)
 
     def _tie(self, parameters: list[nn.Parameter]) -> None:
-        """Make each parameter and its gradient views of the vectors."""
         self._compute: Callable[[NDArray], NDArray] | None = None  # made at the first need
         pieces = zip(parameters, self.weights.split(self.sizes), self.gradient.split(self.sizes), strict=True)
         for parameter, weights, gradient in pieces:

@@ -112,7 +112,6 @@ class OpenOptions(Stateful):
         return choices
 
     def _finish(self, stream: Tensor) -> None:
-        """Keep the runs of these streams' options, which are over."""
         self._over.append(torch.stack((self._option[stream], self._decisions[stream])))
         self._decisions[stream] = 0
 
@@ -291,7 +290,6 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         self._forget()
 
     def _forget(self) -> None:
-        """Begin an empty rollout."""
         self._rows: list[tuple] = []
         self._choices: list[tuple[int, int, bool]] = []
         self._chunks: list[tuple[Rollout, OptionChoices]] = []  # of streams
@@ -324,7 +322,6 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         return sample_index(self.compute_policies(observation, action_mask)[self._option], self._action_rng)
 
     def _choose(self, observation: Any) -> None:
-        """Draw an option from the policy over options."""
         self._former, self._is_chosen = self._option, True
         self._option, self._decisions = sample_index(self.heads.compute_option_policy(observation), self._option_rng), 0
 
@@ -440,7 +437,6 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         return dict(self._learn(rollout, own)) | self.log.measure()
 
     def _gather_chunks(self) -> tuple[Rollout, OptionChoices]:
-        """The rollout of the streams so far, as one."""
         rollouts, choices = zip(*self._chunks, strict=True)
         return (Rollout(*map(torch.cat, zip(*rollouts, strict=True))),
                 OptionChoices(*map(torch.cat, zip(*choices, strict=True))))

@@ -118,7 +118,6 @@ class TorchRLAgent(Agent):
             return int(self._explore(self._see(observation, action_mask))["action"])
 
     def _explore(self, seen: TensorDictBase) -> TensorDictBase:
-        """Write an exploring `action`."""
         return self._actor(seen)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:

@@ -159,7 +159,6 @@ class TreeLearner(StructureLearner):
         return found
 
     def _measure(self, action: int, leaves: Leaves, rows: NDArray[np.int64], literals: NDArray[np.bool_]) -> None:
-        """Compute the gains of some leaves anew, for some literals."""
         columns = literals.nonzero()[0]
         outcomes = leaves.outcomes[rows]
         values = np.broadcast_to(self._values[outcomes, None], (len(rows), len(columns)))

@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
+from hrl_escape.agents.hierarchy.task import BaseTask, Frame, Hierarchy, Seen, Stack, Step, allow_only
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 
 
@@ -31,8 +31,8 @@ class GoalView:
 class ViewTask(BaseTask):
     """A task that sees a part of the observation, or all of it without a view."""
 
-    def __init__(self, name: str, choices: int, view: GoalView | None) -> None:
-        super().__init__(name, choices, None if view is None else view.space)
+    def __init__(self, name: str, choices: int, view: GoalView | None, child: BaseTask | None = None) -> None:
+        super().__init__(name, choices, None if view is None else view.space, child)
         self._view = view
 
     def view(self, seen: Seen, stack: Stack) -> Any:
@@ -63,7 +63,7 @@ class Manager(ViewTask):
     """Names an open goal that is not reached; paid by the environment."""
 
     def __init__(self, goals: GoalSet, worker: Worker) -> None:
-        super().__init__("manager", goals.count, goals.manager_view)
+        super().__init__("manager", goals.count, goals.manager_view, worker)
         self._goals, self._worker = goals, worker
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
@@ -75,10 +75,6 @@ class Manager(ViewTask):
             and bool(self._worker.legal(seen, goal).any())
             for goal in range(goals.count)
         ], np.bool_)  # fmt: skip
-
-    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        """The worker, told the goal."""
-        return Call(self._worker, int(choice))
 
 
 class Worker(ViewTask):
@@ -192,8 +188,8 @@ class GoalSpace:
 class GoalTask(ViewTask):
     """A task that sees what a goal space shows of an observation, and knows the space as `goal_space`."""
 
-    def __init__(self, name: str, space: GoalSpace, choices: int) -> None:
-        super().__init__(name, choices, space.view)
+    def __init__(self, name: str, space: GoalSpace, choices: int, child: BaseTask | None = None) -> None:
+        super().__init__(name, choices, space.view, child)
         self.goal_space = space
 
 

@@ -151,7 +151,6 @@ class MachineRun:
             raise StepContractError(f"a machine has nothing to choose at {self.read_state()}")
 
     def _note_calls(self) -> None:
-        """Keep what runs still, and note what was called since."""
         programs = []
         program: Any = self._program
         while program is not None:

@@ -394,7 +394,6 @@ class StackAgent(CallRunner):
 
 
 def _make_row(value: Any) -> torch.Tensor:
-    """A value as the only row of a tensor."""
     import torch
 
     return torch.from_numpy(np.asarray(value)[None].copy())

@@ -98,10 +98,12 @@ class BaseTask:
     Args:
         name: unique in its hierarchy.
         view_space: of its views; None is the environment's observation space.
+        child: the task that every choice calls, told the choice's number; None where choices are primitives.
     """
 
-    def __init__(self, name: str, choices: int, view_space: gymnasium.Space | None = None) -> None:
-        self.name, self.view_space = name, view_space
+    def __init__(self, name: str, choices: int, view_space: gymnasium.Space | None = None,
+                 child: BaseTask | None = None) -> None:
+        self.name, self.view_space, self.child = name, view_space, child
         self.space = gymnasium.spaces.Discrete(choices)
 
     def view(self, seen: Seen, stack: Stack) -> Any:
@@ -125,8 +127,8 @@ class BaseTask:
         return {self.name: None}
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        """The call that a choice stands for, by default the primitive of this number."""
-        return Call(int(choice))
+        """The call that a choice stands for, by default the primitive of this number, or the child, told it."""
+        return Call(int(choice)) if self.child is None else Call(self.child, int(choice))
 
     def ends(self, frame: Frame, seen: Seen) -> float:
         """Probability that the call is over here; 1.0 is certain, and by 0.0 only a caller or the episode ends it."""

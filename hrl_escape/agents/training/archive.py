@@ -209,7 +209,6 @@ def _check_directory(file: IO[bytes]) -> None:
 
 
 def _check_members(members: list[zipfile.ZipInfo], kind: ArchiveKind, size: int) -> None:
-    """Refuse all but plain, stored files of known names, once each."""
     left = size
     for member in members:
         left -= member.file_size
@@ -260,9 +259,9 @@ def _check_part(part: Part, found: Part, where: str | os.PathLike[str]) -> None:
 DESCRIBED = "run.json"
 RESULT = "result.json"
 RUN_FILES = (DESCRIBED, "log.jsonl", LAST, BEST, RESULT)
+"""Files of a run that an archive holds; locks and TensorBoard's files stay behind."""
 FROZEN = (DESCRIBED, LAST, RESULT)
 """Files of an agent that only acts."""
-"""Files of a run that an archive holds; locks and TensorBoard's files stay behind."""
 RUN_ARCHIVE = ArchiveKind("a run", re.compile("|".join(map(re.escape, RUN_FILES))),
                           "Pack the run anew with `hrl-escape run pack`")
 
@@ -346,7 +345,6 @@ def read_summary(path: str | os.PathLike[str]) -> RunSummary:
 
 @contextmanager
 def _keeping_others_out(folder: Path) -> Iterator[None]:
-    """Hold the lock of a run's folder, where it has one."""
     if not (folder / "lock").exists():
         yield
         return

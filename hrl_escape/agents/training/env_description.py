@@ -277,7 +277,6 @@ def _is_value(name: str, value: Any) -> bool:
 
 
 def _revive(value: Any, trust: bool) -> Any:
-    """Argument of an environment or a wrapper from its JSON value."""
     if isinstance(value, list):
         return [_revive(part, trust) for part in value]
     if not isinstance(value, Mapping):

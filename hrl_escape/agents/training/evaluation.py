@@ -156,7 +156,6 @@ class _Sums:
 
 def _sum_trials(agent: Agent, env: gymnasium.Env, seed: int, episode: int, trials: int,
                 max_primitives: int = LONGEST_EPISODE) -> list[_Sums]:
-    """Play an episode and sum up each of its trials."""
     sums = [_Sums() for _ in range(trials)]
     for transition, info in play_episode(agent, env, compute_episode_seed(seed, "evaluation", episode),
                                          max_primitives):

@@ -206,7 +206,6 @@ class Run(Stateful):
         return RunDescription(self.arguments.name, self.arguments.seed, self.key, self.identity, path, first)
 
     def _log(self, row: Mapping[str, Any], folder: RunFolder | None) -> None:
-        """Keep a row, and tell of it."""
         if folder is not None:
             folder.log(row)
         for callback in self.callbacks:

@@ -160,7 +160,6 @@ class RunFolder:
         return lock
 
     def _claim(self, identity: dict[str, Any]) -> None:
-        """Write the identity, or compare it with the one that is there."""
         path = self.path / "run.json"
         if not path.exists():
             left = [name for name in ("result.json", LAST, BEST, "log.jsonl") if (self.path / name).exists()]
@@ -204,7 +203,6 @@ class RunFolder:
         return offset
 
     def _check_key(self, key: Any, name: str) -> None:
-        """Refuse a file of another run."""
         if key != self.key:
             raise CheckpointError(f"{self.path / name} belongs to another run than the run.json beside it. Delete the "
                                   "folder to start anew")

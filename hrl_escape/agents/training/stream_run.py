@@ -232,7 +232,6 @@ class StreamRun(Run):
         return super().identity | {"streams": describe_many(self._source)}
 
     def _begin(self) -> None:
-        """Begin all episodes anew."""
         self._begun += 1
         self._reset_streams()
         self.agent.begin_streams(self.streams.count, self.streams.device)

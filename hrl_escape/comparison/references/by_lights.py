@@ -19,7 +19,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.components.fixed_policy import FixedPolicy
+from hrl_escape.agents.agent import FixedPolicy
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.poses import list_touched

@@ -19,7 +19,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.components.fixed_policy import FixedPolicy
+from hrl_escape.agents.agent import FixedPolicy
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.references.bayes import BayesSearcher
 from hrl_escape.comparison.references.by_lights import (

@@ -20,8 +20,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.components.fixed_policy import FixedPolicy
+from hrl_escape.agents.agent import Agent, FixedPolicy
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, make_agent, read_structure
 from hrl_escape.agents.training.env_description import make_described_env, name_part
 from hrl_escape.agents.training.run import refusing_damage

@@ -215,7 +215,6 @@ class DeepAbstractQ(CallRunner):
         return metrics | {"abstract_states": float(len(self._keys))}
 
     def _model(self, start: int, choice: int, reward: float, discount: float, after: int) -> None:
-        """Move the means of a step towards its latest outcome."""
         self._counts[start, choice] += 1
         share = max(1 / self._counts[start, choice], self.settings.recency)
         self._rewards[start, choice] += share * (reward - self._rewards[start, choice])

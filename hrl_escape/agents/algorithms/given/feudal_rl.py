@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Return, Seen, Stack, Step, allow_only
+from hrl_escape.agents.hierarchy.task import BaseTask, Frame, Hierarchy, Return, Seen, Stack, Step, allow_only
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
@@ -89,7 +89,6 @@ class FeudalTask(BaseTask):
         self.is_obedient = self.is_last and tree.policy is not None
         self._patience = 0 if self.is_obedient else patience * 2 ** (tree.depth + 1 - level)
         self._penalty = penalty
-        self.below: FeudalTask | None = None
 
     def view(self, seen: Seen, stack: Stack) -> Any:
         """The cell of its level, row and column, and the phase; the last level sees the observation."""
@@ -109,21 +108,17 @@ class FeudalTask(BaseTask):
         cell = self.tree.find_cell(seen.observation, self.level)
         inside = [self.tree.has_neighbour(cell, self.level, direction) for direction in range(SEARCH)]
         legal = np.array([*inside, True], np.bool_)
-        if self.tree.policy is not None and self.below is not None:
-            if not self.below.is_last:  # its choices are the same whatever its order
-                return legal & self.below.legal(seen, None).any()
+        if self.tree.policy is not None and isinstance(self.child, FeudalTask):
+            if not self.child.is_last:  # its choices are the same whatever its order
+                return legal & self.child.legal(seen, None).any()
             for order in legal.nonzero()[0].tolist():
-                legal[order] = self.below.legal(seen, order).any()
+                legal[order] = self.child.legal(seen, order).any()
         return legal
 
     def _obey(self, seen: Seen, order: int | None) -> NDArray[np.bool_]:
         policy, cell = self.tree.policy, self.tree.find_cell(seen.observation, self.tree.depth)
         chosen = None if policy is None or order is None else policy(seen.observation, cell, order)
         return allow_only(chosen, seen.mask)
-
-    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        """The order to the level below; a primitive on the last level."""
-        return Call(choice) if self.below is None else Call(self.below, int(choice))
 
     def list_calls(self) -> Mapping[str, Any]:
         """One a direction, and one to search."""
@@ -168,7 +163,7 @@ def make_feudal_hierarchy(tree: Quadtree, primitives: int, penalty: float, patie
     """Managers of the levels 1 to the tree's depth, and one of primitives below."""
     levels = [FeudalTask(tree, level, primitives, penalty, patience) for level in range(1, tree.depth + 2)]
     for above, below in zip(levels, levels[1:], strict=False):
-        above.below = below
+        above.child = below
     root, *others = levels
     source = "given" if tree.phase is None else "synthesised"
     told = ("cells",) if tree.depth else ()

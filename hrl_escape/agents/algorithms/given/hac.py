@@ -18,7 +18,7 @@ from hrl_escape.agents.components.exploration import choose_best, make_rng, samp
 from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_cell_finder
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
-from hrl_escape.agents.hierarchy.task import Call, Frame, Hierarchy, Return, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
@@ -49,14 +49,11 @@ class _Level(GoalTask):
     """Pursues a goal by goals for the level below, or by primitives."""
 
     def __init__(self, name: str, space: GoalSpace, choices: int, below: _Level | None, limit: int) -> None:
-        super().__init__(name, space, choices)
-        self._below, self._limit = below, limit
+        super().__init__(name, space, choices, below)
+        self._limit = limit
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        return seen.mask if self._below is None else ~self.goal_space.list_reached(seen.observation)
-
-    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        return Call(int(choice) if self._below is None else self._below, None if self._below is None else int(choice))
+        return seen.mask if self.child is None else ~self.goal_space.list_reached(seen.observation)
 
     def list_calls(self) -> Mapping[str, Any]:
         return {f"{self.name} goal {goal}": goal for goal in range(len(self.goal_space.goals))}
@@ -104,8 +101,7 @@ class Hac(CallRunner):
                          settings)
         table = TabularSettings(learning_rate=settings.learning_rate, initial_value=-float(settings.attempts))
         self.tables = {level.name: QTable(int(level.space.n), table) for level in levels}
-        view_space = observation_space if space.view is None else space.view.space
-        self._find_cell = make_cell_finder(view_space, settings, "hac")
+        self._find_cell = make_cell_finder(levels[0].view_space or observation_space, settings, "hac")
         self._action_rng = make_rng(seed, "actions")
 
     def begin_episode(self) -> None:

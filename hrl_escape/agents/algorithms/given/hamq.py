@@ -254,7 +254,6 @@ class Hamq(RowStreamAgent):
         return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps), "values": len(self.table)}
 
     def _learn(self, point: _Point, following: _Point) -> float:
-        """One backup of an open choice from the choice point that follows."""
         if self.settings.internal and self._duration == 0:
             self.successors[point.key, point.chosen] = following
             return 0.0

@@ -28,7 +28,7 @@ from hrl_escape.agents.components.exploration import (
 from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_cell_finder
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Decision, Frame, Hierarchy, Return, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import BaseTask, Decision, Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
@@ -101,18 +101,10 @@ class Pursuit(GoalTask):
 class Naming(GoalTask):
     """Names a goal for every window; paid by the environment."""
 
-    def __init__(self, space: GoalSpace, worker: Pursuit) -> None:
-        super().__init__("manager", space, len(space.goals))
-        self._worker = worker
-
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """Goals that are not reached here; all where every one is."""
         open_goals = ~self.goal_space.list_reached(seen.observation)
         return open_goals if open_goals.any() else ~open_goals
-
-    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        """The worker, told the goal's number."""
-        return Call(self._worker, int(choice))
 
 
 class Hiro(CallRunner):
@@ -144,10 +136,10 @@ class Hiro(CallRunner):
         self._actions = count_actions(action_space, "hiro")
         self.space = space = goal_space or make_goal_space(observation_space, "hiro")
         self._worker = Pursuit(space, self._actions, settings.window)
-        super().__init__(Hierarchy(Naming(space, self._worker), (self._worker,), source="learned",
-                                   privileges=space.privileges), seed, settings)
-        view_space = observation_space if space.view is None else space.view.space
-        self._find_cell = make_cell_finder(view_space, settings, "hiro")
+        manager = Naming("manager", space, len(space.goals), self._worker)
+        super().__init__(Hierarchy(manager, (self._worker,), source="learned", privileges=space.privileges), seed,
+                         settings)
+        self._find_cell = make_cell_finder(manager.view_space or observation_space, settings, "hiro")
         table = TabularSettings(learning_rate=settings.learning_rate)
         self.tables = {"manager": QTable(len(space.goals), table), "worker": QTable(self._actions, table)}
         self._replay: list[Window] = []

@@ -121,7 +121,6 @@ class HqLearning(RowStreamAgent):
 
     @property
     def _turn(self) -> _Turn | None:
-        """Turn that runs."""
         return self._turns[-1][0] if self._turns else None
 
     @property

@@ -18,7 +18,7 @@ from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_cell_finder
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
 from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
-from hrl_escape.agents.hierarchy.task import Call, Frame, Hierarchy, Return, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.state import Columns, Stateful
 from hrl_escape.settings import Range
 
@@ -75,13 +75,6 @@ class SuccessorTable(Stateful):
 class _Player(GoalTask):
     """Strikes a chord; paid by the environment."""
 
-    def __init__(self, space: GoalSpace, chords: int, chord: _Chord) -> None:
-        super().__init__("player", space, chords)
-        self._chord = chord
-
-    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        return Call(self._chord, int(choice))
-
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         return np.ones(int(self.space.n), np.bool_)
 
@@ -132,10 +125,10 @@ class OptionKeyboard(TabularRunner):
         self.space = space = goal_space or make_goal_space(observation_space, "option-keyboard")
         self.chords = make_chords(len(space.goals))
         self._chord = _Chord(space, len(self.chords), actions, settings.patience)
-        super().__init__(Hierarchy(_Player(space, len(self.chords), self._chord), (self._chord,), source="learned",
-                                   privileges=space.privileges), seed, settings)
-        view_space = observation_space if space.view is None else space.view.space
-        self._find_cell = make_cell_finder(view_space, settings, "option-keyboard")
+        player = _Player("player", space, len(self.chords), self._chord)
+        super().__init__(Hierarchy(player, (self._chord,), source="learned", privileges=space.privileges), seed,
+                         settings)
+        self._find_cell = make_cell_finder(player.view_space or observation_space, settings, "option-keyboard")
         self.skills = SuccessorTable(len(space.goals), actions, settings)
         self.table = QTable(len(self.chords), settings)
 

@@ -160,7 +160,6 @@ class DecisionTransformer(OfflineAgent):
         return self._ask([self._make_token(self._encoder.encode(observation), self._wanted, -1, 0)])
 
     def _ask(self, tokens: list[NDArray[np.float32]]) -> NDArray:
-        """Logits of the last of some tokens."""
         window = np.zeros((self.settings.context, len(tokens[0])), np.float32)
         recent = tokens[-self.settings.context :]
         window[-len(recent) :] = recent

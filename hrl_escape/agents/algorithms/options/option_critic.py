@@ -145,7 +145,6 @@ class OptionCritic(OptionAgent):
 
     def _draw(self, option: int, decisions: int, observation: Any, mask: NDArray[np.bool_],
               rng: np.random.Generator) -> int:
-        """Draw from an option's policy."""
         self._shown = option, decisions, observation
         return sample_index(self.compute_policies(observation, mask)[option], rng)
 

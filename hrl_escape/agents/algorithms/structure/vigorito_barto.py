@@ -112,7 +112,6 @@ class VigoritoBarto(FactoredRMax):
         return self._skills
 
     def _list_in_rules(self) -> Iterator[tuple[int, Skill]]:
-        """Bits that leaves of trees turn on."""
         masks = self.model.packing.masks
         for action, model in enumerate(self._careful.models):
             for rule in model.rules:
