@@ -1,8 +1,8 @@
 """Names of agents: the list of them, agents made by name, and the door for agents of third parties.
 
 A file in `agents/algorithms` or in one of its families is an agent, named like the file; its class is the one `Agent`
-that the file defines. Those of the family `given` act by a hierarchy that they are given, and those of `offline` learn
-from a data set, so spaces and settings alone do not make them.
+that the file defines, abstract ones aside. Those of the family `given` act by a hierarchy that they are given, and
+those of `offline` learn from a data set, so spaces and settings alone do not make them.
 
 `smdp-dqn` and `dqn` are one implementation; the prefix only says which view of an environment
 is meant, and lets a recipe differ where the published program's did. Third-party agents arrive
@@ -64,7 +64,8 @@ def get_agent_class(name: str) -> type[Agent]:
     shipped = _find_shipped()
     if base in shipped:
         defined = vars(importlib.import_module(shipped[base])).values()
-        (found,) = (thing for thing in defined if _is_agent(thing) and thing.__module__ == shipped[base])
+        (found,) = (thing for thing in defined if _is_agent(thing) and thing.__module__ == shipped[base]
+                    and not inspect.isabstract(thing))
         return found
     others = _find_others()
     if base not in others:

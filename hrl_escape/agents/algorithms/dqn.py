@@ -13,6 +13,7 @@ the same in tensors about 28 times as long.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
@@ -152,7 +153,45 @@ class ActionValues:
                 "value": values.mean().item() / settings.reward_scale}
 
 
-class DQN(ReplayStreamAgent):
+class ValueAgent(ReplayStreamAgent):
+    """Base of agents that act by action values, and learn them towards targets from replay.
+
+    Attributes:
+        values: Q_theta, its target and its average.
+    """
+
+    STATE = (Kept("values.learner", "learner"),)
+    values: ActionValues
+
+    @abstractmethod
+    def compute_targets(self, batch: Experience) -> Tensor:
+        """Targets of Q_theta(s, o), (batch,); called without gradient."""
+
+    def compute_values(self, observation: Any) -> NDArray:
+        """Q(s, .) behind the greedy policy at an observation, in units of return, float32 (actions,)."""
+        return self.values.compute(observation)
+
+    def compute_scores(self, encoded: Tensor) -> Tensor:
+        """Values of the online network, in units of return, (n, actions)."""
+        return self.values.online(encoded) / self.settings.reward_scale
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The legal action of highest value."""
+        return choose_best(self.compute_values(observation), action_mask)
+
+    def update(self, batch: Experience, *known: Any) -> dict[str, float]:
+        """One gradient step on a batch of arrays or tensors; `known` goes on to `compute_targets`. Returns numbers to log."""
+        tensors = Experience(*map(torch.as_tensor, batch))
+        with torch.no_grad():
+            targets = self.compute_targets(tensors, *known)
+        return self.values.update(tensors, targets)
+
+    def move(self, device: torch.device) -> None:
+        """Move networks and optimiser to a device."""
+        self.values.learner.move(device)
+
+
+class DQN(ValueAgent):
     """Minimise over theta the mean of loss(R + b Q_target(s', o*) - Q_theta(s, o)), o* = argmax of Q_theta(s', .).
 
     R = sum gamma^i r_i, b = gamma^k (1 - terminated), the argmax over actions legal at s'. With `n_step` n, R and b are
@@ -163,16 +202,13 @@ class DQN(ReplayStreamAgent):
         network: a torch module of your own in place of the settings' network, from encoded observations to one number
             an action, with the weights to begin with; it is copied.
 
-    Attributes:
-        values: Q_theta, its target and its average.
-
     Raises:
         AgentSettingsError: `hindsight_goals` in an environment without goals, or the module does not fit.
     """
 
     Settings: ClassVar[type] = DQNSettings
     settings: DQNSettings
-    STATE = (Kept("values.learner", "learner"), "_n_step", "_bonus", Kept("_hindsight", is_left_out=True))
+    STATE = ("_n_step", "_bonus", Kept("_hindsight", is_left_out=True))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: DQNSettings | None = None, goal_rule: GoalRule | None = None,
@@ -186,20 +222,10 @@ class DQN(ReplayStreamAgent):
             observation_space, goal_rule, settings.hindsight_goals, settings.n_step, encoder, settings,
             make_rng(seed, "goals")) if settings.hindsight_goals else None
 
-    # --- acting --------------------------------------------------------------------------
-
-    def compute_values(self, observation: Any) -> NDArray:
-        """Q(s, .) behind the greedy policy at an observation, in units of return, float32 (actions,)."""
-        return self.values.compute(observation)
-
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Explore as the settings say, by the online network."""
         encoded = self._encoder.encode(observation)
         return self.values.explore(encoded, action_mask, self._schedule.steps, self._action_rng)
-
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The legal action of highest value."""
-        return choose_best(self.compute_values(observation), action_mask)
 
     # --- learning ------------------------------------------------------------------------
 
@@ -213,13 +239,6 @@ class DQN(ReplayStreamAgent):
         next_values = self.values.target(batch.next_observation)
         best = self.choose_next(batch, next_values)
         return batch.reward + batch.bootstrap * next_values.gather(1, best).squeeze(1)
-
-    def update(self, batch: Experience) -> dict[str, float]:
-        """One gradient step on a batch of arrays or tensors; returns numbers to log."""
-        tensors = Experience(*map(torch.as_tensor, batch))
-        with torch.no_grad():
-            targets = self.compute_targets(tensors)
-        return self.values.update(tensors, targets)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Store the decision, then make the updates that are due."""
@@ -239,14 +258,6 @@ class DQN(ReplayStreamAgent):
         if self._hindsight is not None:
             raise AgentSettingsError("hindsight_goals", self.settings.hindsight_goals, "0 in many environments at once")
         super().begin_streams(count, device)
-
-    def move(self, device: torch.device) -> None:
-        """Move networks and optimiser to a device."""
-        self.values.learner.move(device)
-
-    def compute_scores(self, encoded: Tensor) -> Tensor:
-        """Values of the online network, in units of return, (n, actions)."""
-        return self.values.online(encoded) / self.settings.reward_scale
 
     def compute_bonus(self, decisions: StreamTransitions) -> Tensor | None:
         """Pay for novelty, in units of return, (n,)."""

@@ -226,7 +226,7 @@ class Rainbow(DQN):
         known = torch.special.xlogy(targets, targets) - targets * logits.log_softmax(dim=1)
         return known.sum(dim=1), logits.detach().softmax(dim=1) @ layers.support
 
-    def update(self, batch: Experience) -> dict[str, float]:
+    def update(self, batch: Experience, *known: Any) -> dict[str, float]:
         """One gradient step on a batch, weighted as it was drawn; returns numbers to log."""
         drawn, self._drawn = self._drawn, None
         if drawn is None and not self.settings.has_own_network:

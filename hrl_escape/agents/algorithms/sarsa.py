@@ -15,11 +15,10 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.algorithms.dqn import ActionValues, ValueSettings
-from hrl_escape.agents.components.exploration import choose_best, compute_policy, sample_index
-from hrl_escape.agents.components.replay import Experience, ReplayStreamAgent, make_experience
+from hrl_escape.agents.algorithms.dqn import ActionValues, ValueAgent, ValueSettings
+from hrl_escape.agents.components.exploration import compute_policy, sample_index
+from hrl_escape.agents.components.replay import Experience, make_experience
 from hrl_escape.agents.larg2019.keras_rl import LateTerminal
-from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
@@ -51,7 +50,7 @@ class SarsaSettings(ValueSettings):
             raise AgentSettingsError("SarsaSettings.late_terminal", True, "False, or replay_capacity = 0")
 
 
-class Sarsa(ReplayStreamAgent):
+class Sarsa(ValueAgent):
     """Minimise the mean of loss(R + b V(s') - Q_theta(s, o)), V(s') = sum over o' of pi(o' | s') Q_target(s', o').
 
     pi is the exploring policy of the online network at s', over legal actions. With `expected` off, V(s') is
@@ -60,7 +59,7 @@ class Sarsa(ReplayStreamAgent):
 
     Settings: ClassVar[type] = SarsaSettings
     settings: SarsaSettings
-    STATE = (Kept("values.learner", "learner"), "_next_action", "_late_terminal")
+    STATE = ("_next_action", "_late_terminal")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: SarsaSettings | None = None) -> None:
@@ -69,10 +68,6 @@ class Sarsa(ReplayStreamAgent):
         self._next_action: int | None = None  # bootstrapped from, to be taken next
         self._late_terminal = LateTerminal()
 
-    def compute_values(self, observation: Any) -> NDArray:
-        """Q(s, .) behind the greedy policy at an observation, in units of return, float32 (actions,)."""
-        return self.values.compute(observation)
-
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Explore as the settings say, or take the action that the last target was computed with."""
         action, self._next_action = self._next_action, None
@@ -80,10 +75,6 @@ class Sarsa(ReplayStreamAgent):
 
     def _explore(self, encoded: NDArray, action_mask: NDArray[np.bool_]) -> int:
         return self.values.explore(encoded, action_mask, self._schedule.steps, self._action_rng)
-
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The legal action of highest value."""
-        return choose_best(self.compute_values(observation), action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn from replay, or from this decision as it comes."""
@@ -114,23 +105,8 @@ class Sarsa(ReplayStreamAgent):
             raise AgentSettingsError("replay_capacity", 0, "at least 1 in many environments at once")
         super().begin_streams(count, device)
 
-    def move(self, device: torch.device) -> None:
-        """Move networks and optimiser to a device."""
-        self.values.learner.move(device)
-
-    def compute_scores(self, encoded: torch.Tensor) -> torch.Tensor:
-        """Values of the online network, in units of return, (n, actions)."""
-        return self.values.online(encoded) / self.settings.reward_scale
-
-    def update(self, batch: Experience, next_action: int | None = None) -> dict[str, float]:
-        """One gradient step on a batch of arrays; `next_action` is that taken at s', if known, in a batch of one."""
-        tensors = Experience(*map(torch.as_tensor, batch))
-        with torch.no_grad():
-            targets = self.compute_targets(tensors, next_action)
-        return self.values.update(tensors, targets)
-
     def compute_targets(self, batch: Experience, next_action: int | None = None) -> torch.Tensor:
-        """R + b V(s'), (batch,); called without gradient. See `update`."""
+        """R + b V(s'), (batch,); `next_action` is that taken at s', if known, in a batch of one."""
         next_online, next_mask = self.values.online(batch.next_observation).cpu().numpy(), batch.next_mask.cpu().numpy()
         weights = torch.from_numpy(self._compute_weights(next_online, next_mask, next_action)).to(batch.reward.device)
         return batch.reward + batch.bootstrap * (weights * self.values.target(batch.next_observation)).sum(dim=1)

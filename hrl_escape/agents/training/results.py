@@ -121,25 +121,24 @@ def make_evaluation_row(evaluation: Evaluation) -> dict[str, Any]:
         "eval/return": evaluation.mean_return,
         "eval/success": evaluation.success_rate,
         "eval/length": evaluation.mean_length,
-        **{name: getattr(evaluation, field) for field, name in EVALUATION_ROW.items()},
+        **{name: getattr(evaluation, field) for field, name in _ROWS["evaluation"][1].items()},
     }
 
 
-EPISODE_ROW = {
-    "primitives": "primitives", "decisions": "decisions", "episode_return": "train/return", "length": "train/length",
-    "success": "train/success", "end": "train/end", "seconds": "time/seconds",
+_ROWS: dict[str, tuple[type, dict[str, str]]] = {
+    "episode": (EpisodeRecord, {
+        "primitives": "primitives", "decisions": "decisions", "episode_return": "train/return",
+        "length": "train/length", "success": "train/success", "end": "train/end", "seconds": "time/seconds"}),
+    "segment": (SegmentRecord, {
+        "primitives": "primitives", "decisions": "decisions", "episodes": "train/episodes",
+        "successes": "train/successes", "mean_return": "train/return", "mean_length": "train/length",
+        "seconds": "time/seconds"}),
+    "evaluation": (Evaluation, {
+        "primitives": "primitives", "decisions": "decisions", "returns": "eval/returns", "lengths": "eval/lengths",
+        "decision_counts": "eval/decision_counts", "successes": "eval/successes", "progress": "eval/progress",
+        "seconds": "time/eval_seconds"}),
 }
-EVALUATION_ROW = {
-    "primitives": "primitives", "decisions": "decisions", "returns": "eval/returns", "lengths": "eval/lengths",
-    "decision_counts": "eval/decision_counts", "successes": "eval/successes",
-    "progress": "eval/progress", "seconds": "time/eval_seconds",
-}
-
-
-SEGMENT_ROW = {
-    "primitives": "primitives", "decisions": "decisions", "episodes": "train/episodes", "successes": "train/successes",
-    "mean_return": "train/return", "mean_length": "train/length", "seconds": "time/seconds",
-}
+"""Kind of a row -> what it tells of, and the name in the row of each field."""
 
 
 def read_row(row: Mapping[str, Any]) -> EpisodeRecord | SegmentRecord | Evaluation:
@@ -149,12 +148,9 @@ def read_row(row: Mapping[str, Any]) -> EpisodeRecord | SegmentRecord | Evaluati
         KeyError: the row lacks a name.
         ConfigError: a value is not possible.
     """
-    if row["kind"] == "evaluation":
-        return read_record(Evaluation, {field: row[name] for field, name in EVALUATION_ROW.items()})
-    if row["kind"] == "segment":
-        return read_record(SegmentRecord, {field: row[name] for field, name in SEGMENT_ROW.items()})
-    fields = {field: row[name] for field, name in EPISODE_ROW.items()}
-    return read_record(EpisodeRecord, {**fields, "success": bool(row["train/success"])})
+    kind, names = _ROWS[row["kind"]]
+    fields = {field: row[name] for field, name in names.items()}
+    return read_record(kind, fields | ({"success": bool(fields["success"])} if "success" in fields else {}))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -68,18 +68,6 @@ class HDqnSettings(StackSettings, EpsilonSettings, ResolutionSettings, NetworkSe
     """With tables, alpha at a state and action's first update."""
     table_learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
     """With tables, the n-th update uses alpha / n^power."""
-
-
-class _Backup(NamedTuple):
-    """One decision of a level: s, goal, action, R, b, s', legal at s'."""
-
-    observation: Any
-    goal: int | None
-    action: int
-    reward: float
-    bootstrap: float
-    next_observation: Any
-    next_mask: NDArray[np.bool_]
 
 
 class HDqn(CallRunner):
@@ -162,11 +150,11 @@ class HDqn(CallRunner):
             if not (is_worker or self._is_planned) and self._steps < self.settings.worker_warmup:
                 continue
             legal = frame.task.legal(returned.seen, goal)
-            backup = _Backup(decision.view, goal, decision.choice, decision.reward,
-                             0.0 if reached or returned.terminated or not legal.any() else decision.discount,
-                             frame.task.view(returned.seen, returned.stack), legal)
+            backup = Experience(decision.view, decision.legal, decision.choice, decision.reward,
+                                0.0 if reached or returned.terminated or not legal.any() else decision.discount,
+                                frame.task.view(returned.seen, returned.stack), legal)
             level = self.worker if is_worker else self.manager
-            metrics["worker_error" if is_worker else "manager_error"] = level.learn(backup)
+            metrics["worker_error" if is_worker else "manager_error"] = level.learn(backup, goal)
         self._steps += step.duration
         return metrics
 
@@ -199,12 +187,12 @@ class _TableValues(QTable):
     def compute(self, observation: Any, goal: int | None) -> NDArray:
         return self.get_values(self._make_key(observation, goal))
 
-    def learn(self, backup: _Backup) -> float:
+    def learn(self, backup: Experience, goal: int | None) -> float:
         target = backup.reward
         if backup.bootstrap:
-            values = self.compute(backup.next_observation, backup.goal)
+            values = self.compute(backup.next_observation, goal)
             target += backup.bootstrap * float(values[backup.next_mask].max())
-        return abs(self.update(self._make_key(backup.observation, backup.goal), backup.action, target))
+        return abs(self.update(self._make_key(backup.observation, goal), backup.action, target))
 
 
 class _NetworkValues(Stateful):
@@ -223,7 +211,7 @@ class _NetworkValues(Stateful):
         self._learner = Learner("h-dqn", {"online": self.online, "target": self._target}, ["online"], settings)
         shape = (self._encoder.shape[0] + goals,) if goals else self._encoder.shape
         self._replay = ReplayBuffer(settings.replay_capacity, shape, self._encoder.dtype, actions)
-        self._rng, self._due, self._all = rng, 0.0, np.ones(actions, np.bool_)
+        self._rng, self._due = rng, 0.0
         self.waits = False
         """Backups are stored, and updates left for later."""
 
@@ -238,10 +226,11 @@ class _NetworkValues(Stateful):
     def compute(self, observation: Any, goal: int | None) -> NDArray:
         return self.online.compute(self._encode(observation, goal)) / self._settings.reward_scale
 
-    def learn(self, backup: _Backup) -> float:
-        self._replay.add(Experience(self._encode(backup.observation, backup.goal), self._all, backup.action,
-                                    backup.reward * self._settings.reward_scale, backup.bootstrap,
-                                    self._encode(backup.next_observation, backup.goal), backup.next_mask))
+    def learn(self, backup: Experience, goal: int | None) -> float:
+        self._replay.add(backup._replace(
+            observation=self._encode(backup.observation, goal), mask=True,
+            reward=backup.reward * self._settings.reward_scale,
+            next_observation=self._encode(backup.next_observation, goal)))
         self._due += self._settings.updates_per_decision
         return 0.0 if self.waits else self.update()
 
