@@ -63,8 +63,8 @@ MUTATIONS = [
           "test_h_uct.py"),
     # the state in which it was chosen
     _trap("the manager learns in the state where its goal ended", "h_dqn",
-          "decision.view, goal,",
-          "step.seen.observation, goal,",
+          "Experience(decision.view,",
+          "Experience(step.seen.observation,",
           "test_h_dqn.py::test_the_manager_learns_in_the_state_where_the_goal_was_named"),
     _trap("a macro is learned in the state where it ended", "macro_q",
           "self._discretise(decision.view), decision.choice",

@@ -180,7 +180,7 @@ class ValueAgent(ReplayStreamAgent):
         return choose_best(self.compute_values(observation), action_mask)
 
     def update(self, batch: Experience, *known: Any) -> dict[str, float]:
-        """One gradient step on a batch of arrays or tensors; `known` goes on to `compute_targets`. Returns numbers to log."""
+        """One gradient step on a batch of arrays or tensors; `known` is for the targets. Returns numbers to log."""
         tensors = Experience(*map(torch.as_tensor, batch))
         with torch.no_grad():
             targets = self.compute_targets(tensors, *known)
