@@ -162,7 +162,7 @@ MUTATIONS = [
         "a metric is a mean over all decisions",
         "agents/training/run.py",
         "total / self._counts[name] for name",
-        "total / max(self._counts.values()) for name",
+        "total / self.decisions for name",
         "agents/training/test_train.py::test_a_logged_metric_is_the_mean_over_the_decisions_that_gave_it",
     ),
     Mutation(
