@@ -100,8 +100,11 @@ class PlannedOption(GoalOption):
         return float(not is_undone and is_reached(self.goal, self._last, state, self._planner.rules))
 
     def _plan(self, state: RoomState) -> None:
-        self._route, self._at = self._planner.routes.find_route(state, self.goal, self.report), 0
+        self._route, self._at = self._find_route(state), 0
         _tell_unavoidable(self, self._planner.instance, self._route)
+
+    def _find_route(self, state: RoomState) -> Route:
+        return self._planner.routes.find_route(state, self.goal, self.report)
 
     def _recover(self, state: RoomState) -> None:
         """Go on with the rest of the plan if it still reaches the goal from here, else replan."""
