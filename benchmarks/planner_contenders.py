@@ -24,7 +24,7 @@ from hrl_escape.env.config import ObstaclesConfig, RobotConfig, RoomConfig, Shap
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.sampling.free_space import FreeSpace
+from hrl_escape.env.sampling.certificate import FreeSpace
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GenerationError
 from hrl_escape.files import write_text

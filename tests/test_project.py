@@ -42,7 +42,7 @@ options.option options.options_env options.meta_actions
 planning.goals planning.planner planning.paths.navigator planning.arm.model planning.search.a_star floor.clearance
 env.config env.presets env.instance env.robot env.primitives env.geometry env.observations env.engine
 env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip env.sampling.generation env.drawing.maps
-env.bullet.engine env.bullet.scene env.batched.engine env.batched.rules
+env.bullet.engine env.bullet.physics env.batched.engine env.batched.rules
 env.escape_room env.vector_env env.torchrl_env
 ladder.benchmark ladder.rung ladder.instance_set
 data.tape data.materialise text.told_env
@@ -84,7 +84,7 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("env.bullet.new", "hrl_escape.env.escape_room", "rules of a room"),
     ("env.sampling.new", "hrl_escape.env.batched.engine", "rules of a room"),
     ("planning.new", "hrl_escape.env.bullet.engine", "no engine but through"),
-    ("commands.new", "hrl_escape.env.bullet.scene", "no engine but through"),
+    ("commands.new", "hrl_escape.env.bullet.physics", "no engine but through"),
     ("env.puzzles.new", "hrl_escape.env.puzzles.buttons", "puzzles do not import puzzles"),
     ("agents.hierarchy.new", "hrl_escape.agents.algorithms.given.hamq", "agents: the protocol and parts"),
     ("agents.components.new", "hrl_escape.agents.training.train", "agents: the protocol and parts"),

@@ -17,7 +17,7 @@ import numpy as np
 from hrl_escape.comparison.grid import AgentSpec, Grid
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.env.sampling.generation import sample_puzzle
 from hrl_escape.ladder.room_sets import list_sets
 from hrl_escape.names import make_console_text
 

@@ -13,7 +13,7 @@ from hrl_escape.agents.components.offline import OPTION_ENDINGS
 from hrl_escape.data.catalogue import TAPE_KINDS
 from hrl_escape.data.tape import Tape
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.map_axes import Trajectory, draw_room
+from hrl_escape.env.drawing.maps import Trajectory, draw_room
 from hrl_escape.env.drawing.meshes import compute_extent
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import draw_episode

@@ -12,7 +12,6 @@ from .config import (
     Wall,
 )
 from .continuous import EscapeRoomContinuousEnv
-from .continuous_vector_env import EscapeRoomContinuousVectorEnv
 from .escape_room import EscapeRoomEnv
 from .instance import PlacedProp, Rectangle, RoomInstance, Start, Target
 from .kinematics import Kinematics, RoomState, Rules
@@ -38,7 +37,7 @@ from .puzzles.symbolic import Operator, SymbolicModel
 from .robot import Robot
 from .sampling.generation import generate
 from .torchrl_env import EscapeRoomTorchRLEnv
-from .vector_env import EscapeRoomVectorEnv
+from .vector_env import EscapeRoomContinuousVectorEnv, EscapeRoomVectorEnv
 
 __all__ = [
     "Between",

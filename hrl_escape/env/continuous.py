@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.sampling.sources import SchematicForm
+from hrl_escape.env.presets import SchematicForm
 from hrl_escape.env.velocities import Velocities, check_gliding
 from hrl_escape.errors import ConfigError
 

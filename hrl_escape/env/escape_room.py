@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.engine import Engine, Renderer, check_camera, check_picture_size, make_engine, make_renderer
-from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.instance import InstanceForm, RoomInstance, read_instance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import draw_episode
 from hrl_escape.env.observations.base import make_observer
+from hrl_escape.env.presets import SchematicForm, read_schematic
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
 from hrl_escape.spaces import make_vector_space
 

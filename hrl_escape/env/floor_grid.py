@@ -1,7 +1,7 @@
 """The grid over a room's floor: cells and their clearances, connected parts, and waves from a goal.
 
 Every grid over the floor is a `FloorGrid`, each with its own size of cells: the certificate
-(`sampling/free_space.py`), clearances and cost-to-go (`hrl_escape.floor`), batched options, pushes and maps of reach.
+(`sampling/certificate.py`), clearances and cost-to-go (`hrl_escape.floor`), batched options, pushes and maps of reach.
 This module knows no robot.
 """
 

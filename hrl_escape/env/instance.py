@@ -11,10 +11,10 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -398,6 +398,28 @@ class RoomInstance(Pictured, Schematic):
         return instance
 
 
+InstanceForm: TypeAlias = RoomInstance | dict[str, Any] | str | Path
+"""A room, its dict form, or the path of one saved as JSON."""
+
+
+def read_instance(form: InstanceForm) -> RoomInstance:
+    """Read a room in any of its forms, with the checks for untrusted rooms.
+
+    Raises:
+        ConfigError: a room with gaps in its walls, or starts that are not free.
+        FileReadError: no such file.
+        InstanceFileError: the file or the table is no room.
+    """
+    if isinstance(form, RoomInstance):
+        check_room(form)
+        return form
+    if isinstance(form, (str, Path)):
+        return RoomInstance.load(form)
+    if isinstance(form, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]  # whatever users pass
+        return RoomInstance.from_dict(form)
+    raise ConfigError("instance", form, "a RoomInstance, its dict form, or the path of one saved as JSON")
+
+
 def _find_missing(given: Any, whole: Any, path: str) -> str | None:
     """Dotted path of the first field that a table lacks, at any depth; None if it has all."""
     if isinstance(whole, dict):
@@ -472,22 +494,27 @@ def is_on_floor(instance: RoomInstance, x: float, y: float, slack: float = 0.0) 
                for x_min, x_max, y_min, y_max in _list_areas(instance))
 
 
-def _list_areas(instance: RoomInstance) -> list[tuple[float, float, float, float]]:
-    """Rectangles x_min, x_max, y_min, y_max of the floor: the room's, and that of the alcove behind a door."""
-    half_x, half_y = instance.half_width, instance.half_depth
-    areas = [(-half_x, half_x, -half_y, half_y)]
-    if instance.door is not None:
-        beyond = instance.robot.outer_radius + CONTACT_SKIN  # the body's axis stands in the exit
-        area = instance.exit
-        areas.append((*_stretch(area.x_min, area.x_max, half_x, beyond),
-                      *_stretch(area.y_min, area.y_max, half_y, beyond)))
-    return areas
+def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:
+    """Floor rectangles: the room's, and that of the alcove behind an exit door."""
+    return tuple(Rectangle(*area) for area in _list_areas(instance, 0.0, 0.0))
 
 
-def _stretch(low: float, high: float, half: float, beyond: float) -> tuple[float, float]:
-    """Extent of an alcove along one axis: from inside the floor to the wall behind the exit."""
-    low, high = min(low, half - _OVERLAP), max(high, _OVERLAP - half)
-    return low - beyond * (low < -half), high + beyond * (high > half)
+def _list_areas(instance: RoomInstance, skin: float = CONTACT_SKIN, overlap: float = _OVERLAP
+                ) -> list[tuple[float, float, float, float]]:
+    """Rectangles x_min, x_max, y_min, y_max of the floor: the room's, and that of the alcove behind a door.
+
+    The alcove is deeper than the exit in it by the radius that the base needs, and a skin; it reaches back through the
+    doorway and overlaps the room.
+    """
+    half_x, half_y, beyond = instance.half_width, instance.half_depth, instance.robot.outer_radius + skin
+
+    def stretch(low: float, high: float, half: float) -> tuple[float, float]:
+        low, high = min(low, half - overlap), max(high, overlap - half)
+        return low - beyond * (low < -half), high + beyond * (high > half)
+
+    room, area = (-half_x, half_x, -half_y, half_y), instance.exit
+    return [room] if instance.door is None else [
+        room, (*stretch(area.x_min, area.x_max, half_x), *stretch(area.y_min, area.y_max, half_y))]
 
 
 def _trace_rectangle(x_min: float, x_max: float, y_min: float, y_max: float, spacing: float) -> NDArray[np.float64]:

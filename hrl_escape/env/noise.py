@@ -2,7 +2,7 @@
 
 Philox4x32-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3"). Because
 nothing is kept between primitives, a restored state meets the same noise, and a room
-meets the same noise in whichever batch it is stepped.
+meets the same noise in whichever batch it is stepped: words are drawn for one room, or for many in tensors.
 """
 
 from __future__ import annotations
@@ -15,12 +15,8 @@ _MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 _WEYL = (0x9E3779B9, 0xBB67AE85)
 _ROUNDS = 10
 Words = tuple[Any, Any, Any, Any]
-EPISODE_PURPOSE = 1
-"""Third word of the counter for draws at an episode's start; noise has the word 0."""
-CHANCE_PURPOSE = 2
-"""Third word of the counter for the random outcomes of a puzzle."""
-PUZZLE_PURPOSE = 3
-"""Third word of the counter for the puzzle's first state."""
+NOISE_PURPOSE, EPISODE_PURPOSE, CHANCE_PURPOSE, PUZZLE_PURPOSE = range(4)
+"""Third word of the counter: for noise, an episode's start, a puzzle's random outcomes, and its first state."""
 
 
 def philox(counter: Words, key: tuple[Any, Any]) -> Words:
@@ -35,22 +31,33 @@ def philox(counter: Words, key: tuple[Any, Any]) -> Words:
     return c0, c1, c2, c3
 
 
+def draw_words(key: Any, count: Any, purpose: int = EPISODE_PURPOSE) -> Words:
+    """Return four 32-bit words for a 64-bit key and count; for int64 tensors of these, tensors.
+
+    An episode's are those of the environment's seed and the episode's number.
+    """
+    return philox((count & MASK, count >> 32 & MASK, purpose, 0), (key & MASK, key >> 32 & MASK))
+
+
+def scale_word(word: Any, count: Any) -> Any:
+    """Turn 32-bit words into whole numbers from 0 to count - 1 (multiply and shift)."""
+    return word * count >> 32
+
+
 def draw_episode(seed: int, episode: int, starts: int) -> tuple[int, int]:
     """Return the number of an episode's start and the 63-bit key of its noise, by the environment's 64-bit seed."""
-    counter = (episode & MASK, episode >> 32, EPISODE_PURPOSE, 0)
-    first, second, third, _ = philox(counter, (seed & MASK, seed >> 32 & MASK))
-    return first * starts >> 32, ((second << 32) | third) & (2**63 - 1)
+    first, second, third, _ = draw_words(seed, episode)
+    return scale_word(first, starts), ((second << 32) | third) & (2**63 - 1)
 
 
-def draw_puzzle_start(key: int, starts: int) -> int:
+def draw_puzzle_start(key: Any, starts: Any) -> Any:
     """Return the number of the puzzle's first state in an episode, by the 64-bit key of the episode's noise."""
-    return philox((0, 0, PUZZLE_PURPOSE, 0), (key & MASK, key >> 32))[0] * starts >> 32
+    return scale_word(draw_words(key, 0, PUZZLE_PURPOSE)[0], starts)
 
 
 def draw_chance(key: int, primitive: int) -> float:
     """Return the uniform number in (0, 1) that decides a puzzle's random outcome at a primitive of an episode."""
-    word, *_ = philox((primitive & MASK, primitive >> 32, CHANCE_PURPOSE, 0), (key & MASK, key >> 32))
-    return (word + 0.5) / 2**32
+    return (draw_words(key, primitive, CHANCE_PURPOSE)[0] + 0.5) / 2**32
 
 
 def compute_noise(key: int, primitive: int) -> tuple[float, float]:
@@ -58,7 +65,7 @@ def compute_noise(key: int, primitive: int) -> tuple[float, float]:
 
     The normal is Box-Muller on the first two words, the uniform comes from the third.
     """
-    a, b, c, _ = philox((primitive & MASK, primitive >> 32, 0, 0), (key & MASK, key >> 32))
+    a, b, c, _ = draw_words(key, primitive, NOISE_PURPOSE)
     scale = 1.0 / 2**32
     normal = math.sqrt(-2.0 * math.log((a + 0.5) * scale)) * math.cos(2.0 * math.pi * (b + 0.5) * scale)
     return normal, (c + 0.5) * scale

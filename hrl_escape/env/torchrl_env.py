@@ -19,7 +19,7 @@ from typing_extensions import Unpack
 
 from hrl_escape.env.batched.engine import TensorRoom, draw_seed
 from hrl_escape.env.batched.rooms import RoomArguments
-from hrl_escape.env.sampling.sources import SchematicForm
+from hrl_escape.env.presets import SchematicForm
 from hrl_escape.env.vector_env import BatchVectorEnv, EscapeRoomVectorEnv
 
 _ENDS = ("done", "terminated", "truncated")

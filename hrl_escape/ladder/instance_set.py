@@ -16,8 +16,7 @@ from gymnasium.utils import EzPickle
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.sampling.generation import generate
-from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, describe_damage
 from hrl_escape.figures import Pictured
 from hrl_escape.files import read_json, write_json

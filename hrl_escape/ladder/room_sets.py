@@ -26,7 +26,7 @@ import gymnasium
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.env.sampling.generation import sample_puzzle
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import meshes, palette
 from hrl_escape.env.geometry import Solid, compute_distance
-from hrl_escape.env.instance import Rectangle, RoomInstance, Target
+from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
 from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.robot import BASE_LINK, Robot
@@ -170,7 +170,7 @@ class Painted(NamedTuple):
 
 def make_fixtures(instance: RoomInstance) -> list[Painted]:
     """Parts that never change: floor with shadows and puddles, walls. Obstacles are apart, see `make_obstacle`."""
-    floors = palette.compute_floors(instance)
+    floors = compute_floors(instance)
     walls = [solid for solid in instance.solids if solid.role == "wall"]
     others = [solid for solid in instance.solids if solid.role != "wall"]
     even, odd, shadows, puddles = meshes.make_floor(instance, others)

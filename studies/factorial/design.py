@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.presets.catalogue import ladder_room
+from hrl_escape.env.presets import ladder_room
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.files import read_toml
 from hrl_escape.settings import read_record

@@ -41,12 +41,10 @@ from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
-from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle, ViolationRule
+from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle, SectionsConfig, ViolationRule
 from hrl_escape.env.puzzles.graphs import GraphConfig, GraphKind, mask_parents, sample_graph, sample_relabelled
 from hrl_escape.env.puzzles.marks import MarksConfig
-from hrl_escape.env.puzzles.sections import SectionsConfig
-from hrl_escape.env.sampling.generation import generate
-from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet

@@ -11,8 +11,7 @@ from benchmarks.conformance import compare
 from hrl_escape.env.config import DynamicsConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import compute_noise, draw_chance
-from hrl_escape.env.presets import get_preset
-from hrl_escape.env.presets.catalogue import FOUR_ROOMS
+from hrl_escape.env.presets import FOUR_ROOMS, get_preset
 from hrl_escape.env.puzzles.taxi import RIDING, Ride, TaxiPuzzle
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, ContractError

@@ -9,7 +9,7 @@ import pytest
 import hrl_escape
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles.code_lock import CodeLockConfig
+from hrl_escape.env.puzzles.codes import CodeLockConfig
 from hrl_escape.env.puzzles.factored import FactoredConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig

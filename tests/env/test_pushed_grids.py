@@ -18,8 +18,16 @@ from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.noise import compute_noise
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles.pushing import PUSH_SIDES, BoxMap, draw_level, find_fewest_shoves, read_boxoban, tidy_level
-from hrl_escape.env.puzzles.sokoban import SokobanConfig, SokobanPuzzle
+from hrl_escape.env.puzzles.sokoban import (
+    PUSH_SIDES,
+    BoxMap,
+    SokobanConfig,
+    SokobanPuzzle,
+    draw_level,
+    find_fewest_shoves,
+    read_boxoban,
+    tidy_level,
+)
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, ContractError, GenerationError, PlanningFailed
 from hrl_escape.options import OptionsEnv

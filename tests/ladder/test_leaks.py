@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
-from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.buttons import ButtonsConfig, SectionsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.marks import MARK_WORDS, MarksConfig, compute_depths
-from hrl_escape.env.puzzles.sections import SectionsConfig
 from hrl_escape.ladder.instance_set import InstanceSet
 
 COUNT, LEVELS, NO_SECTIONS = 4, 4, SectionsConfig()

@@ -89,7 +89,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a failed puzzle goes on in the batch",
-        "env/batched/puzzles/bits.py",
+        "env/batched/puzzles/forms.py",
         "return after if failed is None else torch.where(failed, state, after)",
         "return after",
         "env/batched/test_puzzles.py",
@@ -139,8 +139,8 @@ MUTATIONS = [
     Mutation(
         "every button of a layer has one parent",
         "env/puzzles/graphs.py",
-        "number = int(rng.integers(1, min(len(above), config.max_parents) + 1))",
-        "number = int(rng.integers(1, 2))",
+        "choose(above, draw(min(len(above), max_parents)))",
+        "choose(above, draw(1))",
         "env/puzzles/test_graphs.py",
     ),
     Mutation(
@@ -229,7 +229,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a door stays shut to the batched engine once it was shut",
-        "env/batched/puzzles/maps.py",
+        "env/batched/puzzles/forms.py",
         "turned = (state | 2 << 2 * number) ^ 1 << 2 * number",
         "turned = state | 2 << 2 * number",
         "env/test_mini_grid.py",
@@ -278,7 +278,7 @@ MUTATIONS = [
     ),
     Mutation(
         "in the batch the held block goes under the tower",
-        "env/batched/puzzles/words.py",
+        "env/batched/puzzles/forms.py",
         "torch.where(stands, top, base) << 4 * block, taken)",
         "base << 4 * block, taken)",
         "env/puzzles/test_blocks_world.py",
@@ -299,7 +299,7 @@ MUTATIONS = [
     ),
     Mutation(
         "in the batch a box is pushed into another",
-        "env/batched/puzzles/maps.py",
+        "env/batched/puzzles/forms.py",
         "is_there = is_there & ~(boxes == to).any(0)",
         "is_there = is_there & (box >= 0)",
         "env/test_pushed_grids.py",
@@ -313,7 +313,7 @@ MUTATIONS = [
     ),
     Mutation(
         "the key can be taken twice",
-        "env/puzzles/key_chest.py",
+        "env/puzzles/codes.py",
         "return float(before == 0 < after)",
         "return float(before <= after > 0)",
         "env/test_pushed_grids.py",
@@ -355,28 +355,28 @@ MUTATIONS = [
     ),
     Mutation(
         "many rooms move along the heading after the turn",
-        "env/batched/glide.py",
+        "env/batched/rules.py",
         "compute_heading(layout, tables, state) + turn / 2.0",
         "compute_heading(layout, tables, state) + turn",
         "env/batched/test_glide.py::test_velocities_move_the_batch_as_the_scalar_rules",
     ),
     Mutation(
         "many rooms turn where there is no room to",
-        "env/batched/glide.py",
-        "moved = take_turn(layout, tables, moved, _turn(layout, moved, turn), turn)",
-        "moved = _turn(layout, moved, turn)",
+        "env/batched/rules.py",
+        "moved = _take_turn(layout, tables, moved, _turn_smoothly(layout, moved, turn), turn)",
+        "moved = _turn_smoothly(layout, moved, turn)",
         "env/batched/test_glide.py::test_velocities_move_the_batch_as_the_scalar_rules",
     ),
     Mutation(
         "buttons that are equally deep are dealt in the order of their numbers",
-        "env/puzzles/sections.py",
+        "env/puzzles/buttons.py",
         "np.lexsort((rng.random(len(depths)), np.array(depths)))",
         "np.lexsort((np.arange(len(depths)), np.array(depths)))",
         "ladder/test_leaks.py::test_nothing_tells_of_the_graph_before_the_first_press",
     ),
     Mutation(
         "sections come in their geometric order",
-        "env/puzzles/sections.py",
+        "env/puzzles/buttons.py",
         "self.ranks[np.minimum(turns.astype(np.int64), self.count - 1)]",
         "np.minimum(turns.astype(np.int64), self.count - 1)",
         "env/puzzles/test_sections.py",

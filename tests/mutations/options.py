@@ -23,7 +23,7 @@ MUTATIONS = [
     Mutation(
         "a batch follows a plan on after a slip",
         "options/batched/env.py",
-        "kept = 1 if self._room.layout.is_random else PLAN_LENGTH",
+        "kept = 1 if self._room.layout.dynamics.is_random else PLAN_LENGTH",
         "kept = PLAN_LENGTH",
         "options/batched/test_batched_env.py::test_a_plan_is_not_followed_on_after_a_slip",
     ),

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.drawing.map_axes import draw_room
-from hrl_escape.env.drawing.maps import save_map
+from hrl_escape.env.drawing.maps import draw_room, save_map
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid, compute_distance
 from hrl_escape.env.kinematics import Kinematics

@@ -37,7 +37,7 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import PRESETS
-from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle
+from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle, SectionsConfig
 from hrl_escape.env.puzzles.graphs import (
     Edges,
     GraphConfig,
@@ -47,8 +47,7 @@ from hrl_escape.env.puzzles.graphs import (
     sample_relabelled,
 )
 from hrl_escape.env.puzzles.marks import MarksConfig, compute_depths
-from hrl_escape.env.puzzles.sections import SectionsConfig
-from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.env.sampling.generation import sample_puzzle
 from hrl_escape.errors import PlanningFailed, UnknownNameError, UnsupportedError
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.planner import RoomPlanner, get_planner

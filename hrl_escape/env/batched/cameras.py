@@ -24,7 +24,7 @@ from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pic
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.engine import check_camera, check_picture_size
 from hrl_escape.env.geometry import Footprint, Solid, make_footprint
-from hrl_escape.env.instance import RoomInstance, Target
+from hrl_escape.env.instance import RoomInstance, Target, compute_floors
 from hrl_escape.env.tensor_geometry import stack_shapes
 from hrl_escape.errors import UnsupportedError
 
@@ -102,7 +102,7 @@ def stack_scenery(instances: Sequence[RoomInstance], layout: Layout, device: tor
             rounds[:, n, k] = solid.x, solid.y, 0.0, solid.height, solid.half_x, solid.half_x
     floors = np.full((4, 2, len(instances)), 1e6)
     for k, instance in enumerate(instances):
-        for n, area in enumerate(palette.compute_floors(instance)):
+        for n, area in enumerate(compute_floors(instance)):
             floors[:, n, k] = area.x_min, area.x_max, area.y_min, area.y_max
     sizes = [(i.reach_x, i.reach_y, i.wall_height, palette.choose_tile(i)) for i in instances]
 
@@ -210,16 +210,7 @@ class _View(NamedTuple):
 class BatchedCamera:
     """A camera in every room of a batch.
 
-    Args:
-        room: the batch.
-        camera: `robot` or `overhead`, as in `CAMERAS`.
-        width: pixels, from 8 to 2048.
-        height: pixels, from 8 to 2048.
-
-    Raises:
-        UnknownNameError: no camera of that name.
-        ConfigError: an impossible size.
-        UnsupportedError: the camera `chase`, a robot with an arm, or targets with marks.
+    Its arguments, and what it raises, are those of `EscapeRoomVectorEnv.take_pictures`.
     """
 
     def __init__(self, room: TensorRoom, camera: str = "robot", width: int = 84, height: int = 84) -> None:

@@ -16,12 +16,11 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.compilation import CompiledStep, check_compiler
-from hrl_escape.env.batched.glide import glide
 from hrl_escape.env.batched.observations import compute_bounds, load_observation, observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
 from hrl_escape.env.batched.rooms import Rooms, find_device
-from hrl_escape.env.batched.rules import begin, is_in_exit, restart, step
+from hrl_escape.env.batched.rules import begin, glide, is_in_exit, restart, step
 from hrl_escape.env.batched.tables import (
     Layout,
     Tables,

@@ -10,9 +10,9 @@ from typing import Any, TypeAlias, TypedDict
 import numpy as np
 import torch
 
-from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.instance import InstanceForm, RoomInstance, read_instance
+from hrl_escape.env.presets import SchematicForm, read_schematic
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.errors import ConfigError
 
 InstanceSource: TypeAlias = InstanceForm | Sequence[InstanceForm]

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.bases import TensorBase
-from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.batched.poses import (
     TensorState,
     compute_angles,
+    compute_heading,
     compute_rotation,
     compute_touching,
     make_joint_column,
@@ -25,6 +25,8 @@ from hrl_escape.env.batched.poses import (
 from hrl_escape.env.batched.puzzles.base import TensorContacts
 from hrl_escape.env.batched.tables import Layout, Tables, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.kinematics import ROUNDING
+from hrl_escape.env.noise import CHANCE_PURPOSE, NOISE_PURPOSE, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH
 from hrl_escape.env.tensor_geometry import RoomSolids, Shapes, as_flags, compute_distance, store
@@ -41,19 +43,36 @@ class TensorTransition(NamedTuple):
     escaped: Tensor  # bool (rooms,)
 
 
+def compute_noise(key: Tensor, primitive: Tensor) -> tuple[Tensor, Tensor]:
+    """Return (standard normal, uniform in (0, 1)) for a primitive of each room's episode.
+
+    Both are float64 (rooms,): single precision would round the tail of the normal away.
+    """
+    a, b, c, _ = draw_words(key, primitive.to(torch.int64), NOISE_PURPOSE)
+    scale = 1.0 / 2**32
+    first, second, third = ((word.to(torch.float64) + 0.5) * scale for word in (a, b, c))
+    return torch.sqrt(-2.0 * torch.log(first)) * torch.cos(2.0 * math.pi * second), third
+
+
+def _draw_chance(state: TensorState) -> Tensor:
+    """Uniform numbers in (0, 1) that decide the random outcomes of puzzles, float64 (rooms,)."""
+    word, *_ = draw_words(state.noise_key, state.primitives.to(torch.int64), CHANCE_PURPOSE)
+    return (word.to(torch.float64) + 0.5) / 2**32
+
+
 # --- one primitive -------------------------------------------------------------------------
 
 
 def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> TensorTransition:
     """Apply one primitive, an integer (rooms,), in every room. Pure; an action outside the table does nothing."""
     scale = None
-    if layout.is_random:
+    if layout.dynamics.is_random:
         normal, uniform = compute_noise(state.noise_key, state.primitives)
         scale = 1.0 + layout.dynamics.noise * normal
         action = _slide(layout, tables, state, action, scale, uniform) if layout.dynamics.slip else action
     moved = _translate(layout, tables, state, action, scale)
     moved = _move_joints(layout, _turn(layout, tables, moved, action, scale), action, scale)
-    return complete_motion(layout, tables, state, moved, _find_grip(layout, action))
+    return _complete_motion(layout, tables, state, moved, _find_grip(layout, action))
 
 
 def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor, uniform: Tensor
@@ -104,9 +123,7 @@ def _translate(layout: Layout, tables: Tables, state: TensorState, action: Tenso
                scale: Tensor | None) -> TensorState:
     dx, dy = _compute_displacement(layout, tables, state, action, scale)
     pushed = _push(layout, tables, state, dx, dy) if layout.can_push else state
-    free = find_free_fraction(layout, tables, pushed, dx, dy)
-    if layout.dynamics.blocked == "stay":
-        free = (free >= 1.0).to(torch.float64)
+    free = _find_free_fraction(layout, tables, pushed, dx, dy)
     puzzle = torch.where(free > 0.0, pushed.puzzle, state.puzzle) if layout.can_push else state.puzzle
     return state._replace(x=state.x + free * dx, y=state.y + free * dy, puzzle=puzzle)
 
@@ -135,11 +152,11 @@ def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, ac
 def _is_free(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor) -> Tensor:
     """Return true where nothing blocks a translation, bool (rooms,)."""
     dx, dy = _compute_displacement(layout, tables, state, action, scale)
-    return find_free_fraction(layout, tables, state, dx, dy) >= 1.0
+    return _find_free_fraction(layout, tables, state, dx, dy) >= 1.0
 
 
-def find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
-    """Share in [0, 1] of displacements until the first contact, float64 (rooms,).
+def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
+    """Share in [0, 1] of displacements that is made, float64 (rooms,): until the first contact, or all or nothing.
 
     In any direction, as of velocities, a body may graze a solid: all contacts are found in double precision then.
     """
@@ -153,10 +170,10 @@ def find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: T
         inner: Shapes = pick(layout, tables.inner_doors, state.instance)
         is_shut = find_shut(layout, tables, state) & ~base.stands_in(inner)
         free = torch.minimum(free, torch.where(is_shut, base.compute_first_contact(dx, dy, inner), 1.0).amin(0))
-    if not layout.has_door:
-        return free
-    doors, is_shut = _find_door(layout, tables, state, base)
-    return torch.where(is_shut, torch.minimum(free, base.compute_first_contact(dx, dy, doors)[0]), free)
+    if layout.has_door:
+        doors, is_shut = _find_door(layout, tables, state, base)
+        free = torch.where(is_shut, torch.minimum(free, base.compute_first_contact(dx, dy, doors)[0]), free)
+    return (free >= 1.0).to(torch.float64) if layout.dynamics.blocked == "stay" else free
 
 
 def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorBase) -> tuple[Shapes, Tensor]:
@@ -170,11 +187,11 @@ def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorB
 def _turn(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
     """Turn the base where nothing blocks the turn."""
     angle = math.tau / layout.headings * (state.x.new_ones(()) if scale is None else scale)
-    return take_turn(layout, tables, state, _turn_freely(layout, state, action, scale),
+    return _take_turn(layout, tables, state, _turn_freely(layout, state, action, scale),
                      _find_effects(layout, action, "turn", angle))
 
 
-def take_turn(layout: Layout, tables: Tables, state: TensorState, turned: TensorState, angle: Tensor) -> TensorState:
+def _take_turn(layout: Layout, tables: Tables, state: TensorState, turned: TensorState, angle: Tensor) -> TensorState:
     """States in which the base has turned by an angle in rad, float64 (rooms,), where nothing blocks the turn."""
     if layout.robot.base.turns_anywhere:
         return turned
@@ -219,13 +236,13 @@ def _move_joints(layout: Layout, state: TensorState, action: Tensor, scale: Tens
                           joint_offsets=torch.where(is_allowed, offsets, state.joint_offsets))
 
 
-def complete_motion(layout: Layout, tables: Tables, before: TensorState, moved: TensorState, grip: Tensor
+def _complete_motion(layout: Layout, tables: Tables, before: TensorState, moved: TensorState, grip: Tensor
                     ) -> TensorTransition:
     """Complete a motion: presses, puzzle, reward, exit and horizon."""
     form, columns = pick_rules(layout, tables, before.instance)
     touching = compute_touching(layout, tables, moved)
     pressed = touching & ~before.touching
-    chance = draw_chance(before.noise_key, before.primitives) if layout.is_puzzle_random else torch.zeros_like(before.x)
+    chance = _draw_chance(before) if layout.is_puzzle_random else torch.zeros_like(before.x)
     has_moved = (moved.x != before.x) | (moved.y != before.y)
     contacts = TensorContacts(pressed, chance, touching, grip, has_moved, moved.x, moved.y,
                               _find_ahead(layout, tables, moved), torch.full_like(touching, -1))
@@ -275,6 +292,71 @@ def is_in_exit(layout: Layout, tables: Tables, instance: Tensor, x: Tensor, y: T
     return as_flags(margin >= 0.0)
 
 
+# --- velocities ----------------------------------------------------------------------------
+
+
+def glide(layout: Layout, tables: Tables, state: TensorState, rates: Tensor) -> TensorTransition:
+    """Move every room for one step of time. Pure.
+
+    Args:
+        layout: of the batch; its `velocities` say what the rates mean.
+        tables: of the batch.
+        state: of the rooms.
+        rates: velocities, float64 (rooms, numbers), clipped to their bounds; what is no number is 0.
+    """
+    kind = layout.velocities
+    assert kind is not None
+    bounds = torch.tensor(kind.list_bounds(layout.robot), dtype=rates.dtype, device=rates.device)
+    rates = torch.nan_to_num(rates, 0.0)
+    change = (torch.minimum(torch.maximum(rates, -bounds), bounds) * kind.time_step).unbind(1)
+    forward, turn, joints = change[0], change[-1 - layout.robot.joints], change[len(change) - layout.robot.joints :]
+    cos, sin = compute_rotation(layout, tables, state)
+    middle = compute_heading(layout, tables, state) + turn / 2.0
+    cos, sin = torch.where(turn == 0.0, cos, torch.cos(middle)), torch.where(turn == 0.0, sin, torch.sin(middle))
+    left = change[1] if layout.robot.drive == "strafing" else torch.zeros_like(forward)
+    dx, dy = forward * cos - left * sin, forward * sin + left * cos
+    scale = None
+    if layout.dynamics.is_random:
+        normal, uniform = compute_noise(state.noise_key, state.primitives)
+        scale = torch.where(uniform < layout.dynamics.slip, 0.0, 1.0 + layout.dynamics.noise * normal)
+        dx, dy, turn = scale * dx, scale * dy, scale * turn
+    dx, dy = store(dx), store(dy)
+    free = _find_free_fraction(layout, tables, state, dx, dy)
+    moved = state._replace(x=state.x + free * dx, y=state.y + free * dy)
+    moved = _take_turn(layout, tables, moved, _turn_smoothly(layout, moved, turn), turn)
+    moved = _bend(layout, moved, joints, scale) if joints else moved
+    return _complete_motion(layout, tables, state, moved, torch.zeros_like(state.touching))
+
+
+def _turn_smoothly(layout: Layout, state: TensorState, turn: Tensor) -> TensorState:
+    """States turned by an angle in rad, float64 (rooms,)."""
+    unit = math.tau / layout.headings
+    heading = state.heading_steps.to(torch.float64) * unit + state.heading_offset + turn
+    turns = torch.round(heading / unit)
+    offset = heading - turns * unit
+    offset = torch.where(offset.abs() > ROUNDING, offset, 0.0)
+    steps = torch.remainder(turns.to(torch.int32), layout.headings)
+    is_still = turn == 0.0
+    return state._replace(heading_steps=torch.where(is_still, state.heading_steps, steps),
+                          heading_offset=torch.where(is_still, state.heading_offset, offset))
+
+
+def _bend(layout: Layout, state: TensorState, change: tuple[Tensor, ...], scale: Tensor | None) -> TensorState:
+    """States whose joints have moved by angles in rad, float64 (rooms,) each, as far as their limits."""
+    arm, by = layout.arm, torch.stack(change)
+    is_still = (by == 0.0).all(0)
+    low, high = (make_joint_column(ends, by) for ends in zip(*arm.limits, strict=True))
+    angles = compute_angles(layout, state) + (by if scale is None else scale * by)
+    angles = torch.minimum(torch.maximum(angles, low), high)
+    home, lowest, highest = (make_joint_column(each, by) for each in (arm.home, arm.step_low, arm.step_high))
+    steps = torch.round((angles - home) / arm.step)
+    steps = torch.minimum(torch.maximum(steps, lowest), highest)
+    offsets = angles - (home + steps * arm.step)
+    offsets = torch.where((offsets.abs() > ROUNDING).any(0), offsets, 0.0)
+    return state._replace(joint_steps=torch.where(is_still, state.joint_steps, steps.to(torch.int32)),
+                          joint_offsets=torch.where(is_still, state.joint_offsets, offsets))
+
+
 # --- episodes ------------------------------------------------------------------------------
 
 
@@ -284,7 +366,7 @@ def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -
     instance, noise_key = state.instance, state.noise_key
     chosen = torch.zeros_like(instance)
     if layout.draws:
-        first, second, third, fourth = draw_words(state.seed, episode)
+        first, second, third, fourth = draw_words(state.seed, episode.to(torch.int64))
         if layout.resample:
             instance = scale_word(fourth, tables.total)
         chosen = scale_word(first, pick(layout, tables.start_counts, instance)[0])

@@ -66,11 +66,6 @@ class Layout:
         """True if joints can leave the lattice of joint steps, which takes noise or velocities."""
         return bool(self.dynamics.noise) or self.velocities is not None
 
-    @property
-    def is_random(self) -> bool:
-        """True if primitives are noisy or may slip."""
-        return self.dynamics.is_random
-
 
 class Tables(NamedTuple):
     """Numbers of every instance; the last axis of each table is the instance."""

@@ -1,4 +1,4 @@
-"""The Bullet engine: one room, kinematic or rigid, the cameras that look at it, and its window.
+"""The Bullet engine: one room, kinematic or rigid, the cameras that look at it, its window, and pybullet's clients.
 
 Importing any module of this package imports pybullet first, here, without the line that its C
 code writes to stderr. Everything else that C libraries write reaches the user at once.
@@ -7,9 +7,12 @@ code writes to stderr. Everything else that C libraries write reaches the user a
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from hrl_escape.errors import UnsupportedError
 
 
 @contextmanager
@@ -33,4 +36,24 @@ def _drop_stderr_lines(start: bytes) -> Iterator[None]:
 
 
 with _drop_stderr_lines(b"pybullet build time"):
-    import pybullet  # noqa: F401  # so that the modules of this package find it imported
+    import pybullet
+
+
+def connect(window: bool = False) -> int:
+    """Open a physics client; returns pybullet's number of it.
+
+    Raises:
+        UnsupportedError: a window without a display, or too many clients in this process.
+    """
+    if window and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise UnsupportedError("Bullet's window needs a display (DISPLAY is not set); use pictures (rgb_array) instead")
+    client = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
+    if client < 0:
+        raise UnsupportedError("Bullet gives no further physics client; close rooms that are no longer used")
+    return client
+
+
+def disconnect(client: int) -> None:
+    """Free a physics client, if it is there yet."""
+    if pybullet.isConnected(client):
+        pybullet.disconnect(client)

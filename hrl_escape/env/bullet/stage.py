@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 import pybullet
 from numpy.typing import NDArray
 
-from hrl_escape.env.bullet.scene import connect, disconnect
+from hrl_escape.env.bullet import connect, disconnect
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import meshes, palette
 from hrl_escape.env.drawing.meshes import LAYER, Mesh, compute_outline, make_cylinder, make_prism, make_shadow
@@ -87,7 +87,8 @@ class Stage:
         self._door = self._add_leaf(instance.door, meshes.make_leaf, palette.DOOR) if instance.door else None
         self._inner = [self._add_leaf(door, meshes.make_inner_door, palette.get_inner_colour(door))
                        for door in instance.inner_doors]
-        self._exit, self._exit_edge, self._is_open = *self._add_exit(), None
+        inside, edge = meshes.make_exit_area(instance)
+        self._exit, self._exit_edge, self._is_open = self._add(inside, _EXIT_LOCKED), self._add(edge, _EXIT_EDGE), None
         self._add_floor()
         if window:
             pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=self.client)
@@ -236,10 +237,6 @@ class Stage:
         standing = Standing(door, [self._add(whole, colour)], [self._add(cut, colour, shown=False)])
         self.standing.append(standing)
         return standing
-
-    def _add_exit(self) -> tuple[int, int]:
-        inside, edge = meshes.make_exit_area(self._instance)
-        return self._add(inside, _EXIT_LOCKED), self._add(edge, _EXIT_EDGE)
 
     def _add_floor(self) -> None:
         """Chequered floor, with puddles and the shadows of fixed things."""

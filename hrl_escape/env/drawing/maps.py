@@ -1,37 +1,61 @@
 """Crisp top-down maps of a room as figures and files: the room, its targets' graph, paths and a legend.
 
-`make_map` gives a matplotlib figure, `save_map` a PNG, SVG or PDF file (the same bytes every
-time), `make_map_image` pixels. It opens no window and runs no engine; pictures through
-Bullet's cameras are in `bullet/cameras.py`.
+`make_map` gives a matplotlib figure, `save_map` a PNG, SVG or PDF file (the same bytes every time), `make_map_image`
+pixels; `draw_room` draws on the caller's axes. Metres, the room frame, x to the right. Pictures through Bullet's
+cameras are in `bullet/cameras.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+import math
+import re
+from collections.abc import Hashable, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from numpy.typing import NDArray
+from matplotlib.patches import Circle, FancyArrowPatch, Patch, Polygon
+from matplotlib.patches import Rectangle as RectanglePatch
+from matplotlib.patheffects import withStroke
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import isotonic_regression
 
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.graph_inset import draw_graph
-from hrl_escape.env.drawing.map_axes import Trajectory, draw_room, get_colour
-from hrl_escape.env.drawing.meshes import compute_extent
-from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.drawing.meshes import compute_extent, outline_capsule, rotate_box
+from hrl_escape.env.geometry import Solid
+from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.marks import compute_depths
+from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, get_trait
 from hrl_escape.figures import STYLE, save_figure
-
-__all__ = ["Trajectory", "make_map", "make_map_image", "make_strip", "save_map"]
 
 _MAP_INCHES = 6.6  # the longer side of the room
 _PANEL_INCHES = 2.5
 _TICK_INCHES = 0.25  # for numbers along the lower and left edge
+_LABEL_POINTS = 8.0
+_HALO = (withStroke(linewidth=2.5, foreground="white"),)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trajectory:
+    """A path to draw.
+
+    Attributes:
+        points: positions (n, 2) of the body's axis, m.
+        label: name in the legend; empty for none.
+        colour: any matplotlib colour; None takes the next of the palette's.
+    """
+
+    points: ArrayLike
+    label: str = ""
+    colour: str | None = None
 
 
 def make_map(instance: RoomInstance, state: RoomState | None = None, trajectories: Sequence[Trajectory] = (),
@@ -159,3 +183,336 @@ def _make_handles(instance: RoomInstance, trajectories: Sequence[Trajectory]) ->
     handles += [Line2D([], [], color=get_colour(path, number), linewidth=2, label=path.label)
                 for number, path in enumerate(trajectories) if path.label]
     return handles
+
+
+# --- the room ------------------------------------------------------------------------------
+
+
+def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories: Sequence[Trajectory] = (),
+              names: bool = True) -> None:
+    """Draw a room on axes whose limits are set (wider than the room, for names to fit).
+
+    Paths are drawn under the robot; `names` adds the targets' names, and metres along the edges.
+    """
+    axes.set_aspect("equal")
+    if names:
+        _draw_ticks(axes, instance)
+    else:
+        axes.set_axis_off()
+    _draw_floor(axes, instance, state)
+    for solid in instance.solids:
+        wall = solid.role == "wall"
+        colour = palette.WALL if wall else palette.OBSTACLE
+        axes.add_patch(_make_outline(solid, facecolor=colour, edgecolor=palette.WALL if wall else palette.OBSTACLE_EDGE,
+                                     linewidth=0.8, zorder=3.2 if wall else 3))
+    for placed in instance.props:
+        half, prop = placed.prop.half_size, placed.prop
+        corners = rotate_box(placed.x, placed.y, half, half, placed.yaw)
+        plate = prop.kind == "plate"
+        axes.add_patch(Polygon(corners, facecolor=palette.PLATE if plate else palette.PROP, edgecolor=palette.PROP_EDGE,
+                               linewidth=1.0, linestyle="--" if plate else "-", zorder=2 if plate else 5))
+        axes.annotate(prop.name, (placed.x, placed.y), (0, -7 - 72 * half * _get_scale(axes)), fontsize=_LABEL_POINTS,
+                      textcoords="offset points", ha="center", va="top", color=palette.PROP_EDGE, zorder=8,
+                      path_effects=_HALO)
+    sides = _draw_targets(axes, instance, state)
+    for side, members in sides.items() if names else ():
+        _draw_names(axes, instance, state, side, members)
+    for number, trajectory in enumerate(trajectories):
+        _draw_trajectory(axes, trajectory, get_colour(trajectory, number))
+    _draw_starts(axes, instance)
+    _draw_robot(axes, instance, state)
+
+
+def _make_outline(solid: Solid, **style: Any) -> Patch:
+    if solid.shape == "cylinder":
+        return Circle((solid.x, solid.y), solid.half_x, **style)
+    return Polygon(rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw), **style)
+
+
+def _get_scale(axes: Axes) -> float:
+    """Scale of the drawing: inches of paper per metre of floor."""
+    wide, high = axes.bbox.width / axes.figure.dpi, axes.bbox.height / axes.figure.dpi
+    (x_min, x_max), (y_min, y_max) = axes.get_xlim(), axes.get_ylim()
+    return min(wide / (x_max - x_min), high / (y_max - y_min))
+
+
+def _draw_ticks(axes: Axes, instance: RoomInstance) -> None:
+    """Draw metres along the lower and left edge, clear of the names."""
+    size = 2 * max(instance.half_width, instance.half_depth)
+    step = next(step for step in (1, 2, 5, 10, 20, 50, 1e9) if size / step <= 8)
+    for set_ticks, half in ((axes.set_xticks, instance.half_width), (axes.set_yticks, instance.half_depth)):
+        most = math.floor(half / step + 1e-9)
+        ticks = [step * n for n in range(-most, most + 1)]
+        set_ticks(ticks, [f"{tick:g}".replace("-", "\N{MINUS SIGN}") for tick in ticks])
+    axes.tick_params(direction="in", pad=-11, labelsize=6.5, labelcolor=palette.MUTED, color=palette.MUTED, length=2)
+    axes.tick_params(axis="y", pad=-16)
+    for side in axes.spines.values():
+        side.set_visible(False)
+    axes.annotate("x [m]", (1, 0), (-6, 4), xycoords="axes fraction", textcoords="offset points", fontsize=6.5,
+                  color=palette.MUTED, ha="right")
+    axes.annotate("y [m]", (0, 1), (4, -10), xycoords="axes fraction", textcoords="offset points", fontsize=6.5,
+                  color=palette.MUTED)
+
+
+def _draw_exit(axes: Axes, area: Rectangle, is_open: bool) -> None:
+    colour = palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED
+    corner, wide, high = _measure(area)
+    axes.add_patch(RectanglePatch(corner, wide, high, facecolor=colour, alpha=0.35, zorder=1))
+    axes.add_patch(RectanglePatch(corner, wide, high, fill=False, edgecolor=colour, linewidth=1.4,
+                                  linestyle="-" if is_open else (0, (4, 2)), zorder=2))
+    points = max(6.0, min(10.0, 72 * _get_scale(axes) * min(wide, high) / 3.2))
+    axes.text(*area.centre, "exit", fontsize=points, color=palette.EXIT_INK, ha="center", va="center",
+              zorder=4, weight="bold", path_effects=_HALO)
+
+
+def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
+    for floor in compute_floors(instance):
+        axes.add_patch(RectanglePatch(*_measure(floor), facecolor=palette.FLOOR, zorder=0))
+    for puddle in get_trait(instance.puzzle, Depicted).puddles:
+        axes.add_patch(Polygon(outline_capsule(puddle), facecolor=palette.PUDDLE, alpha=0.6, zorder=0.5))
+    is_open = instance.puzzle.is_solved(state.puzzle)
+    if not instance.exit.is_flat:
+        _draw_exit(axes, instance.exit, is_open)
+    if instance.door is not None:
+        style: dict[str, Any] = {"fill": False, "linestyle": ":"} if is_open else {"facecolor": palette.DOOR}
+        axes.add_patch(_make_outline(instance.door, edgecolor=palette.DOOR, linewidth=1.2, zorder=4, **style))
+    _draw_inner_doors(axes, instance, get_trait(instance.puzzle, Barring).get_shut(state.puzzle))
+
+
+def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
+    """Draw doors and things in cells, and next to a door between rooms the name of the target that opens it."""
+    for number, door in enumerate(instance.inner_doors):
+        colour, share = palette.get_inner_colour(door), palette.get_inner_share(door)
+        shape = dataclasses.replace(door, half_x=share * door.half_x, half_y=share * door.half_y)
+        if shut >> number & 1:
+            axes.add_patch(_make_outline(shape, facecolor=colour, edgecolor=colour, zorder=5))
+        elif door.role == "door":
+            axes.add_patch(_make_outline(shape, fill=False, edgecolor=colour, linestyle=":", linewidth=1.2, zorder=5))
+    facts = get_trait(instance.puzzle, Doored).door_facts
+    operators = instance.symbolic_model.operators if facts else ()
+    for door, fact in zip(instance.inner_doors, facts, strict=bool(facts)):
+        openers = " or ".join(dict.fromkeys(op.target for op in operators if fact in op.may_add))
+        beside = -8 * math.sin(door.yaw), 8 * math.cos(door.yaw)
+        axes.annotate(openers, (door.x, door.y), beside, textcoords="offset points", fontsize=6.5, color=palette.DOOR,
+                      ha="center", va="center", rotation=math.degrees(door.yaw), zorder=6, path_effects=_HALO)
+
+
+def _measure(area: Rectangle) -> tuple[tuple[float, float], float, float]:
+    """Corner, width and height of a rectangle, m."""
+    return (area.x_min, area.y_min), area.x_max - area.x_min, area.y_max - area.y_min
+
+
+def _draw_starts(axes: Axes, instance: RoomInstance) -> None:
+    turn = math.radians(instance.robot.turn_step_deg)
+    many = len(instance.starts) > 12
+    for start in instance.starts[:500]:
+        axes.plot(start.x, start.y, "o", markersize=3 if many else 6, markerfacecolor="white", zorder=5,
+                  markeredgecolor=palette.INK, markeredgewidth=1.0, alpha=0.5 if many else 1.0)
+        if not many:
+            heading = start.heading_steps * turn + start.heading_offset
+            axes.annotate("", (start.x, start.y), (11 * math.cos(heading), 11 * math.sin(heading)), zorder=5,
+                          textcoords="offset points",
+                          arrowprops={"arrowstyle": "<-", "color": palette.INK, "shrinkA": 0, "shrinkB": 3})
+
+
+def _draw_robot(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
+    """Body with a heading mark, arm links seen from above, and the hand."""
+    rules = Kinematics(instance)
+    robot, radius, scale = rules.robot, instance.robot.inner_radius, 72 * _get_scale(axes)
+    at, heading = np.array([state.x, state.y]), rules.get_heading(state)
+    if 2 * radius * scale < 9:  # a robot drawn a few points wide is hard to find
+        axes.plot(*at, "o", markersize=13, fillstyle="none", color=palette.BODY, markeredgewidth=1.0, zorder=7)
+    style: dict[str, Any] = {"facecolor": palette.BODY, "edgecolor": palette.BODY_EDGE, "linewidth": 1.0, "zorder": 7}
+    corners = instance.robot.base.find_corners_at(state.x, state.y, heading)
+    axes.add_patch(Polygon(corners, **style) if corners else Circle((state.x, state.y), radius, **style))
+    angles = heading + np.array([0.0, 2.5, math.pi, -2.5])
+    reach = radius * np.array([0.85, 0.75, 0.3, 0.75])
+    axes.add_patch(Polygon(at + reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1),
+                           facecolor="white", linewidth=0, zorder=8))
+    if not instance.robot.joints:
+        return
+    points = robot.trace_links(rules.get_angles(state))[:, :2]
+    turned = points @ np.array([(math.cos(heading), math.sin(heading)), (-math.sin(heading), math.cos(heading))]) + at
+    axes.plot(*turned.T, color=palette.ARM, linewidth=2.6, solid_capstyle="round", marker="o", markersize=3.4,
+              markerfacecolor="white", markeredgewidth=0.8, zorder=9)
+    size = max(5.0, 2 * scale * instance.robot.hand_radius)
+    axes.plot(*turned[-1], "o", markersize=size, color=palette.HAND, markeredgecolor=palette.ARM,
+              markeredgewidth=0.8, zorder=10)
+
+
+def get_colour(trajectory: Trajectory, number: int) -> str:
+    """Colour of trajectory `number`: its own, or the next of the palette."""
+    return trajectory.colour or palette.LINES[number % len(palette.LINES)]
+
+
+def _draw_trajectory(axes: Axes, trajectory: Trajectory, colour: str) -> None:
+    points = np.asarray(trajectory.points, dtype=np.float64).reshape(-1, 2)
+    if not len(points):
+        return
+    axes.plot(*points.T, color=colour, linewidth=1.7, alpha=0.95, solid_capstyle="round", solid_joinstyle="round",
+              path_effects=[withStroke(linewidth=3.2, foreground="white")], zorder=6)
+    axes.plot(*points.T, ".", color=colour, markersize=3.5, zorder=6)
+    axes.plot(*points[-1], "X", color=colour, markersize=7, markeredgecolor="white", markeredgewidth=0.8, zorder=6.5)
+
+
+# --- targets and their names ---------------------------------------------------------------
+
+
+def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> dict[str, list[int]]:
+    """Draw panels as coloured bars and pads as areas; return which targets have their names on which side."""
+    puzzle, marks = instance.puzzle, palette.list_marks(instance.puzzle)
+    sides: dict[str, list[int]] = {}
+    for index, target in enumerate(instance.targets):
+        fill, edge, _ = palette.get_target_look(puzzle, state.puzzle, index)
+        corners = rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
+        axes.add_patch(Polygon(corners, facecolor=fill, edgecolor=edge, linewidth=4.0, joinstyle="round", zorder=3.8))
+        axes.add_patch(Polygon(corners, facecolor=fill, edgecolor=fill, linewidth=2.4, joinstyle="round", zorder=4))
+        if puzzle.get_lit(state.puzzle)[index]:
+            axes.add_patch(Polygon(corners, fill=False, edgecolor=palette.LIT.fill, linewidth=10, alpha=0.4,
+                                   zorder=3.7, joinstyle="round"))
+        if marks:
+            colour, outline = marks[index]
+            size = 0.5 * max(0.6, target.half_x)
+            x, y = (at + (target.half_y + 1.3 * size) * part for at, part in zip(
+                (target.x, target.y), palette.find_front(instance, target), strict=True))
+            axes.add_patch(Polygon([(x + size * u, y + size * v) for u, v in outline], facecolor=colour,
+                                   edgecolor=palette.INK, linewidth=0.6, zorder=4.2))
+        side = "inside" if target.kind == "pad" else _find_side(instance, target)
+        sides.setdefault(side, []).append(index)
+    return sides
+
+
+def _find_side(instance: RoomInstance, target: Target) -> str:
+    """Find where a target's name goes: outside the outer wall that it belongs to, or `inside`."""
+    gaps = {"left": target.x + instance.half_width, "right": instance.half_width - target.x,
+            "bottom": target.y + instance.half_depth, "top": instance.half_depth - target.y}
+    side = min(gaps, key=gaps.__getitem__)
+    near = max(0.5, 0.06 * (instance.half_width + instance.half_depth))
+    return side if gaps[side] <= near else "inside"
+
+
+def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str, members: list[int]) -> None:
+    scale = 72 * _get_scale(axes)  # points a metre
+    line, x_min, x_max, y_min, y_max = 1.75 * _LABEL_POINTS / scale, *compute_extent(instance)
+    names = [palette.name_target(instance.puzzle, state.puzzle, index) for index in members]
+    along = [instance.targets[i].y if side in ("left", "right") else instance.targets[i].x for i in members]
+    longest = 0.72 * _LABEL_POINTS * max(len(name) for name in names) / scale
+    upright = side in ("top", "bottom") and min(np.diff(sorted(along)), default=math.inf) < longest
+    places = _spread(along, longest if side in ("top", "bottom") and not upright else line)
+    for index, name, place in zip(members, names, places, strict=True):
+        target = instance.targets[index]
+        fill, edge, ink = palette.get_target_look(instance.puzzle, state.puzzle, index)
+        box = {"boxstyle": "round,pad=0.25", "facecolor": fill, "edgecolor": edge, "linewidth": 0.8}
+        style: dict[str, Any] = {"fontsize": _LABEL_POINTS, "color": ink, "bbox": box, "zorder": 11}
+        style["weight"] = "bold" if index in get_trait(instance.puzzle, Graphed).goal_targets else "normal"
+        gap = 12 / scale
+        if target.kind == "pad":
+            axes.annotate(name, (target.x, target.y), ha="center", va="center", **style)
+            continue
+        if side == "inside":
+            behind = [-round(part) for part in palette.find_front(instance, target)]
+            axes.annotate(name, (target.x, target.y), (12 * behind[0], 12 * behind[1]), textcoords="offset points",
+                          annotation_clip=False, ha=("center", "left", "right")[behind[0]],
+                          va=("center", "bottom", "top")[behind[1]], **style)
+            continue
+        where, anchor = {
+            "left": ((x_min - gap, place), {"ha": "right", "va": "center"}),
+            "right": ((x_max + gap, place), {"ha": "left", "va": "center"}),
+            "bottom": ((place, y_min - gap), {"ha": "center", "va": "top"}),
+            "top": ((place, y_max + gap), {"ha": "center", "va": "bottom"}),
+        }[side]
+        axes.annotate(name, (target.x, target.y), where, annotation_clip=False, rotation=90 if upright else 0,
+                      arrowprops={"arrowstyle": "-", "color": edge, "linewidth": 0.7, "shrinkA": 0, "shrinkB": 0},
+                      **anchor, **style)
+
+
+def _spread(places: Sequence[float], gap: float) -> list[float]:
+    """Move labels on a line as little as possible (least squares) so that they keep order and a gap."""
+    order = np.argsort(places, kind="stable")
+    ranks = gap * np.arange(len(places))
+    moved = np.empty(len(places))
+    moved[order] = isotonic_regression(np.asarray(places)[order] - ranks).x + ranks
+    return moved.tolist()
+
+
+# --- the targets' graph --------------------------------------------------------------------
+
+
+_ROWS_A_COLUMN, _NODES_A_ROW = 12, 8
+_LARGEST_CELL = 38.0  # points
+_SWEEPS = 8
+
+
+def compute_layout(count: int, edges: Sequence[tuple[int, int]]) -> list[tuple[float, float]]:
+    """Place each node: roots on top, children below, few crossings; y grows downwards.
+
+    Returns:
+        (x, y) per node, in units of one node's distance to the next. Layers of more than 8
+        take several rows; after 12 rows it continues in the next column, upwards and downwards
+        in turn.
+    """
+    depths = compute_depths(count, edges)
+    layers = [[n for n in range(count) if depths[n] == depth] for depth in range(max(depths, default=0) + 1)]
+    _reduce_crossings(layers, edges)
+    rows = [layer[i : i + _NODES_A_ROW] for layer in layers for i in range(0, len(layer), _NODES_A_ROW)]
+    columns = [rows[i : i + _ROWS_A_COLUMN] for i in range(0, len(rows), _ROWS_A_COLUMN)]
+    places = [(0.0, 0.0)] * count
+    left = 0.0
+    for number, column in enumerate(columns):
+        width = max(map(len, column))
+        for place, row in enumerate(column):
+            y = _ROWS_A_COLUMN - 1 - place if number % 2 else place
+            for i, node in enumerate(row):
+                places[node] = (left + (width - len(row)) / 2 + i, float(y))
+        left += width
+    return places
+
+
+def _reduce_crossings(layers: list[list[int]], edges: Sequence[tuple[int, int]]) -> None:
+    """Order each layer by the mean place of its neighbours, down and up in turn (Sugiyama et al. 1981)."""
+    for sweep in range(_SWEEPS):
+        down = sweep % 2 == 0
+        place = {node: i - len(layer) / 2 for layer in layers for i, node in enumerate(layer)}
+        for layer in layers if down else reversed(layers):
+            near = {n: [place[a if down else b] for a, b in edges if n == (b if down else a)] for n in layer}
+            mean = {n: sum(near[n]) / len(near[n]) if near[n] else place[n] for n in layer}
+            layer.sort(key=mean.__getitem__)
+            place |= {node: i - len(layer) / 2 for i, node in enumerate(layer)}
+
+
+def shorten(name: str) -> str:
+    """Short form of a name for small nodes: `12` for `button-12`."""
+    number = re.fullmatch(r".*-(\d+)", name)
+    return number[1] if number else name
+
+
+def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
+    """Draw the dependencies between a puzzle's targets, coloured by state; dots lock, the goal has a second ring."""
+    graph = get_trait(puzzle, Graphed)
+    places = compute_layout(len(puzzle.target_names), graph.edges)
+    right, bottom = (max((p[i] for p in places), default=0.0) for i in (0, 1))
+    inches = np.array((axes.bbox.width, axes.bbox.height)) / axes.figure.dpi
+    cell = min(_LARGEST_CELL, 72 * inches[0] / (right + 1), 72 * inches[1] / (bottom + 1))  # points between nodes
+    wide, high = 72 * inches / cell
+    axes.set(xlim=(-0.5, wide - 0.5), ylim=(high - 0.5, -0.5), aspect="equal")
+    axes.set_axis_off()
+    radius, size = 0.32, min(9.0, 0.36 * cell)
+    for parent, child in graph.edges:
+        axes.add_patch(
+            FancyArrowPatch(places[parent], places[child], arrowstyle="-|>", mutation_scale=min(9.0, 0.3 * cell),
+                            shrinkA=radius * cell, shrinkB=radius * cell + 1, linewidth=min(1.1, 0.04 * cell),
+                            color=palette.MUTED, zorder=1)
+        )
+    for locking, locked in graph.locks_between:
+        axes.add_patch(
+            FancyArrowPatch(places[locking], places[locked], arrowstyle="-[,widthB=0.35,lengthB=0", linestyle="dotted",
+                            mutation_scale=min(9.0, 0.3 * cell), connectionstyle="arc3,rad=0.25", shrinkA=radius * cell,
+                            shrinkB=radius * cell + 2, linewidth=min(1.1, 0.04 * cell), color=palette.LOCK, zorder=1)
+        )
+    for node, (x, y) in enumerate(places):
+        fill, edge, ink = palette.get_target_look(puzzle, state, node)
+        axes.add_patch(Circle((x, y), radius, facecolor=fill, edgecolor=edge, linewidth=1.0, zorder=2))
+        if node in graph.goal_targets:
+            axes.add_patch(Circle((x, y), radius + 0.09, fill=False, edgecolor=edge, linewidth=1.2, zorder=2))
+        axes.text(x, y, shorten(puzzle.target_names[node]), fontsize=size, color=ink,
+                  ha="center", va="center_baseline", zorder=3)

@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.geometry import Solid
-from hrl_escape.env.instance import Rectangle, RoomInstance, Target
+from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
 from hrl_escape.env.puzzles.places import Capsule, Prop
 from hrl_escape.env.puzzles.traits import Depicted, get_trait
 
@@ -220,7 +220,7 @@ def format_obj(mesh: Mesh) -> str:
 
 def make_floor(instance: RoomInstance, casting: Iterable[Solid]) -> tuple[Mesh, Mesh, Mesh, Mesh]:
     """The even and the odd tiles, the shadows that solids cast on them, and puddles; each may be empty."""
-    floors, side = palette.compute_floors(instance), palette.choose_tile(instance)
+    floors, side = compute_floors(instance), palette.choose_tile(instance)
     shadows = [make_shadow(compute_outline(solid), solid.height, LAYER, floor) for solid in casting for floor in floors]
     puddles = [make_flat(outline_capsule(puddle), 1.5 * LAYER)
                for puddle in get_trait(instance.puzzle, Depicted).puddles]

@@ -16,10 +16,10 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.graph_inset import shorten
+from hrl_escape.env.drawing.maps import shorten
 from hrl_escape.env.drawing.meshes import compute_extent, outline_capsule
 from hrl_escape.env.geometry import Solid
-from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance
+from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, compute_floors
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
 from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
@@ -73,7 +73,7 @@ def describe_room(instance: RoomInstance) -> dict[str, Any]:
     marks = palette.list_marks(instance.puzzle)
     return {
         "extent": {"x_min": x_min, "x_max": x_max, "y_min": y_min, "y_max": y_max},
-        "floors": [_describe_rectangle(floor) for floor in palette.compute_floors(instance)],
+        "floors": [_describe_rectangle(floor) for floor in compute_floors(instance)],
         "puddles": [[[round(x, 3), round(y, 3)] for x, y in outline_capsule(puddle)]
                     for puddle in get_trait(instance.puzzle, Depicted).puddles],
         "exit": _describe_rectangle(instance.exit),
@@ -103,13 +103,13 @@ def make_frames(rules: Rules, states: Sequence[RoomState]) -> dict[str, Any]:
         doors that block the way (indices) or the exit (true if it is open) change; `props`: per state [x, y, yaw] a
         prop, empty where none can move.
     """
-    puzzle, find_arm = rules.instance.puzzle, _make_arm_finder(rules)
+    puzzle = rules.instance.puzzle
     bars = get_trait(puzzle, Barring)
     return {
         "x": [round(state.x, 3) for state in states],
         "y": [round(state.y, 3) for state in states],
         "heading": [round(rules.get_heading(state), 4) for state in states],
-        "arm": [find_arm(state) for state in states] if rules.instance.robot.joints else [],
+        "arm": [_trace_arm(rules, state) for state in states] if rules.instance.robot.joints else [],
         "lit": _list_changes(states, lambda state: [n for n, on in enumerate(puzzle.get_lit(state)) if on]),
         "shut": _list_changes(states, lambda state: [
             n for n in range(len(rules.instance.inner_doors)) if bars.get_shut(state) >> n & 1]),
@@ -131,20 +131,12 @@ def _list_changes(states: Sequence[RoomState], read: Callable[[Hashable], Any]) 
     return changes
 
 
-def _make_arm_finder(rules: Rules) -> Callable[[RoomState], list[list[float]]]:
-    """A function from a state to where each joint of the arm and the hand are, [x, y] in the room."""
-    robot = rules.robot
-    # the chain cut after each joint ends where the next link begins
-    cuts = [dataclasses.replace(robot, chain=robot.chain[: n + 1]) for n in range(len(robot.chain))]
-
-    def find(state: RoomState) -> list[list[float]]:
-        angles, heading = rules.get_angles(state), rules.get_heading(state)
-        cos, sin = math.cos(heading), math.sin(heading)
-        points = [cut.compute_hand(angles) for cut in cuts]
-        return [[round(float(state.x + cos * x - sin * y), 3), round(float(state.y + sin * x + cos * y), 3)]
-                for x, y, _ in points]
-
-    return find
+def _trace_arm(rules: Rules, state: RoomState) -> list[list[float]]:
+    """Places of the arm's joints and of the hand, [x, y] in the room."""
+    heading = rules.get_heading(state)
+    cos, sin = math.cos(heading), math.sin(heading)
+    return [[round(float(state.x + cos * x - sin * y), 3), round(float(state.y + sin * x + cos * y), 3)]
+            for x, y, _ in rules.robot.trace_links(rules.get_angles(state))]
 
 
 def _describe_rectangle(area: Rectangle) -> list[float]:

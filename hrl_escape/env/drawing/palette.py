@@ -10,7 +10,7 @@ from collections.abc import Hashable
 from typing import NamedTuple
 
 from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
-from hrl_escape.env.instance import Rectangle, RoomInstance, Target
+from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.marks import split_mark
 from hrl_escape.env.puzzles.traits import Depicted, Graphed, Marked, get_trait
@@ -94,25 +94,6 @@ def get_inner_colour(door: Solid) -> str:
 def get_inner_share(door: Solid) -> float:
     """Share of its cell that an inner door, or a thing in a cell, fills in pictures."""
     return 0.9 if door.role == "door" else 0.4
-
-
-def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:
-    """Floor rectangles: the room's, and that of the alcove behind an exit door."""
-    half_x, half_y = instance.half_width, instance.half_depth
-    room = Rectangle(-half_x, half_x, -half_y, half_y)
-    if instance.door is None:
-        return (room,)
-    # the alcove is deeper than the exit in it by the radius that the base needs, and reaches back through the doorway
-    area, deep = instance.exit, instance.robot.outer_radius
-    low_x, high_x = area.x_min < -half_x, area.x_max > half_x
-    low_y, high_y = area.y_min < -half_y, area.y_max > half_y
-    alcove = Rectangle(
-        area.x_min - deep if low_x else half_x if high_x else area.x_min,
-        area.x_max + deep if high_x else -half_x if low_x else area.x_max,
-        area.y_min - deep if low_y else half_y if high_y else area.y_min,
-        area.y_max + deep if high_y else -half_y if low_y else area.y_max,
-    )
-    return room, alcove
 
 
 def choose_tile(instance: RoomInstance) -> float:

@@ -45,11 +45,8 @@ class _OfKind(Schematic, ABC):
     kind: ClassVar[str]
     _section = "puzzle"
     _default_kind: ClassVar[str | None] = None
-
-    @classmethod
-    @abstractmethod
-    def _get_member(cls, kind: PuzzleKind) -> type[Self]:
-        """Return this family's class (schematic or rules) of a kind."""
+    _family: ClassVar[str]
+    """Field of `PuzzleKind` with this family's class: the schematic's, or that of the rules."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the kind and the fields as plain values."""
@@ -67,7 +64,7 @@ class _OfKind(Schematic, ABC):
             raise ConfigError(cls._section, data, "a table of fields")
         own = getattr(cls, "kind", None)
         kind = data.get("kind", own or cls._default_kind)
-        member = cls if own is not None and kind == own else cls._get_member(get_puzzle_kind(kind))
+        member = cls if own is not None and kind == own else getattr(get_puzzle_kind(kind), cls._family)
         if not issubclass(member, cls):
             raise ConfigError("puzzle.kind", kind, repr(own))
         return super(_OfKind, member).from_dict({name: value for name, value in data.items() if name != "kind"})
@@ -81,11 +78,7 @@ class PuzzleConfig(_OfKind):
     """
 
     needs_physics: ClassVar[bool] = False
-    _default_kind = "buttons"
-
-    @classmethod
-    def _get_member(cls, kind: PuzzleKind) -> type[PuzzleConfig]:
-        return kind.config_type
+    _default_kind, _family = "buttons", "config_type"
 
     def check(self) -> None:
         """Check that all targets have places; puzzles with settings that relate several fields extend it."""
@@ -128,8 +121,8 @@ class PuzzleConfig(_OfKind):
 class Puzzle(_OfKind):
     """A concrete puzzle: the rules, as pure functions of its hashable state.
 
-    A puzzle defines `kind`, `target_names`, `make_state`, `update`, `is_solved` and `observe`. The other members have
-    defaults; rarer abilities are traits (`traits.py`), among them a symbolic model of its own (`Modelled`).
+    A puzzle defines `kind`, `target_names`, `update`, `is_solved` and `observe`. The other members have defaults; rarer
+    abilities are traits (`traits.py`), among them a symbolic model of its own (`Modelled`).
 
     Attributes:
         kind: registered name.
@@ -139,10 +132,7 @@ class Puzzle(_OfKind):
 
     are_pads: ClassVar[bool] = False
     about: ClassVar[str] = "Its rule is hidden: try things, and see what changes."
-
-    @classmethod
-    def _get_member(cls, kind: PuzzleKind) -> type[Puzzle]:
-        return kind.puzzle_type
+    _family = "puzzle_type"
 
     @property
     @abstractmethod
@@ -172,9 +162,9 @@ class Puzzle(_OfKind):
         """True if the outcome of a press or grip is drawn: `update` then reads `contacts.uniform`."""
         return bool(self.chances)
 
-    @abstractmethod
     def make_state(self) -> PuzzleState:
-        """Return the state at the start of an episode."""
+        """Return the state at the start of an episode; by default 0."""
+        return 0
 
     def list_starts(self) -> tuple[PuzzleState, ...]:
         """List the states in which episodes may begin, equally likely. The first is `make_state()`."""

@@ -37,14 +37,9 @@ class BitFlipConfig(PuzzleConfig):
 class BitFlipPuzzle(Graphed, BitPuzzle):
     """A concrete BitFlip puzzle. Bit i is called `bit-<i+1>`."""
 
-    kind = "bit-flip"
+    kind, word = "bit-flip", "bit"
     count: Annotated[int, Range(1, 64)] = 1
     """Number of bits, each with a panel."""
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the panels, `bit-1` to `bit-<count>`."""
-        return tuple(f"bit-{i + 1}" for i in range(self.count))
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:

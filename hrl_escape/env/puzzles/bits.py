@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.graphs import ButtonNumber, compute_order, find_ancestors, mask_parents
@@ -15,14 +15,20 @@ from hrl_escape.settings import Range
 
 
 class BitPuzzle(Modelled, Puzzle):
-    """Base of puzzles of bits; a subclass adds names, rules, the symbolic model, and the field `count`."""
+    """Base of puzzles of bits; a subclass adds rules, the symbolic model, and the field `count`.
 
+    Attributes:
+        word: what a target is called; target i is `<word>-<i+1>`.
+    """
+
+    word: ClassVar[str]
     count: int
     """Number of targets, and of bits in the state."""
 
-    def make_state(self) -> int:
-        """State with all targets off."""
-        return 0
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the targets, `<word>-1` to `<word>-<count>`."""
+        return tuple(f"{self.word}-{i + 1}" for i in range(self.count))
 
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value is a word of this many bits."""

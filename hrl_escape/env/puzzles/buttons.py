@@ -9,10 +9,13 @@ once a is on, b cannot be turned on any more. A button may open a door between t
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.bits import GraphPuzzle
@@ -25,9 +28,9 @@ from hrl_escape.env.puzzles.graphs import (
     sample_relabelled,
 )
 from hrl_escape.env.puzzles.marks import COLOURS, Mark, MarksConfig
-from hrl_escape.env.puzzles.sections import SectionsConfig
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.puzzles.traits import Doored, Marked
+from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -41,6 +44,54 @@ MOST_TO_FAIL = 63
 """Buttons of a puzzle that can be failed: one bit of the word is kept for that."""
 _TRIES = 200
 """Most graphs drawn in search of one with enough dead ends."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SectionsConfig(Schematic):
+    """Ranking of the directions from a room's middle by which its buttons are hung, so that places tell of the graph.
+
+    The floor is cut into equal sections around the middle. Buttons that must wait for more others hang in sections of
+    higher rank, and within one section further counter-clockwise. The ranking follows no rule, so it can be learned in
+    some rooms and used in others. The places themselves are those of a room without sections.
+    """
+
+    _section = "sections"
+    count: Annotated[int, Range(0, 64)] = 0
+    """Equal sections around the middle, counter-clockwise from the right (0: places tell nothing of the graph)."""
+    code: Annotated[int, Range(0, 2**63 - 1)] = 0
+    """Seed of the ranking."""
+
+    @cached_property
+    def ranks(self) -> NDArray[np.int64]:
+        """Rank of each section, (sections,)."""
+        return np.random.default_rng([self.code, 5]).permutation(self.count)
+
+    def sort_places(self, places: ArrayLike) -> NDArray[np.int64]:
+        """Numbers of places (n, 2), m from the room's middle, in the order in which the buttons there come."""
+        x, y = np.asarray(places, dtype=np.float64).T
+        turns = np.arctan2(y, x) % math.tau / math.tau * self.count
+        return np.lexsort((turns, self.ranks[np.minimum(turns.astype(np.int64), self.count - 1)]))
+
+    def deal(self, places: ArrayLike, depths: Sequence[int], rng: np.random.Generator) -> NDArray[np.int64]:
+        """Number of the place of each button; buttons that are equally deep are dealt at random."""
+        dealt = np.empty(len(depths), dtype=np.int64)
+        dealt[np.lexsort((rng.random(len(depths)), np.array(depths)))] = self.sort_places(places)
+        return dealt
+
+    def compute_likelihood(self, places: ArrayLike, depths: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Probability that buttons were dealt to the places where they hang, under each of several graphs.
+
+        Args:
+            places: of the buttons, (buttons, 2).
+            depths: of each button under each graph, (graphs, buttons).
+
+        Returns:
+            float64 (graphs,); all 1 without sections.
+        """
+        if not self.count:
+            return np.ones(len(depths))
+        ways = np.array([math.prod(map(math.factorial, np.bincount(own).tolist())) for own in depths])
+        return (np.diff(depths[:, self.sort_places(places)], axis=1) >= 0).all(axis=1) / ways
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,7 +176,7 @@ class ButtonsConfig(PuzzleConfig):
 class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
     """A concrete button puzzle. Button i is called `button-<i+1>`."""
 
-    kind = "buttons"
+    kind, word = "buttons", "button"
     about = "Every button has a lamp. Some lamps come on only after others; which is hidden. One opens the exit."
     on_violation: ViolationRule = "ignore"
     """Effect of a press with unmet parents, or of a locked button."""
@@ -179,10 +230,6 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
         """Fact that opens each door: its button is on."""
         return tuple(f"on({self.target_names[button]})" for button in self.doors)
 
-    def get_shut(self, state: int) -> int:
-        """Bits of the doors whose button is off."""
-        return sum(1 << door for door, button in enumerate(self.doors) if not state >> button & 1)
-
     @property
     def has_dead_ends(self) -> bool:
         """True if a button turned on too early may bar the goal, or a wrong press fails the puzzle."""
@@ -204,11 +251,6 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
         """`on(<name>)` for every button that is on, and `failed` where a press has failed the puzzle."""
         facts = super().get_facts(state)
         return facts | {_FAILED_FACT} if state & self.failure else facts
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the buttons, `button-1` to `button-<count>`."""
-        return tuple(f"button-{i + 1}" for i in range(self.count))
 
     def update(self, state: int, contacts: Contacts) -> int:
         """Apply presses in index order, up to one that fails the puzzle."""

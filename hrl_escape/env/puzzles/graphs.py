@@ -108,7 +108,8 @@ def sample_graph(config: GraphConfig, count: int, rng: np.random.Generator) -> E
         seed = int(rng.integers(2**31)) if config.seed is None else config.seed
         return sample_larg_graph(count, seed, config.max_parents)
     if config.kind == "layered":
-        return _sample_layered(config, count, rng)
+        return _draw_layers(count, config.max_parents, lambda most: int(rng.integers(1, most + 1)),
+                            lambda above, number: sorted(rng.choice(above, number, replace=False).tolist()))
     edges: list[tuple[int, int]] = []
     for child in range(1, count):
         wanted = np.flatnonzero(rng.random(child) < config.edge_probability)
@@ -148,23 +149,6 @@ def sample_locks(count: int, edges: Edges, goal: int, most: int, rng: np.random.
     return tuple(sorted(pairs[number] for number in chosen))
 
 
-def _sample_layered(config: GraphConfig, count: int, rng: np.random.Generator) -> Edges:
-    edges: list[tuple[int, int]] = []
-    above: list[int] = []
-    first = 0
-    while first < count:
-        left = count - first
-        width = int(rng.integers(1, min(4, left) // 2 + 2))
-        layer = list(range(first, first + width))
-        if above:
-            for child in layer:
-                number = int(rng.integers(1, min(len(above), config.max_parents) + 1))
-                chosen = rng.choice(above, number, replace=False)
-                edges.extend((int(parent), child) for parent in sorted(chosen))
-        above, first = layer, first + width
-    return tuple(edges)
-
-
 def sample_larg_graph(count: int, seed: int, max_parents: int) -> Edges:
     """Reproduce the button graph that the published 2019 code draws for a seed.
 
@@ -177,24 +161,26 @@ def sample_larg_graph(count: int, seed: int, max_parents: int) -> Edges:
     uniform = random.Random(seed).random
     wanted = min(max_parents - 1, 3, count - 1)
     while True:
-        edges = _draw_larg_layers(count, max_parents, uniform)
+        edges = _draw_layers(count, max_parents, lambda most: 1 + int(uniform() * most),
+                             lambda above, number: _sample_as_python2(above, number, uniform))
         degrees = Counter(child for _, child in edges)
         if max(degrees.values(), default=0) >= wanted:
             return edges
 
 
-def _draw_larg_layers(count: int, max_parents: int, uniform: Callable[[], float]) -> Edges:
+def _draw_layers(count: int, max_parents: int, draw: Callable[[int], int],
+                 choose: Callable[[list[int], int], Iterable[int]]) -> Edges:
+    """Draw layers of nodes whose parents are in the layer before.
+
+    `draw` draws a number from 1 up to another, `choose` some of the nodes above.
+    """
     edges: list[tuple[int, int]] = []
     above: list[int] = []
-    first = 0
-    while first < count:
-        width = 1 + int(uniform() * (min(4, count - first) // 2 + 1))
-        layer = list(range(first, min(first + width, count)))
-        if above:
-            for child in layer:
-                number = 1 + int(uniform() * min(len(above), max_parents))
-                edges.extend((parent, child) for parent in _sample_as_python2(above, number, uniform))
-        above, first = layer, first + len(layer)
+    while (first := above[-1] + 1 if above else 0) < count:
+        layer = list(range(first, first + draw(min(4, count - first) // 2 + 1)))
+        for child in layer if above else ():
+            edges.extend((parent, child) for parent in choose(above, draw(min(len(above), max_parents))))
+        above = layer
     return tuple(edges)
 
 

@@ -56,7 +56,7 @@ class LightBoxConfig(PuzzleConfig):
 class LightBoxPuzzle(GraphPuzzle):
     """A concrete box. Light i is called `light-<i+1>`."""
 
-    kind = "light-box"
+    kind, word = "light-box", "light"
     count: LightCount = 1
     """Number of lights, each with a panel."""
     success: Success = 1.0
@@ -76,11 +76,6 @@ class LightBoxPuzzle(GraphPuzzle):
     def chances(self) -> tuple[float, ...]:
         """The probability `success`: with the rest, a press has no effect."""
         return (self.success,) if self.success < 1.0 else ()
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the panels, `light-1` to `light-<count>`."""
-        return tuple(f"light-{i + 1}" for i in range(self.count))
 
     def update(self, state: int, contacts: Contacts) -> int:
         """Apply presses in index order; one chance decides for all presses of a primitive."""

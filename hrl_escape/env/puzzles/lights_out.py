@@ -86,7 +86,7 @@ class LightsOutConfig(PuzzleConfig):
 class LightsOutPuzzle(Graphed, BitPuzzle):
     """A concrete board. Light i, row by row, is called `light-<i+1>`."""
 
-    kind = "lights-out"
+    kind, word = "lights-out", "light"
     about = "A press turns several lights of a board over. The exit opens once the lights are as wanted."
     count: Annotated[int, Range(1, 36)] = 1
     """Number of lights on the board, rows times columns."""
@@ -109,11 +109,6 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
 
     def _find_due(self, state: int) -> int | None:
         return find_fewest_presses(self.count, self.columns, state ^ self.goal)
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the panels, `light-1` to `light-<count>`, row by row."""
-        return tuple(f"light-{i + 1}" for i in range(self.count))
 
     @property
     def goal_targets(self) -> tuple[int, ...]:

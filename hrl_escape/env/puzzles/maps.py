@@ -7,6 +7,7 @@ A map is rows of characters from the top, one a cell: `#` wall, `d` door, `D` lo
 from __future__ import annotations
 
 import heapq
+from collections.abc import Collection
 from functools import cached_property
 
 from hrl_escape.errors import ConfigError
@@ -19,8 +20,15 @@ class GridMap:
     """A map and its derived cells, numbered row by row.
 
     Attributes:
+        columns: cells in a row.
         doors: cells of the doors.
         things: cells in which things lie at first: keys, then balls.
+        keys: number of keys.
+        floor: cells that are empty at first.
+        start: cell of the start.
+        heading: of the start, in quarter turns from +x.
+        goal: cell of the goal; None where there is none.
+        blockable: cells that can be blocked: those of doors and, on a map with things, all others that are no walls.
 
     Raises:
         ConfigError: rows of different lengths, or more or less than one start.
@@ -28,51 +36,22 @@ class GridMap:
 
     def __init__(self, rows: tuple[str, ...]) -> None:
         self.rows = rows
-        text = "".join(rows)
+        text = self._text = "".join(rows)
         if len({len(row) for row in rows}) != 1 or sum(text.count(start) for start in HEADINGS) != 1:
             raise ConfigError("puzzle.rows", rows, "rows of one length, with one start among them")
-        self.columns, self._text = len(rows[0]), text
-        self.doors = self._find("dD")
-        self.things = (*self._find("k"), *self._find("b"))
+        self.columns = len(rows[0])
+        self.doors, self.floor, self._cells = self._find("dD"), self._find(" "), self._find(set(text) - {"#"})
+        self.things, self.keys = (*self._find("k"), *self._find("b")), text.count("k")
+        self.start, self.goal = self._find(HEADINGS)[0], next(iter(self._find("G")), None)
+        self.heading = HEADINGS.index(text[self.start])
+        self.blockable = self._cells if self.things else self.doors
 
-    def _find(self, characters: str) -> tuple[int, ...]:
+    def _find(self, characters: Collection[str]) -> tuple[int, ...]:
         return tuple(cell for cell, character in enumerate(self._text) if character in characters)
-
-    @cached_property
-    def floor(self) -> tuple[int, ...]:
-        """Cells that are empty at first."""
-        return self._find(" ")
-
-    @property
-    def keys(self) -> int:
-        """Number of keys; they are the first things."""
-        return self._text.count("k")
-
-    @cached_property
-    def start(self) -> int:
-        """Cell of the start."""
-        return self._find(HEADINGS)[0]
-
-    @property
-    def heading(self) -> int:
-        """Heading of the start, in quarter turns from +x."""
-        return HEADINGS.index(self._text[self.start])
-
-    @property
-    def goal(self) -> int | None:
-        """Cell of the goal; None where there is none."""
-        return next(iter(self._find("G")), None)
 
     def is_locked(self, door: int) -> bool:
         """Return whether a door is locked at first."""
         return self._text[self.doors[door]] == "D"
-
-    @cached_property
-    def blockable(self) -> tuple[int, ...]:
-        """Cells that can be blocked: those of doors and, on a map with things, all others that are no walls."""
-        if not self.things:
-            return self.doors
-        return tuple(cell for cell, character in enumerate(self._text) if character != "#")
 
     def _list_neighbours(self, cell: int) -> list[int]:
         """Neighbours of a cell that are no walls."""
@@ -82,10 +61,9 @@ class GridMap:
                 if 0 <= i < len(self.rows) and 0 <= j < self.columns and self.rows[i][j] != "#"]
 
     @cached_property
-    def _bottlenecks(self) -> frozenset[int]:
-        """Cells whose blocking would split the floor, and those in front of doors."""
-        cells = [cell for cell, character in enumerate(self._text) if character != "#"]
-        found = set[int]()
+    def bottlenecks(self) -> frozenset[int]:
+        """Cells in which a thing would cut off other cells, or stand in front of a door."""
+        cells, found = self._cells, set[int]()
         for cell in cells:
             others = [other for other in cells if other != cell]
             reached, queue = {cell, others[0]}, [others[0]]
@@ -96,10 +74,6 @@ class GridMap:
             if len(reached) < len(cells) or any(beside in self.doors for beside in self._list_neighbours(cell)):
                 found.add(cell)
         return frozenset(found)
-
-    def is_bottleneck(self, cell: int) -> bool:
-        """Return whether a thing in this cell would cut off other cells, or stand in front of a door."""
-        return cell in self._bottlenecks
 
     @cached_property
     def _ways(self) -> dict[int, tuple[int, ...]]:

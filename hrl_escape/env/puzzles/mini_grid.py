@@ -122,9 +122,13 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
     def _move(self, state: int, thing: int, place: int) -> int:
         return state & ~(HELD << self._shift(thing)) | place << self._shift(thing)
 
+    def _list_places(self, state: int) -> list[int]:
+        return [self.get_place(state, thing) for thing in range(len(self.grid.things))]
+
     def get_held(self, state: int) -> int | None:
         """Number of the held thing; None for an empty hand."""
-        return next((thing for thing in range(len(self.grid.things)) if self.get_place(state, thing) == HELD), None)
+        places = self._list_places(state)
+        return places.index(HELD) if HELD in places else None
 
     def is_open(self, state: int, door: int) -> bool:
         """Return whether a door stands open."""
@@ -145,7 +149,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
             return False
         if any(self.is_open(state, door) and not state >> 2 * door & 2 for door in range(len(grid.doors))):
             return False
-        places = [self.get_place(state, thing) for thing in range(len(grid.things))]
+        places = self._list_places(state)
         free = {*grid.blockable, HELD} - {*grid.doors, grid.goal}
         return len(set(places)) == len(places) and free.issuperset(places)
 
@@ -161,10 +165,10 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
             if contacts.grip != USE or not (self.is_unlocked(state, door) or has_key):
                 return state
             return (state | 2 << 2 * door) ^ 1 << 2 * door
-        lying = next((thing for thing in range(len(grid.things)) if self.get_place(state, thing) == cell), None)
-        if contacts.grip == 1 and held is None and lying is not None:
-            return self._move(state, lying, HELD)
-        if contacts.grip == -1 and held is not None and lying is None and cell != grid.goal:
+        places = self._list_places(state)
+        if contacts.grip == 1 and held is None and cell in places:
+            return self._move(state, places.index(cell), HELD)
+        if contacts.grip == -1 and held is not None and cell not in places and cell != grid.goal:
             return self._move(state, held, cell)
         return state
 
@@ -173,21 +177,19 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         grid = self.grid
         shut = sum(1 << grid.blockable.index(cell) for door, cell in enumerate(grid.doors)
                    if not self.is_open(state, door))
-        places = (self.get_place(state, thing) for thing in range(len(grid.things)))
-        return shut | sum(1 << grid.blockable.index(place) for place in places if place != HELD)
+        return shut | sum(1 << grid.blockable.index(place) for place in self._list_places(state) if place != HELD)
 
     def is_solved(self, state: int) -> bool:
         """Return whether a ball is held or, on a map without balls, all doors have been opened."""
         grid = self.grid
         if len(grid.things) > grid.keys:
-            return any(self.get_place(state, thing) == HELD for thing in range(grid.keys, len(grid.things)))
+            return HELD in self._list_places(state)[grid.keys :]
         return all(state >> 2 * door & 2 for door in range(len(grid.doors)))
 
     def observe(self, state: int) -> tuple[float, ...]:
         """Two numbers a door: open, opened once; three a thing: held, row and column as shares of the map."""
         numbers = [float(state >> bit & 1) for bit in range(2 * len(self.grid.doors))]
-        for thing in range(len(self.grid.things)):
-            place = self.get_place(state, thing)
+        for place in self._list_places(state):
             row, column = (0, 0) if place == HELD else divmod(place, self.grid.columns)
             numbers += float(place == HELD), row / len(self.rows), column / self.grid.columns
         return tuple(numbers)
@@ -195,7 +197,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
     def get_lit(self, state: int) -> tuple[bool, ...]:
         """Lit targets: open doors, and the thing that is held."""
         return (*(self.is_open(state, door) for door in range(len(self.grid.doors))),
-                *(self.get_place(state, thing) == HELD for thing in range(len(self.grid.things))))
+                *(place == HELD for place in self._list_places(state)))
 
     # --- for planners ------------------------------------------------------------------
 
@@ -246,13 +248,13 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
     def list_cells(self, state: int, action: str, target: int) -> tuple[int, ...]:
         """Cell of a door or thing; to put a thing down, the free cells in which it blocks no way."""
         grid, doors = self.grid, len(self.grid.doors)
-        places = [self.get_place(state, thing) for thing in range(len(grid.things))]
+        places = self._list_places(state)
         if action != "release":
             cell = grid.doors[target] if target < doors else places[target - doors]
             return () if cell == HELD else (grid.blockable.index(cell),)
         taken = {*grid.doors, grid.goal, *places}
         return tuple(number for number, cell in enumerate(grid.blockable)
-                     if cell not in taken and not grid.is_bottleneck(cell))
+                     if cell not in taken and cell not in grid.bottlenecks)
 
     def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:
         """The fewest operators to the goal, by search, as doors leave little choice of order."""

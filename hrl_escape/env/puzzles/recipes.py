@@ -25,6 +25,8 @@ MATERIALS = 5
 """Number of materials; they are the first names."""
 NAMES: tuple[str, ...] = get_args(Craft)
 """Names of materials, then of things."""
+SHIFTS = tuple(COUNT_BITS * min(number, MATERIALS) + max(number - MATERIALS, 0) for number in range(len(NAMES) + 1))
+"""First bit of each name's count in a state, and last the number of bits."""
 
 
 class Recipe(NamedTuple):
@@ -88,15 +90,11 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
     def count(self, state: int, name: str) -> int:
         """Number of a material in store; 1 or 0 for a thing."""
         number = NAMES.index(name)
-        return state >> _get_shift(number) & (2**COUNT_BITS - 1 if number < MATERIALS else 1)
-
-    def make_state(self) -> int:
-        """State 0: an empty store, and nothing placed or made."""
-        return 0
+        return state >> SHIFTS[number] & (2**COUNT_BITS - 1 if number < MATERIALS else 1)
 
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value keeps at most `MOST_KEPT` of each material."""
-        in_word = type(state) is int and 0 <= state < 1 << _get_shift(len(NAMES))
+        in_word = type(state) is int and 0 <= state < 1 << SHIFTS[-1]
         return in_word and all(self.count(state, name) <= MOST_KEPT for name in NAMES[:MATERIALS])
 
     def update(self, state: int, contacts: Contacts) -> int:
@@ -108,8 +106,8 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
             if (self.count(state, name) < most and all(self.count(state, thing) for thing in recipe.takes)
                     and all(self.count(state, material) >= number for material, number in recipe.uses)):
                 for material, number in recipe.uses:
-                    state -= number << _get_shift(NAMES.index(material))
-                state += 1 << _get_shift(target)
+                    state -= number << SHIFTS[NAMES.index(material)]
+                state += 1 << SHIFTS[target]
         return state
 
     def is_solved(self, state: int) -> bool:
@@ -184,11 +182,6 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         facts = tuple(_name_fact(name, k) for number, name in enumerate(NAMES)
                       for k in range(1, (MOST_KEPT if number < MATERIALS else 1) + 1))
         return SymbolicModel(facts, tuple(operators), frozenset({_name_fact(self.goal, 1)}))
-
-
-def _get_shift(number: int) -> int:
-    """First bit of a name's count."""
-    return COUNT_BITS * min(number, MATERIALS) + max(number - MATERIALS, 0)
 
 
 def _name_fact(name: str, count: int) -> str:

@@ -32,7 +32,7 @@ from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.env.puzzles.traits import Pushing
-from hrl_escape.env.robot import sample_joint_steps
+from hrl_escape.env.robot import sample_hand_positions, sample_joint_steps
 from hrl_escape.env.sampling.certificate import Floors, find_unmet, make_floors
 from hrl_escape.env.sight import list_hiders
 
@@ -100,18 +100,12 @@ def meets_condition(instance: RoomInstance) -> bool:
 def _measure_stretch(instance: RoomInstance, target: Target, free_x: float, free_y: float) -> float:
     """Length along the wall behind a target on which the body, against the wall, touches it."""
     reach, shape = instance.compute_press_reach(target), target.footprint
-    if abs(shape.sin) < 1e-12:
-        along, across, half, half_across, free_along, free = (target.x, target.y, target.half_x, target.half_y, free_x,
-                                                              free_y)
-    elif abs(shape.cos) < 1e-12:
-        along, across, half, half_across, free_along, free = (target.y, target.x, target.half_x, target.half_y, free_y,
-                                                              free_x)
-    else:
+    axes = ((target.x, free_x), (target.y, free_y))
+    (along, free_along), (across, free) = axes if abs(shape.sin) < 1e-12 else axes[::-1]
+    away = max(abs(abs(across) - free) - target.half_y, 0.0)
+    if min(abs(shape.sin), abs(shape.cos)) >= 1e-12 or away > reach:
         return 0.0
-    away = max(abs(abs(across) - free) - half_across, 0.0)
-    if away > reach:
-        return 0.0
-    half += math.sqrt(reach**2 - away**2)
+    half = target.half_x + math.sqrt(reach**2 - away**2)
     return min(along + half, free_along) - max(along - half, -free_along)
 
 
@@ -148,8 +142,7 @@ class _Search:
         self._joint_steps = np.zeros((0, 0), dtype=np.int64)
         if instance.dynamics.press_with == "hand":
             self._joint_steps = sample_joint_steps(self._rules.robot, _HANDS)
-            angles = np.array(self._rules.robot.home) + self._rules.robot.step * self._joint_steps
-            self._hands = self._rules.robot.compute_hand(angles)
+            self._hands = sample_hand_positions(self._rules.robot, _HANDS)
 
     def find_unproven(self) -> str | None:
         """Run the search from every start; the returns are those of the module's `find_unproven`."""

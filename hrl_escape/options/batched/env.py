@@ -26,7 +26,7 @@ from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.sampling.sources import SchematicForm
+from hrl_escape.env.presets import SchematicForm
 from hrl_escape.errors import (
     ActionError,
     BatchError,
@@ -97,7 +97,7 @@ class HostPlanner:
             The decisions with the beginnings of their plans, and the rooms in which planning failed, bool (rooms,).
         """
         rooms = where.nonzero().squeeze(1).tolist()
-        kept = 1 if self._room.layout.is_random else PLAN_LENGTH  # a slip invalidates what follows
+        kept = 1 if self._room.layout.dynamics.is_random else PLAN_LENGTH  # a slip invalidates what follows
         plans = [self._find_plan(room, int(running.goal[room]))[:kept] for room in rooms]
         has_failed = torch.zeros_like(running.plan_left, dtype=torch.bool)
         if not rooms:

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from hrl_escape.env.batched.arm import compute_hand
-from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
+from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_hand, compute_rotation
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors
 from hrl_escape.env.tensor_geometry import Shapes, store, wrap
 from hrl_escape.options.batched.cost_to_go import (

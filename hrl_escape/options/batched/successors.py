@@ -8,8 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from hrl_escape.env.batched.arm import compute_hand
-from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
+from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_hand, compute_rotation
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, compute_distance, compute_first_contact, store, wrap

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from markupsafe import escape
 
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.graph_inset import compute_layout, shorten
+from hrl_escape.env.drawing.maps import compute_layout, shorten
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 

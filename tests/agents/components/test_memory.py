@@ -16,7 +16,7 @@ from hrl_escape.agents.streams import gather_decisions
 from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.checks.agent import check_agent
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.presets.catalogue import get_preset
+from hrl_escape.env.presets import get_preset
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.options.options_env import OptionsEnv
 from tests.agents.training.test_resuming import flatten

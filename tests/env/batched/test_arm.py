@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_escape.env.batched.arm import compute_hand
+from hrl_escape.env.batched.poses import compute_hand
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.robot import make_robot
 

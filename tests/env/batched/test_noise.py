@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from hrl_escape.env import noise
-from hrl_escape.env.batched.noise import compute_noise, draw_words, philox, scale_word
+from hrl_escape.env.batched.rules import compute_noise
+from hrl_escape.env.noise import draw_words, philox, scale_word
 
 KNOWN = [  # kat_vectors of Random123, philox4x32 10 rounds
     ((0, 0, 0, 0), (0, 0), (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)),

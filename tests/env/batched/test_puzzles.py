@@ -9,14 +9,13 @@ from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.puzzles.code_lock import CodeLockConfig
+from hrl_escape.env.puzzles.codes import CodeLockConfig, PinPadConfig
 from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
 from hrl_escape.env.puzzles.factored import FactoredConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
-from hrl_escape.env.puzzles.pin_pad import PinPadConfig
 from hrl_escape.env.puzzles.potions import PotionsConfig
 from hrl_escape.env.puzzles.recipes import RecipesConfig
 

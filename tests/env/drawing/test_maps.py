@@ -14,9 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.graph_inset import compute_layout
-from hrl_escape.env.drawing.map_axes import draw_room
-from hrl_escape.env.drawing.maps import Trajectory, make_map, make_map_image, save_map
+from hrl_escape.env.drawing.maps import Trajectory, compute_layout, draw_room, make_map, make_map_image, save_map
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.graphs import GraphConfig, compute_order, sample_graph

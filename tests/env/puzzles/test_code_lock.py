@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env.puzzles.base import Contacts
-from hrl_escape.env.puzzles.code_lock import CodeLockConfig, CodeLockPuzzle
+from hrl_escape.env.puzzles.codes import CodeLockConfig, CodeLockPuzzle
 from hrl_escape.errors import ConfigError
 
 

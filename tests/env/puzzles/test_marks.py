@@ -18,8 +18,7 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.marks import MARK_WORDS, MOST_SYMBOLS, MarksConfig, make_mark_rows, split_mark
-from hrl_escape.env.sampling.generation import generate
-from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.ladder.keys import compute_task_key

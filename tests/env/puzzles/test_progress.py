@@ -7,11 +7,10 @@ from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import Contacts, Puzzle
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
-from hrl_escape.env.puzzles.code_lock import CodeLockPuzzle
+from hrl_escape.env.puzzles.codes import CodeLockPuzzle, PinPadPuzzle
 from hrl_escape.env.puzzles.hanoi import HanoiPuzzle
 from hrl_escape.env.puzzles.light_box import LIGHT_BOX, LightBoxPuzzle
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig, LightsOutPuzzle
-from hrl_escape.env.puzzles.pin_pad import PinPadPuzzle
 
 
 def press(puzzle: Puzzle, *targets: int):

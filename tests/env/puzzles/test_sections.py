@@ -9,10 +9,9 @@ import pytest
 
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
-from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.buttons import ButtonsConfig, SectionsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.marks import compute_depths
-from hrl_escape.env.puzzles.sections import SectionsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError
 

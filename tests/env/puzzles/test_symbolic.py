@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.env.puzzles.base import MOST_DERIVED, Contacts, DerivedModel
-from hrl_escape.env.puzzles.code_lock import CodeLockConfig
+from hrl_escape.env.puzzles.codes import CodeLockConfig
 from hrl_escape.env.puzzles.hanoi import HanoiPuzzle
 from hrl_escape.env.puzzles.lights_out import LightsOutPuzzle
 from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel

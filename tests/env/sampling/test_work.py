@@ -10,8 +10,7 @@ from hrl_escape.env.config import ObstaclesConfig, RobotConfig, RoomConfig, Shap
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling import generation
-from hrl_escape.env.sampling.certificate import find_unmet, make_floors
-from hrl_escape.env.sampling.free_space import OutOfWork, Work
+from hrl_escape.env.sampling.certificate import OutOfWork, Work, find_unmet, make_floors
 from hrl_escape.errors import GenerationError
 
 CROWDED = RoomConfig(room=ShapeConfig(width=8, depth=20), robot=RobotConfig(body_radius=0.3),

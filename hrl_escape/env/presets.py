@@ -9,8 +9,8 @@ Presets of published grid worlds stand first: rooms of cells, whose primitives a
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
 
 from hrl_escape.env.config import (
     Between,
@@ -28,26 +28,25 @@ from hrl_escape.env.puzzles.base import Pads, Panels, Place, PuzzleConfig
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.blocks_world import BlocksWorldConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.puzzles.code_lock import CodeLockConfig
+from hrl_escape.env.puzzles.codes import CodeLockConfig, KeyChestConfig, PinPadConfig
 from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
 from hrl_escape.env.puzzles.factored import FactoredConfig
 from hrl_escape.env.puzzles.foraging import ForagingConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
-from hrl_escape.env.puzzles.key_chest import KeyChestConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.puzzles.mini_grid import DrawnLevel, MiniGridConfig
-from hrl_escape.env.puzzles.pin_pad import PinPadConfig
 from hrl_escape.env.puzzles.potions import PotionsConfig
 from hrl_escape.env.puzzles.puddle_world import PuddleWorldConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
-from hrl_escape.env.puzzles.pushing import tidy_level
 from hrl_escape.env.puzzles.recipes import Craft, RecipesConfig
-from hrl_escape.env.puzzles.sokoban import SokobanConfig
+from hrl_escape.env.puzzles.sokoban import SokobanConfig, tidy_level
 from hrl_escape.env.puzzles.taxi import TaxiConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
 
+SchematicForm: TypeAlias = str | RoomConfig | dict[str, Any]
+"""Name of a preset, a schematic, or the dict form of one."""
 EVERYWHERE = ExitConfig(place="fixed", width=200, depth=200)
 """An exit on the whole floor: the primitive that solves the puzzle ends the episode."""
 
@@ -438,6 +437,22 @@ def get_preset(name: str, **arguments: Any) -> RoomConfig:
         return PRESETS[name](**arguments)
     except TypeError as error:
         raise ConfigError(f"preset {name!r}", arguments, str(error)) from None
+
+
+def read_schematic(form: SchematicForm) -> RoomConfig:
+    """Read a schematic in any of its forms.
+
+    Raises:
+        UnknownNameError: no preset of that name, or no such field.
+        ConfigError: an impossible value.
+    """
+    if isinstance(form, RoomConfig):
+        return form
+    if isinstance(form, str):
+        return get_preset(form)
+    if isinstance(form, Mapping):
+        return RoomConfig.from_dict(form)
+    raise ConfigError("config", form, "the name of a preset, a RoomConfig, or the dict form of one")
 
 
 def make_env_name(preset: str) -> str:
