@@ -28,7 +28,7 @@ for _suffix, (_one, _many) in _DOORS.items():
         gymnasium.register(_id, _one, vector_entry_point=_many, kwargs={"config": _name})
 
 gymnasium.register("hrl_escape/EscapeRoomContinuous-v1", "hrl_escape.env.continuous:EscapeRoomContinuousEnv",
-                   vector_entry_point="hrl_escape.env.vector_env:EscapeRoomContinuousVectorEnv")
+                   vector_entry_point="hrl_escape.env.continuous_vector_env:EscapeRoomContinuousVectorEnv")
 gymnasium.register("hrl_escape/Ladder-v1", "hrl_escape.ladder.room_sets:make_ladder_env",
                    vector_entry_point="hrl_escape.ladder.room_sets:make_ladder_vec")
 RUN_OBSERVERS.append("hrl_escape.comparison.records:record_escapes")

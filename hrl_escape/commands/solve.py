@@ -22,9 +22,9 @@ from rich.table import Table
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.env.drawing.video import save_video
 from hrl_escape.env.engine import check_camera, film
-from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.figures import VIDEO_FORMATS, check_picture_name
 from hrl_escape.names import make_console_text

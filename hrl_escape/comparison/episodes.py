@@ -13,8 +13,7 @@ import gymnasium
 import numpy as np
 
 from hrl_escape.agents.agent import read_success
-from hrl_escape.env.episode_end import EpisodeEnd
-from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.errors import UnsupportedError
 
 

@@ -12,6 +12,7 @@ from .config import (
     Wall,
 )
 from .continuous import EscapeRoomContinuousEnv
+from .continuous_vector_env import EscapeRoomContinuousVectorEnv
 from .escape_room import EscapeRoomEnv
 from .instance import PlacedProp, Rectangle, RoomInstance, Start, Target
 from .kinematics import Kinematics, RoomState, Rules
@@ -37,7 +38,7 @@ from .puzzles.symbolic import Operator, SymbolicModel
 from .robot import Robot
 from .sampling.generation import generate
 from .torchrl_env import EscapeRoomTorchRLEnv
-from .vector_env import EscapeRoomContinuousVectorEnv, EscapeRoomVectorEnv
+from .vector_env import EscapeRoomVectorEnv
 
 __all__ = [
     "Between",

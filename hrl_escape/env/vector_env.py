@@ -7,7 +7,6 @@ Bullet engine's. Pictures are taken by the batch's own cameras.
 
 from __future__ import annotations
 
-import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -26,7 +25,6 @@ from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import INSTEAD
 from hrl_escape.env.presets import SchematicForm
-from hrl_escape.env.velocities import Velocities
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
 from hrl_escape.spaces import make_vector_space
 
@@ -293,51 +291,3 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
             raise ConfigError("seed", seed, f"a whole number of at least 0, or {self.num_envs} of them")
         self._is_seeded = True
         return torch.tensor(seeds, dtype=torch.int64, device=self.room.device)
-
-
-# --- velocities ----------------------------------------------------------------------------
-
-
-if TYPE_CHECKING:
-    from hrl_escape.env.continuous import EscapeRoomContinuousEnv
-
-
-class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
-    """The rooms of `EscapeRoomVectorEnv` for agents that choose velocities, as `EscapeRoomContinuousEnv` has them.
-
-    Actions are float (num_envs, numbers), clipped to the bounds of the action space: a list, an array, or a tensor on
-    the device. `infos` has `seconds` since each episode began, float64, and `time_step`, in place of `primitives`.
-
-    Arguments are those of `EscapeRoomVectorEnv`, for kinematic dynamics only, and the numbers of
-    `EscapeRoomContinuousEnv`: `time_step`, `speed`, `turn_speed`, `joint_speed` and `time_limit`.
-
-    Attributes:
-        velocities: bounds, time step and time limit.
-    """
-
-    def __init__(self, num_envs: int = 1, config: SchematicForm = "paper-two-button", *, time_step: float = 0.1,
-                 speed: float = 1.0, turn_speed: float = 1.5, joint_speed: float = 1.0, time_limit: float | None = None,
-                 **settings: Any) -> None:
-        self.velocities = Velocities(time_step, speed, turn_speed, joint_speed, time_limit)
-        super().__init__(num_envs, config, **settings)
-
-    def _make_room(self, autoreset: Autoreset) -> TensorRoom:
-        return TensorRoom(self.rooms, autoreset=autoreset, velocities=self.velocities)
-
-    def _make_action_space(self) -> spaces.Space:
-        top = np.array(self.velocities.list_bounds(self.room.layout.robot), dtype=np.float32)
-        return spaces.Box(-top, top)
-
-    def make_single_env(self) -> EscapeRoomContinuousEnv:
-        """Make an `EscapeRoomContinuousEnv` with the same rooms, observation and velocities."""
-        from hrl_escape.env.continuous import EscapeRoomContinuousEnv  # brings Bullet in
-
-        return EscapeRoomContinuousEnv(**self.rooms.list_single_arguments(), **dataclasses.asdict(self.velocities))
-
-    def describe(self) -> dict[str, Any]:
-        """As in `EscapeRoomVectorEnv`, and the numbers of this one."""
-        return super().describe() | dataclasses.asdict(self.velocities)
-
-    def _tell_time(self, info: RoomInfo) -> dict[str, Tensor]:
-        seconds = info.primitives.to(torch.float64) * self.velocities.time_step
-        return {"seconds": seconds, "time_step": torch.full_like(seconds, self.velocities.time_step)}

@@ -10,8 +10,7 @@ from typing import Any
 
 import gymnasium
 
-from hrl_escape.env.episode_end import EpisodeEnd
-from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.options.meta_actions import list_goals, make_meta_options, make_option
 from hrl_escape.options.option import Option
 from hrl_escape.options.options_env import OptionsEnv

@@ -16,9 +16,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.kinematics import EpisodeEnd, Kinematics, RoomState
 from hrl_escape.errors import EscapeError
 from hrl_escape.planning.goals import Goal, describe_goal
 

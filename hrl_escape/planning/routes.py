@@ -20,10 +20,9 @@ from hrl_escape.clock import Clock
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.kinematics import Kinematics, RoomState, check_fields
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.traits import Mapped, get_trait
-from hrl_escape.env.state_checks import check_fields
 from hrl_escape.errors import ActionError, ConfigError, EscapeError, PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.floor.cost_to_go import FieldMaker
 from hrl_escape.kernels import read_clock

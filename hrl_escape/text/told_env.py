@@ -19,9 +19,8 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 
 from hrl_escape.agents.agent import SMDPTransition, make_transition, read_action_mask
-from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.errors import ResetNeededError, UnknownNameError, UnsupportedError
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.options.options_env import OptionsEnv

@@ -9,9 +9,8 @@ import dataclasses
 
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.comparison.episodes import PrimitiveStep
-from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.viewer.play.episode import Episode, SavedEpisode
 from hrl_escape.viewer.watch.drivers import Driver

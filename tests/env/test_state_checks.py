@@ -10,10 +10,9 @@ from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.config import ExitConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.kinematics import Kinematics, check_state
 from hrl_escape.env.presets import PRESETS
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.env.state_checks import check_state
 from hrl_escape.errors import StateError
 from tests.covering import thin
 from tests.env.rooms import all_schematics

@@ -124,7 +124,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a failed puzzle is an escape",
-        "env/episode_end.py",
+        "env/kinematics.py",
         "return cls.ESCAPED if success else cls.FAILED",
         "return cls.ESCAPED",
         "viewer/test_episode_ends.py",

@@ -12,8 +12,8 @@ import pytest
 
 from hrl_escape.cli import main
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import Puzzle, get_puzzle_kind, list_puzzles
 from hrl_escape.env.puzzles.buttons import ButtonsConfig

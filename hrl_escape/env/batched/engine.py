@@ -30,9 +30,8 @@ from hrl_escape.env.batched.tables import (
     pick_rules,
     stack_instances,
 )
-from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.env.kinematics import RoomState, Rules, check_state
 from hrl_escape.env.observations.base import BatchObservation, make_observer
-from hrl_escape.env.state_checks import check_state
 from hrl_escape.env.tensor_geometry import store
 from hrl_escape.env.velocities import Velocities
 from hrl_escape.errors import (

@@ -20,9 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from hrl_escape.clock import Clock, OutOfTime
 from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.kinematics import Kinematics, RoomState, check_fields
 from hrl_escape.env.robot import Robot
-from hrl_escape.env.state_checks import check_fields
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.figures import make_svg, save_figure
 from hrl_escape.floor.clearance import CollisionMap

@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
-from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.env.kinematics import EpisodeEnd, RoomState, Rules
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.errors import ConfigError, EscapeError

@@ -27,9 +27,8 @@ from typing import Any
 import numpy as np
 from markupsafe import escape
 
-from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.env.kinematics import EpisodeEnd, RoomState, Rules
 from hrl_escape.errors import ConfigError, EscapeError
 from hrl_escape.files import write_text
 from hrl_escape.planning.best_known import best_known_return

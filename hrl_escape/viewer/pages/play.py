@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hrl_escape.comparison.episodes import PrimitiveStep
-from hrl_escape.env.episode_end import EpisodeEnd
+from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.errors import EscapeError
 from hrl_escape.viewer.pages.panels import make_facts, make_keys
 from hrl_escape.viewer.pages.room import RoomPage, name_room

@@ -9,7 +9,7 @@ import contextlib
 from pathlib import Path
 from typing import NamedTuple
 
-from hrl_escape.env.episode_end import EpisodeEnd
+from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.primitives import ActionTable
 from hrl_escape.errors import FileReadError
 from hrl_escape.files import read_json, write_json

@@ -19,10 +19,9 @@ from typing import Any
 
 from hrl_escape.comparison.episodes import PrimitiveStep, StateRecorder
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EpisodeFileError, EscapeError, FileReadError, UnsupportedError

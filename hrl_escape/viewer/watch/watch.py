@@ -21,9 +21,8 @@ from hrl_escape.agents.training.evaluation import compute_episode_seed, play_epi
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.comparison.references.by_lights import Searcher
-from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.errors import EscapeError
 from hrl_escape.options.execution import OptionExecution
 from hrl_escape.options.option import Option

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from benchmarks.conformance import compare
+from hrl_escape.env.continuous_vector_env import EscapeRoomContinuousVectorEnv
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.env.vector_env import EscapeRoomContinuousVectorEnv
 from hrl_escape.env.velocities import Velocities
 from hrl_escape.errors import BatchError, ConfigError, ResetNeededError, UnsupportedError
 from tests.covering import thin

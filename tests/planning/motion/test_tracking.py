@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.trajectories import list_schematics, solve
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
-from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError
 from hrl_escape.planning.motion.limits import MotionLimits

@@ -16,7 +16,7 @@ import zstandard
 from PIL import Image
 
 from hrl_escape.cli import main
-from hrl_escape.env.episode_end import EpisodeEnd
+from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.viewer.pages.offline import CONFETTI, make_replay
 from hrl_escape.viewer.play.episode import Episode, load_episode, save_episode
 from hrl_escape.viewer.recording import record_driver, record_saved

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.env.config import DynamicsConfig
-from hrl_escape.env.episode_end import EpisodeEnd
+from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EpisodeFileError, FileReadError, UnsupportedError

@@ -1,0 +1,60 @@
+"""Thousands of Escape Rooms with velocities for actions as one Gymnasium `VectorEnv` over the batched engine."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from torch import Tensor
+
+from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom
+from hrl_escape.env.presets import SchematicForm
+from hrl_escape.env.vector_env import EscapeRoomVectorEnv
+from hrl_escape.env.velocities import Velocities
+
+if TYPE_CHECKING:
+    from hrl_escape.env.continuous import EscapeRoomContinuousEnv
+
+
+class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
+    """The rooms of `EscapeRoomVectorEnv` for agents that choose velocities, as `EscapeRoomContinuousEnv` has them.
+
+    Actions are float (num_envs, numbers), clipped to the bounds of the action space: a list, an array, or a tensor on
+    the device. `infos` has `seconds` since each episode began, float64, and `time_step`, in place of `primitives`.
+
+    Arguments are those of `EscapeRoomVectorEnv`, for kinematic dynamics only, and the numbers of
+    `EscapeRoomContinuousEnv`: `time_step`, `speed`, `turn_speed`, `joint_speed` and `time_limit`.
+
+    Attributes:
+        velocities: bounds, time step and time limit.
+    """
+
+    def __init__(self, num_envs: int = 1, config: SchematicForm = "paper-two-button", *, time_step: float = 0.1,
+                 speed: float = 1.0, turn_speed: float = 1.5, joint_speed: float = 1.0, time_limit: float | None = None,
+                 **settings: Any) -> None:
+        self.velocities = Velocities(time_step, speed, turn_speed, joint_speed, time_limit)
+        super().__init__(num_envs, config, **settings)
+
+    def _make_room(self, autoreset: Autoreset) -> TensorRoom:
+        return TensorRoom(self.rooms, autoreset=autoreset, velocities=self.velocities)
+
+    def _make_action_space(self) -> spaces.Space:
+        top = np.array(self.velocities.list_bounds(self.room.layout.robot), dtype=np.float32)
+        return spaces.Box(-top, top)
+
+    def make_single_env(self) -> EscapeRoomContinuousEnv:
+        """Make an `EscapeRoomContinuousEnv` with the same rooms, observation and velocities."""
+        from hrl_escape.env.continuous import EscapeRoomContinuousEnv  # brings Bullet in
+
+        return EscapeRoomContinuousEnv(**self.rooms.list_single_arguments(), **dataclasses.asdict(self.velocities))
+
+    def describe(self) -> dict[str, Any]:
+        """As in `EscapeRoomVectorEnv`, and the numbers of this one."""
+        return super().describe() | dataclasses.asdict(self.velocities)
+
+    def _tell_time(self, info: RoomInfo) -> dict[str, Tensor]:
+        seconds = info.primitives.to(torch.float64) * self.velocities.time_step
+        return {"seconds": seconds, "time_step": torch.full_like(seconds, self.velocities.time_step)}
