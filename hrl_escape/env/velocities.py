@@ -22,22 +22,15 @@ __all__ = ["Velocities", "check_gliding"]
 class Velocities:
     """Velocities of base and joints, held for a step of time.
 
-    Attributes:
-        time_step: s.
-        speed: largest speed of the base along each of its axes, m/s.
-        turn_speed: rad/s.
-        joint_speed: rad/s; a joint whose URDF allows less has that.
-        time_limit: s; None for as many seconds as a room's horizon has primitives.
-
     Raises:
         ConfigError: a number that is not finite and above 0.
     """
 
-    time_step: float = 0.1
-    speed: float = 1.0
-    turn_speed: float = 1.5
-    joint_speed: float = 1.0
-    time_limit: float | None = None
+    time_step: float = 0.1  # s
+    speed: float = 1.0  # largest speed of the base along each of its axes, m/s
+    turn_speed: float = 1.5  # rad/s
+    joint_speed: float = 1.0  # rad/s; a joint whose URDF allows less has that
+    time_limit: float | None = None  # s; None for as many seconds as a room's horizon has primitives
 
     def __post_init__(self) -> None:
         for name, value in dataclasses.asdict(self).items():

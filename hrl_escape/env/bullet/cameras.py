@@ -1,6 +1,8 @@
 """Pictures of a room through Bullet's software renderer (TinyRenderer), which needs no display or GPU.
 
-Its cameras are those of `env/engine.py`; `stage.py` builds the scenery that they see. Metres, radians.
+Its cameras are those of `env/engine.py`. They see a decorated copy of the room, the `Stage`, in a physics client of its
+own: so walls can be cut open, buttons have frames and objects cast shadows, and none of this can touch the robot or
+change a saved state. Metres, radians, the room frame.
 
 Their edges are softened by FXAA (Lottes, NVIDIA 2009), vectorised over the edge pixels: steps of brightness are
 followed along the edge to both ends, and a pixel is mixed with its neighbour across. Four samples a pixel cost four
@@ -10,24 +12,42 @@ times the renderer's time.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+import threading
+import weakref
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 import pybullet
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from hrl_escape.env.bullet.stage import SUN, Stage, Standing
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.bullet import connect, disconnect
+from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.drawing import meshes, palette
+from hrl_escape.env.drawing.meshes import LAYER, Mesh, compute_outline, make_cylinder, make_prism, make_shadow
 from hrl_escape.env.engine import check_camera, check_picture_size
-from hrl_escape.env.geometry import make_footprint
-from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.geometry import Solid, make_footprint
+from hrl_escape.env.instance import PlacedProp, RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.puzzles.traits import Barring, get_trait
+from hrl_escape.env.robot import BASE_LINK, Robot
+from hrl_escape.files import temporary_folder
+
+SUN = (-4.0, 2.6, 9.0)
+"""Direction of the light; the shadows that `meshes.py` lays on the floor agree with it."""
+CURB = 0.3
+"""Height left of a wall that is cut open, m."""
 
 _FINE = 3  # the trail is drawn this many times larger, for soft edges
-
 _SKY, _GROUND = "#dfe7ef", "#f7f8fa"
+_OTHER_TILE, _SHADE = "#e6e1d6", "#c9c3b6"
+_EXIT_LOCKED, _EXIT_OPEN, _EXIT_EDGE = "#b3cfbd", "#7fd49b", "#7d9a87"
+_MAT_LIT = "#ffdf7e"
+_AWAY = (0.0, 0.0, 1e6)  # straight up: never in view
+_STILL = (0.0, 0.0, 0.0, 1.0)
 
 
 class _View(NamedTuple):
@@ -279,3 +299,280 @@ def _follow(luma: Values, at: Places, across: Places, along: Places, edge: Value
         distance[going[ended]] = step
         going = going[~ended]
     return distance, found
+
+
+# --- the stage -----------------------------------------------------------------------------
+
+
+@dataclass
+class Standing:
+    """Something upright that may hide the robot from a camera."""
+
+    solid: Solid  # its footprint and height; it stands on the floor for this purpose
+    whole: list[int]  # bodies that show it whole
+    cut: list[int]  # bodies that show its lowest part only
+    is_cut: bool = False  # True while the cut form is shown
+    pose: tuple[tuple[float, float, float], tuple[float, float, float, float]] = ((0.0, 0.0, 0.0), _STILL)
+    """Position and quaternion of the bodies."""
+
+
+@dataclass
+class _Lamp:
+    """Parts that change colour with a target: its face, whole and cut, and a mat on the floor before it."""
+
+    faces: list[int]
+    mat: int
+    is_lit: bool | None = None
+
+
+class Stage:
+    """A copy of one room for cameras, or for Bullet's window; `client` is pybullet's number of it.
+
+    Attributes:
+        standing: everything that can be cut open for a better view.
+
+    Raises:
+        UnsupportedError: a window without a display, or too many clients in this process.
+    """
+
+    def __init__(self, instance: RoomInstance, window: bool = False) -> None:
+        self._instance, self.rules = instance, Kinematics(instance)
+        self.client = connect(window)
+        self.close = weakref.finalize(self, disconnect, self.client)
+        if window:
+            for flag in (pybullet.COV_ENABLE_GUI, pybullet.COV_ENABLE_RENDERING):
+                pybullet.configureDebugVisualizer(flag, 0, physicsClientId=self.client)
+        self.standing = [self._add_solid(solid) for solid in instance.solids]
+        self._lamps = [self._add_target(target) for target in instance.targets]
+        self._base, self._shadow = self._add_base()
+        self._arm, self._joints = self._add_arm(self.rules.robot) if instance.robot.joints else (None, ())
+        self._props = [self._add_prop(placed) for placed in instance.props]
+        self._door = self._add_leaf(instance.door, meshes.make_leaf, palette.DOOR) if instance.door else None
+        self._inner = [self._add_leaf(door, meshes.make_inner_door, palette.get_inner_colour(door))
+                       for door in instance.inner_doors]
+        inside, edge = meshes.make_exit_area(instance)
+        self._exit, self._exit_edge, self._is_open = self._add(inside, _EXIT_LOCKED), self._add(edge, _EXIT_EDGE), None
+        self._add_floor()
+        if window:
+            pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=self.client)
+
+    # --- following the room ------------------------------------------------------------
+
+    def follow(self, state: RoomState) -> None:
+        """Bring the copy into a state."""
+        rules = self.rules
+        turn = pybullet.getQuaternionFromEuler((state.roll, state.pitch, rules.get_heading(state)))
+        at = (state.x, state.y, state.z)
+        for body in self._base:
+            self._place(body, at, turn)
+        self._place(self._shadow, (state.x, state.y, 0.0), _STILL)
+        if self._arm is not None:
+            self._place(self._arm, at, turn)
+            for joint, angle in zip(self._joints, rules.get_angles(state), strict=True):
+                pybullet.resetJointState(self._arm, joint, angle, physicsClientId=self.client)
+        first = [(p.x, p.y, p.prop.height / 2, 0.0, 0.0, math.sin(p.yaw / 2), math.cos(p.yaw / 2))
+                 for p in self._instance.props]
+        for (body, shadow), (x, y, z, *turn) in zip(self._props, first if state.physics is None else (
+                numbers[:7] for numbers in state.physics.props), strict=True):
+            self._place(body, (x, y, 0.0 if shadow is None else z), turn)
+            if shadow is not None:
+                self._place(shadow, (x, y, 0.0), _STILL)
+        puzzle = self._instance.puzzle
+        shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
+        for number, standing in enumerate(self._inner):
+            self._move(standing, (0.0, 0.0, 0.0) if shut >> number & 1 else _AWAY, _STILL)
+        for lamp, is_lit in zip(self._lamps, puzzle.get_lit(state.puzzle), strict=True):
+            self._light(lamp, is_lit)
+        self._open_exit(puzzle.is_solved(state.puzzle))
+        if self._door is not None:
+            self._move(self._door, meshes.find_hinge(self._door.solid), pybullet.getQuaternionFromEuler(
+                (0.0, 0.0, self._door.solid.yaw + self._find_door_angle(state))))
+
+    def _find_door_angle(self, state: RoomState) -> float:
+        """Angle of the exit's door on its hinge, rad; kinematic doors swing outwards so that the robot passes."""
+        if self._instance.dynamics.kind == "physics":
+            return state.physics.door[0] if state.physics else 0.0
+        rotation = self.rules.get_rotation(state.heading_steps, state.heading_offset)
+        is_shut = self.rules.is_door_shut(state.x, state.y, state.puzzle, rotation)
+        return 0.0 if is_shut else math.pi / 2 * self._instance.door_swing
+
+    def _light(self, lamp: _Lamp, is_lit: bool) -> None:
+        if is_lit != lamp.is_lit:
+            lamp.is_lit = is_lit
+            for face in lamp.faces:
+                self._paint(face, palette.LIT.fill if is_lit else palette.OFF.fill)
+            self._paint(lamp.mat, _MAT_LIT if is_lit else meshes.MAT)
+
+    def _open_exit(self, is_open: bool) -> None:
+        if is_open != self._is_open:
+            self._is_open = is_open
+            self._paint(self._exit, _EXIT_OPEN if is_open else _EXIT_LOCKED)
+            self._paint(self._exit_edge, palette.EXIT_OPEN if is_open else _EXIT_EDGE)
+
+    def _move(self, standing: Standing, at: tuple[float, float, float],
+              turn: tuple[float, float, float, float]) -> None:
+        if (at, turn) != standing.pose:
+            standing.pose = at, turn
+            self._show(standing)
+
+    def set_cut(self, standing: Standing, is_cut: bool) -> None:
+        """Show something whole, or only its lowest part."""
+        if is_cut != standing.is_cut:
+            standing.is_cut = is_cut
+            self._show(standing)
+
+    def _show(self, standing: Standing) -> None:
+        for body in standing.whole:
+            self._place(body, *(standing.pose if not standing.is_cut else (_AWAY, _STILL)))
+        for body in standing.cut:
+            self._place(body, *(standing.pose if standing.is_cut else (_AWAY, _STILL)))
+
+    def _place(self, body: int, at: Sequence[float], turn: Sequence[float]) -> None:
+        pybullet.resetBasePositionAndOrientation(body, at, turn, physicsClientId=self.client)
+
+    def _paint(self, body: int, colour: str) -> None:
+        pybullet.changeVisualShape(body, -1, rgbaColor=(*palette.to_rgb(colour), 1.0), physicsClientId=self.client)
+
+    # --- building ----------------------------------------------------------------------
+
+    def _add(self, mesh: Mesh, colour: str, shown: bool = True) -> int:
+        shape = create_mesh_shape(self.client, mesh, (*palette.to_rgb(colour), 1.0))
+        at = (0.0, 0.0, 0.0) if shown else _AWAY
+        return pybullet.createMultiBody(0.0, -1, shape, at, physicsClientId=self.client)
+
+    def _add_solid(self, solid: Solid) -> Standing:
+        wall = solid.role == "wall"
+        colour = meshes.WALL_FACE if wall else meshes.OBSTACLE_FACE
+        bodies: list[list[int]] = []
+        for height, shown in ((solid.height, True), (min(CURB, solid.height), False)):
+            made = [self._add(meshes.make_solid(solid, height), colour, shown)]
+            if wall:  # a darker top makes the floor plan readable from above
+                top = make_prism(compute_outline(solid), height, height + 2 * LAYER)
+                made.append(self._add(top, meshes.WALL_TOP, shown))
+            bodies.append(made)
+        return Standing(solid, bodies[0], bodies[1])
+
+    def _add_target(self, target: Target) -> _Lamp:
+        bodies = []
+        for height, shown in ((math.inf, True), (CURB, False)):
+            face, frame = meshes.make_panel(target, height)
+            # every face is lit as if it faced the sun, so panels are bright on every wall
+            bodies.append([self._add(face.facing(SUN), palette.OFF.fill, shown),
+                           self._add(frame, meshes.PANEL_FRAME, shown)])
+        solid = Solid("box", target.x, target.y, target.half_x, target.half_y, target.yaw, target.z + target.half_z)
+        self.standing.append(Standing(solid, bodies[0], bodies[1]))
+        for colour, mesh in meshes.make_badges(self._instance, target):
+            self._add(mesh.facing(SUN), colour)
+        return _Lamp([bodies[0][0], bodies[1][0]], self._add(meshes.make_mat(self._instance, target), meshes.MAT))
+
+    def _add_base(self) -> tuple[list[int], int]:
+        """The wheeled base and its shadow."""
+        robot = self._instance.robot
+        shadow = self._add(make_shadow(meshes.compute_base_outline(robot), robot.body_height, 5 * LAYER), _SHADE)
+        return [self._add(mesh, colour) for colour, mesh in meshes.make_base(robot).items()], shadow
+
+    def _add_arm(self, robot: Robot) -> tuple[int, tuple[int, ...]]:
+        """Add the robot's URDF without its base; round parts become meshes that Bullet shades smoothly."""
+        with temporary_folder() as folder:
+            cylinder = folder / "cylinder.obj"
+            cylinder.write_text(meshes.format_obj(make_cylinder(1.0, -0.5, 0.5)))
+            urdf = folder / "arm.urdf"
+            urdf.write_text(_adapt_urdf(robot, self._instance.robot, str(cylinder)))
+            body = pybullet.loadURDF(str(urdf), physicsClientId=self.client)
+        numbers = {}
+        for index in range(pybullet.getNumJoints(body, physicsClientId=self.client)):
+            numbers[pybullet.getJointInfo(body, index, physicsClientId=self.client)[1].decode()] = index
+        for name, angle in robot.rest.items():
+            pybullet.resetJointState(body, numbers[name], angle, physicsClientId=self.client)
+        return body, tuple(numbers[name] for name in robot.joint_names)
+
+    def _add_prop(self, placed: PlacedProp) -> tuple[int, int | None]:
+        """Add a plate, or a block and its shadow (a disc, the same at every yaw of the block)."""
+        prop = placed.prop
+        if prop.kind == "plate":
+            return self._add(meshes.make_prop(prop), palette.PLATE), None
+        disc = compute_outline(Solid("cylinder", 0.0, 0.0, 1.1 * prop.half_size, 1.1 * prop.half_size))
+        shadow = self._add(make_shadow(disc, prop.height, 4 * LAYER), _SHADE)
+        return self._add(meshes.make_prop(prop), palette.PROP), shadow
+
+    def _add_leaf(self, door: Solid, make: Callable[[Solid, float], Mesh], colour: str) -> Standing:
+        whole, cut = make(door, math.inf), make(door, CURB)
+        standing = Standing(door, [self._add(whole, colour)], [self._add(cut, colour, shown=False)])
+        self.standing.append(standing)
+        return standing
+
+    def _add_floor(self) -> None:
+        """Chequered floor, with puddles and the shadows of fixed things."""
+        even, odd, shadows, puddles = meshes.make_floor(self._instance, self._instance.solids)
+        for mesh, colour in ((shadows, _SHADE), (puddles, palette.PUDDLE), (even, meshes.TILE), (odd, _OTHER_TILE)):
+            if len(mesh.triangles):
+                self._add(mesh, colour)
+
+
+def _adapt_urdf(robot: Robot, config: RobotConfig, cylinder: str) -> str:
+    """Keep only the visual shapes of the arm; cylinders become slimmer, so that the hand stands out."""
+    root = ElementTree.fromstring(robot.urdf)
+    for link in root.findall("link"):
+        for part in ("collision", "inertial", *(("visual",) if link.get("name") == BASE_LINK else ())):
+            for element in link.findall(part):
+                link.remove(element)
+        link.append(ElementTree.fromstring(
+            '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+        ))
+        for visual in link.findall("visual"):
+            round_part = visual.find("geometry/cylinder")
+            geometry = visual.find("geometry")
+            if geometry is not None and round_part is not None:
+                radius, length = 0.7 * float(round_part.get("radius", "0")), round_part.get("length")
+                geometry.remove(round_part)
+                ElementTree.SubElement(geometry, "mesh", filename=cylinder, scale=f"{radius} {radius} {length}")
+            if config.kind == "arm":
+                visual.append(_make_material(palette.ARM))
+        if link.get("name") == robot.hand_link:
+            ball = f'<visual><geometry><sphere radius="{config.hand_radius!r}"/></geometry></visual>'
+            hand = ElementTree.fromstring(ball)
+            hand.append(_make_material(palette.HAND))
+            link.append(hand)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _make_material(colour: str) -> ElementTree.Element:
+    red, green, blue = palette.to_rgb(colour)
+    return ElementTree.fromstring(f'<material name="{colour}"><color rgba="{red} {green} {blue} 1"/></material>')
+
+
+# --- visual shapes from meshes, made without a memory leak -----------------------------------
+
+
+class _Rows:
+    """A list of [x, y, z] that reuses the same list objects for every mesh.
+
+    pybullet never drops its references to the lists that `createVisualShape` reads: the outer lists and each vertex.
+    Every shape is therefore read from the same lists, filled anew.
+    """
+
+    def __init__(self) -> None:
+        self._made: list[list[float]] = []
+        self._shown: list[list[float]] = []
+
+    def fill(self, rows: NDArray[Any]) -> list[list[float]]:
+        """The rows, in lists that the next call fills again."""
+        self._made.extend([0.0, 0.0, 0.0] for _ in range(len(rows) - len(self._made)))
+        for made, row in zip(self._made, rows.tolist(), strict=False):
+            made[:] = row
+        self._shown[:] = self._made[: len(rows)]
+        return self._shown
+
+
+_LOCK = threading.Lock()
+_VERTICES, _NORMALS = _Rows(), _Rows()
+_INDICES: list[int] = []
+
+
+def create_mesh_shape(client: int, mesh: Mesh, colour: tuple[float, ...]) -> int:
+    """Make a matt visual shape of a colour (red, green, blue and opacity, 0 to 1) in a client; returns its number."""
+    with _LOCK:
+        _INDICES[:] = mesh.triangles.ravel().tolist()
+        return pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=_VERTICES.fill(mesh.vertices),
+                                          normals=_NORMALS.fill(mesh.normals), indices=_INDICES, rgbaColor=colour,
+                                          specularColor=(0, 0, 0), physicsClientId=client)

@@ -12,8 +12,8 @@ from typing import Any
 
 import pybullet
 
+from hrl_escape.env.bullet.cameras import Stage
 from hrl_escape.env.bullet.physics import PhysicsDynamics
-from hrl_escape.env.bullet.stage import Stage
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Glide, Kinematics, RoomState, Rules, Transition, check_state
 from hrl_escape.errors import ClosedError

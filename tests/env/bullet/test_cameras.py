@@ -13,7 +13,6 @@ import pybullet
 import pytest
 
 from hrl_escape.env.bullet import cameras as bullet_cameras
-from hrl_escape.env.bullet import stage as bullet_stage
 from hrl_escape.env.bullet.cameras import BulletRenderer, soften_edges
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
@@ -145,7 +144,7 @@ def test_buttons_light_up_and_the_exit_turns_green():
     off = [count_like(picture, palette.OFF.fill) for picture in pictures]
     assert lit[0] == 0 and lit[1] > 100 and lit[2] > 1.7 * lit[1]
     assert off[0] > 1.7 * off[1] > 0 and off[2] == 0
-    glow = [count_like(picture, bullet_stage._MAT_LIT, 12) for picture in pictures]  # on the floor before them
+    glow = [count_like(picture, bullet_cameras._MAT_LIT, 12) for picture in pictures]  # on the floor before them
     assert glow[0] == 0 and glow[2] > 1.5 * glow[1] > 0
     green = [int((p[..., 1].astype(int) - np.maximum(p[..., 0], p[..., 2]) > 40).sum()) for p in pictures]
     assert green[0] == green[1] == 0 and green[2] > 300

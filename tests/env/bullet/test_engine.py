@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hrl_escape.env.bullet.cameras import Stage
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.bullet.physics import PhysicsDynamics
-from hrl_escape.env.bullet.stage import Stage
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.presets import get_preset

@@ -270,6 +270,11 @@ def unpack_bits(words: Tensor, count: int, dtype: torch.dtype) -> Tensor:
     return ((words >> places) & 1).to(dtype)
 
 
+def pack_bits(flags: Tensor) -> Tensor:
+    """Words whose lowest bits are those of the first axis of truth values (count, rooms): int64 (rooms,)."""
+    return (flags.to(torch.int64) << torch.arange(len(flags), device=flags.device).unsqueeze(1)).sum(0)
+
+
 def as_signed(bits: int) -> int:
     """The signed 64-bit integer of the same bits."""
     return bits - 2**64 if bits >= 2**63 else bits

@@ -19,6 +19,7 @@ from hrl_escape.env.batched.puzzles.base import (
     TensorContacts,
     TensorPuzzle,
     as_signed,
+    pack_bits,
     register_tensor_puzzle,
     unpack_bits,
 )
@@ -251,12 +252,8 @@ class _MiniGridTensorPuzzle(TensorPuzzle):
         return torch.where(tables["is_ball"].any(0), has_ball, opened)
 
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        doors, lit = tables["locked"].shape[0], torch.zeros_like(state)
-        for number in range(doors):
-            lit = lit | (state >> 2 * number & 1) << number
-        for thing, place in enumerate(self._list_places(tables, state)):
-            lit = lit | (place == HELD).to(torch.int64) << doors + thing
-        return lit
+        doors = torch.arange(tables["locked"].shape[0], device=state.device).unsqueeze(1)
+        return pack_bits(torch.cat([state >> 2 * doors & 1 != 0, self._list_places(tables, state) == HELD]))
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
         numbers = [(state >> bit & 1).to(torch.float64) for bit in range(2 * tables["locked"].shape[0])]
@@ -319,8 +316,7 @@ class _SokobanTensorPuzzle(TensorPuzzle):
 
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
         filled = self._find_filled(tables, state)
-        lit = torch.cat([filled.any(1), filled.any(0)]).to(torch.int64)
-        return (lit << torch.arange(len(lit), device=state.device).unsqueeze(1)).sum(0)
+        return pack_bits(torch.cat([filled.any(1), filled.any(0)]))
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
         rows, columns = tables["size"]
@@ -382,7 +378,7 @@ class _BlocksWorldTensorPuzzle(TensorPuzzle):
 
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
         towers, blocks = self._list_towers(tables, state)
-        return ((towers == blocks).to(torch.int64) << blocks).sum(0)
+        return pack_bits(towers == blocks)
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
         towers, blocks = self._list_towers(tables, state)
@@ -450,8 +446,7 @@ class _RecipesTensorPuzzle(TensorPuzzle):
         return self._count(state).gather(0, goal).squeeze(0) > 0
 
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        numbers = torch.arange(len(NAMES), device=state.device).unsqueeze(1)
-        return ((self._count(state) > 0).to(torch.int64) << numbers).sum(0)
+        return pack_bits(self._count(state) > 0)
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
         most = torch.tensor([MOST_KEPT] * MATERIALS + [1] * (len(NAMES) - MATERIALS), device=state.device).unsqueeze(1)
