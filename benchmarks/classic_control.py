@@ -84,8 +84,6 @@ Trainer = Callable[[str, Task, int, int], Iterator[tuple[int, float]]]
 class Peer(FixedPolicy):
     """The greedy policy of a model of Stable-Baselines3, as `evaluate` needs it."""
 
-    gamma = 0.99
-
     def __init__(self, model: Any) -> None:
         self._model = model
         self._normalise = getattr(getattr(model, "env", None), "normalize_obs", lambda observation: observation)

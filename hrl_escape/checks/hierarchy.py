@@ -114,7 +114,7 @@ class _Recorder(Agent):
     Settings = StackSettings
 
     def __init__(self, name: str, seed: int, order: NDArray[np.int64], book: _Book) -> None:
-        self.name, self.settings = name, StackSettings(gamma=GAMMA)
+        self._task, self.settings = name, StackSettings(gamma=GAMMA)
         self.order, self._book = order, book
         self._rng = np.random.default_rng([seed, *name.encode()])
         self._open: list[tuple[int, int]] = []
@@ -135,7 +135,7 @@ class _Recorder(Agent):
 
     def observe(self, transition: SMDPTransition) -> dict[str, float]:
         begun, order = self._open.pop()
-        self._book.notes.append(_Note(self.name, transition, begun, order, self._book.clock))
+        self._book.notes.append(_Note(self._task, transition, begun, order, self._book.clock))
         return {}
 
     def state_dict(self) -> dict[str, Any]:

@@ -120,6 +120,6 @@ def _expect(instance: RoomInstance, state: RoomState, ends: Ends) -> Ends:
     from hrl_escape.planning.best_known import compute_expected_escape
 
     best, fewest, reachable, fewest_reachable = ends
-    value, primitives, _ = compute_expected_escape(instance, state)
+    value, primitives = compute_expected_escape(instance, state)
     return (value, primitives, value - (best - reachable),
             None if fewest_reachable is None else primitives * fewest_reachable / fewest)
