@@ -10,7 +10,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium
 import matplotlib
@@ -223,8 +223,8 @@ def measure(study: Study, args: Args, store: Store) -> None:
     for room, name in itertools.product(data["rooms"], (PLAN, ORDER, *data["searchers"])):
         if (name, room, 0, 0) not in known:
             store.add([play_reference(data, name, room)])
-    for seed, room, agent in itertools.product(range(args.runs or data["runs"]), data["rooms"],
-                                               (OPTIONS, VELOCITIES, *CHANCE)):
+    for seed, room, agent in ((seed, room, agent) for seed in range(args.runs or data["runs"])
+                              for room in data["rooms"] for agent in (OPTIONS, VELOCITIES, *CHANCE)):
         if (agent, room, seed, data["steps"]) not in known:
             line = run_once(data, agent, room, seed)
             store.add([line])
@@ -255,7 +255,11 @@ class Gap(NamedTuple):
         return int(np.sign(self.mean)) if self.p < ALPHA else 0
 
 
-def compare(pairs: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> dict[str, Gap]:
+Pair: TypeAlias = tuple[Sequence[float], Sequence[float]]
+"""Numbers of SAC over options and of SAC over velocities, run by run."""
+
+
+def compare(pairs: Mapping[str, Pair]) -> dict[str, Gap]:
     """Differences of paired numbers, those of all rooms as one family (Student's t, Holm)."""
     gaps = {name: np.subtract(*map(np.asarray, own)) for name, own in pairs.items()}
     p = [compare_pairs([gap]).p if len(gap) >= LEAST_RUNS else 1.0 for gap in gaps.values()]
@@ -266,7 +270,7 @@ def compare(pairs: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> dic
     return found
 
 
-def tell_headline(ends: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> str:
+def tell_headline(ends: Mapping[str, Pair]) -> str:
     """In which rooms which of the two escapes sooner at the end of training."""
     found = {room: gap.sign for room, gap in compare(ends).items()}
     parts = [f"{who} escapes sooner with {join_words(rooms)}" for who, sign in ((OPTIONS, -1), (VELOCITIES, 1))
@@ -274,7 +278,7 @@ def tell_headline(ends: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -
     return (", ".join(parts) or "No room tells SAC over options and SAC over velocities apart") + "."
 
 
-def advise(ends: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> str:
+def advise(ends: Mapping[str, Pair]) -> str:
     """What follows for a user."""
     signs = {gap.sign for gap in compare(ends).values()}
     if {-1, 1} <= signs:
@@ -285,7 +289,7 @@ def advise(ends: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> str:
     return "Velocities are enough in such rooms." if 1 in signs else "In such rooms choose by what your robot takes."
 
 
-def tell_ends(ends: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> list[str]:
+def tell_ends(ends: Mapping[str, Pair]) -> list[str]:
     """A sentence a room: who escapes sooner at the end of training, options or velocities.
 
     Args:
@@ -303,7 +307,7 @@ def tell_ends(ends: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> li
     return sentences
 
 
-def tell_first_escapes(firsts: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> list[str]:
+def tell_first_escapes(firsts: Mapping[str, Pair]) -> list[str]:
     """A sentence a room: which of the two finds its first way out sooner, by the geometric mean of the ratios.
 
     Args:
@@ -311,7 +315,7 @@ def tell_first_escapes(firsts: Mapping[str, tuple[Sequence[float], Sequence[floa
             where none came.
     """
     sentences = []
-    for room, gap in compare({room: tuple(np.log(own) for own in pair) for room, pair in firsts.items()}).items():
+    for room, gap in compare({room: _take_logarithms(pair) for room, pair in firsts.items()}).items():
         ratio, low, high = (math.exp(value) for value in (-gap.mean, -gap.high, -gap.low))
         told = f"{ratio:.1f} times the motion ({low:.1f} to {high:.1f})"
         sentences.append(f"**{room.capitalize()}, first escape.** " + {
@@ -321,7 +325,11 @@ def tell_first_escapes(firsts: Mapping[str, tuple[Sequence[float], Sequence[floa
     return sentences
 
 
-def tell_searchers(ends: Mapping[str, tuple[Sequence[float], Sequence[float]]], searchers: Mapping[str, float]
+def _take_logarithms(pair: Pair) -> Pair:
+    return np.log(pair[0]).tolist(), np.log(pair[1]).tolist()
+
+
+def tell_searchers(ends: Mapping[str, Pair], searchers: Mapping[str, float]
                    ) -> list[str]:
     """A sentence a room: each learner against the best searcher over options, which learns nothing."""
     gaps = compare({f"{room}/{who}": (own, [searchers[room]] * len(own)) for room, pair in ends.items()

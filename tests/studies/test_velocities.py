@@ -134,7 +134,7 @@ def test_all_four_run_and_the_log_counts_every_step():
 
 
 def test_no_searcher_beats_the_best_order_and_the_planner_escapes():
-    for room in ROOMS:
-        order, plan, *searchers = (play_reference(DATA, name, room).end for name in (ORDER, PLAN, *DATA["searchers"]))
-        assert order <= min(searchers) and math.isfinite(order)
-        assert plan < DATA["time_limit"]
+    data = DATA | {"rooms": {"two": {"preset": "paper-two-button", "side": 12.0}}}
+    order, plan, *searchers = (play_reference(data, name, "two").end for name in (ORDER, PLAN, *DATA["searchers"]))
+    assert order <= min(searchers) and order < max(searchers) < DATA["time_limit"]
+    assert plan < DATA["time_limit"] and math.isclose(order, 20.5, abs_tol=0.6)

@@ -143,6 +143,8 @@ class MotionSampler:
             path = found.path
             if isinstance(goal, PressGoal):
                 path = self._press_head_on(path, goal.target, state, floor)
+                if np.ptp(path, axis=0).max() < 1e-9:
+                    return None  # it stands at the target already
             poses = (_strafe if strafes else _drive)(path, heading, last)
         return np.column_stack([poses, np.tile(angles, (len(poses), 1))])
 

@@ -77,6 +77,21 @@ def test_what_no_way_leads_to_is_a_failure_by_name():
         sampler.plan(state, PressGoal(0))
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_target_that_is_touched_is_left_and_pressed_again_or_refused():
+    planner, sampler, state = make(get_preset("arm-two-button"))
+    there = planner.plan(state, PressGoal(0)).states[-1]
+    env = EscapeRoomContinuousEnv(instance=planner.instance)
+    env.reset(options={"state": there})
+    assert there.touching == 1 and track(sampler.plan(there, PressGoal(0)), env).pressed == (0,)
+    config = get_preset("paper-two-button")
+    small = dataclasses.replace(config, room=dataclasses.replace(config.room, width=12.0, depth=12.0))
+    _, sampler, state = make(small)
+    close = state._replace(x=3.510349560994655, y=4.796535361150745, heading_steps=0, puzzle=1, touching=1)
+    with pytest.raises(PlanningFailed, match="button-1"):  # the nearest place of the goal is where it stands
+        sampler.plan(close, PressGoal(0))
+
+
 def test_options_take_the_plan_of_primitives_where_nothing_is_sampled_or_where_they_are_told_to():
     rectangle = change_robot(list_schematics()["clutter, rectangle"], drive="differential")
     seconds = {}
