@@ -150,7 +150,7 @@ def run_once(data: Mapping[str, Any], agent: str, room: str, seed: int) -> Veloc
 
 
 def make_sac(env: gymnasium.Env, seed: int) -> Any:
-    """Stable-Baselines3's SAC with its own default settings.
+    """Stable-Baselines3's SAC with its own default settings, and networks and batches as large as `torchrl-sac` has.
 
     Raises:
         EscapeError: the extra `bench` is missing.
@@ -159,7 +159,7 @@ def make_sac(env: gymnasium.Env, seed: int) -> Any:
         from stable_baselines3 import SAC
     except ImportError:
         raise EscapeError("this study trains Stable-Baselines3's SAC: pip install 'hrl-escape[bench]'") from None
-    return SAC("MlpPolicy", env, seed=seed, device="cpu")
+    return SAC("MlpPolicy", env, seed=seed, device="cpu", batch_size=64, policy_kwargs={"net_arch": [64, 64]})
 
 
 def _act_at_random(env: gymnasium.Env, steps: int, seed: int) -> None:

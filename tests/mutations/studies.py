@@ -234,4 +234,18 @@ MUTATIONS = [
         "self._is_planned = True",
         "agents/algorithms/test_model_based.py",
     ),
+    Mutation(
+        "an episode that failed counts with its own seconds in place of the time limit",
+        "studies/velocities/analysis.py",
+        'length * data["time_step"] if escaped else data["time_limit"])\n    first',
+        'length * data["time_step"])\n    first',
+        "studies/test_velocities.py::test_failures_count_with_the_time_limit_in_the_part_they_end_in",
+    ),
+    Mutation(
+        "any difference between options and velocities counts as shown",
+        "studies/velocities/analysis.py",
+        "return int(np.sign(self.mean)) if self.p < ALPHA else 0",
+        "return int(np.sign(self.mean))",
+        "studies/test_velocities.py::test_one_lucky_run_and_few_runs_are_no_difference",
+    ),
 ]
