@@ -140,8 +140,8 @@ def run_once(data: Mapping[str, Any], agent: str, room: str, seed: int) -> Veloc
     """Train, or let act at random, for the study's steps."""
     log, steps = EpisodeEnds(make_room(data, room)), data["steps"]
     if agent in (OPTIONS, CHANCE[0]):
-        train("torchrl-sac" if agent == OPTIONS else "smdp-random", OptionsEnv(log), primitives=steps, seed=seed,
-              eval_episodes=0, progress=False)
+        name, settings = ("torchrl-sac", data["settings"]) if agent == OPTIONS else ("smdp-random", {})
+        train(name, OptionsEnv(log), primitives=steps, seed=seed, settings=settings, eval_episodes=0, progress=False)
     elif agent == VELOCITIES:
         make_sac(log, seed).learn(steps)
     else:
