@@ -28,13 +28,12 @@ from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.episode_end import EpisodeEnd
+from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.presets import get_preset
 from hrl_escape.errors import ComparisonError, EscapeError
 from hrl_escape.names import join_words
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.motion.tracking import track
-from hrl_escape.planning.motion.trajectory import make_trajectory
+from hrl_escape.planning.motion.trajectory import make_trajectory, track
 from hrl_escape.planning.planner import RoomPlanner
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
