@@ -12,8 +12,7 @@ import numpy as np
 import tyro
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.agents import Agent, SMDPTransition, train
-from hrl_escape.agents.agent import AgentSettings
+from hrl_escape.agents import Agent, AgentSettings, SMDPTransition, train
 from hrl_escape.options.options_env import OptionsEnv
 
 
