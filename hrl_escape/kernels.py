@@ -24,10 +24,10 @@ from numba.core.caching import UserProvidedCacheLocator
 
 from hrl_escape.version import __version__
 
-SOURCES = ("agents/factored/search.py", "env/bases/__init__.py", "env/bases/base.py", "env/bases/disc.py",
-           "env/bases/rectangle.py", "env/floor_grid.py", "env/geometry.py", "floor/clearance.py", "floor/dijkstra.py",
-           "floor/sweeps.py", "options/batched/value_iteration.py", "planning/arm/joint_lattice.py",
-           "planning/search/a_star.py")
+SOURCES = ("agents/factored/search.py", "agents/factored/structure.py", "env/bases/__init__.py", "env/bases/base.py",
+           "env/bases/disc.py", "env/bases/rectangle.py", "env/floor_grid.py", "env/geometry.py", "floor/clearance.py",
+           "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py",
+           "planning/arm/joint_lattice.py", "planning/search/a_star.py")
 """Files, relative to the package, that compiled code is made of: functions, constants and the tuples it is given."""
 
 _PARTS = {"agents": "learners of structure", "env": "the room's geometry", "floor": "ways over the floor",
