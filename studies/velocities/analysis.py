@@ -278,7 +278,7 @@ def tell_headline(ends: Mapping[str, Pair]) -> str:
 
 
 def advise(ends: Mapping[str, Pair]) -> str:
-    """What follows for a user."""
+    """Advice to a user that follows from the rooms."""
     signs = {gap.sign for gap in compare(ends).values()}
     if {-1, 1} <= signs:
         return ("Options first: they escape before velocities have learned anything. Velocities pay where a room is "
