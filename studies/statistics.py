@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import itertools
+import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special, stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import LEVEL
-from hrl_escape.comparison.statistics import Floats
+from hrl_escape.comparison.inference import ALPHA, LEVEL, correct_by_holm
+from hrl_escape.comparison.statistics import LEAST_RUNS, Floats
 
-__all__ = ["choose_holm_levels", "compute_median_interval", "compute_restricted_mean", "compute_sign_flip_p",
-           "compute_slope", "compute_survival", "correct_by_benjamini_hochberg", "cut_signs", "find_visible_difference",
-           "find_visible_shift", "list_subset_means", "tell_power"]
+__all__ = ["Difference", "choose_holm_levels", "compare_signs", "compute_median_interval", "compute_restricted_mean",
+           "compute_sign_flip_p", "compute_slope", "compute_survival", "correct_by_benjamini_hochberg", "cut_signs",
+           "find_visible_difference", "find_visible_shift", "list_subset_means", "tell_power"]
 
 MOST_SIGNS = 14
 """Differences whose signs are all tried."""
@@ -125,6 +126,45 @@ def _list_signs(count: int) -> Floats:
     signs = np.random.default_rng(2019).choice([-1.0, 1.0], size=(2**MOST_SIGNS, count))
     signs[0] = 1.0
     return signs
+
+
+class Difference(NamedTuple):
+    """Two agents compared by pairs of runs.
+
+    Attributes:
+        mean: of the differences.
+        low: lower end of its interval, which leaves out 0 where the test shows a difference.
+        high: upper end.
+        p: two-sided, corrected over the family; 1 with fewer than `LEAST_RUNS` pairs.
+    """
+
+    mean: float
+    low: float
+    high: float
+    p: float
+
+    @property
+    def sign(self) -> int:
+        """1 where a positive difference is shown, -1 where a negative one is, else 0."""
+        return int(np.sign(self.mean)) if self.p < ALPHA else 0
+
+
+def compare_signs(differences: Mapping[str, ArrayLike]) -> dict[str, Difference]:
+    """Test the means of paired differences by the signs that they could as well have had, as one family (Holm).
+
+    Args:
+        differences: name -> (n,) between runs that could change places if nothing were to be found.
+    """
+    gains = {name: np.asarray(own, dtype=np.float64) for name, own in differences.items()}
+    means = {name: list_subset_means(own) for name, own in gains.items()}
+    p = [min(1.0, 2 * (1 + min(np.sum(own <= 0), np.sum(own >= 0))) / (len(own) + 1))
+         if len(gains[name]) >= LEAST_RUNS else 1.0 for name, own in means.items()]
+    found = {}
+    for (name, own), level, corrected in zip(means.items(), choose_holm_levels(p), correct_by_holm(p), strict=True):
+        outside = int((1 - level) / 2 * (len(own) + 1))
+        ends = (own[outside - 1], own[-outside]) if outside else (-math.inf, math.inf)
+        found[name] = Difference(float(gains[name].mean()), float(ends[0]), float(ends[1]), corrected)
+    return found
 
 
 def correct_by_benjamini_hochberg(p: Sequence[float]) -> list[float]:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from hrl_escape.comparison.inference import ALPHA, correct_by_holm
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.presets import get_preset
@@ -25,11 +24,11 @@ from hrl_escape.names import join_words
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.flat import TENTHS, FlatArgs, FlatJob, FlatRun, list_learners, measure_flat_runs
 from studies.page import make_table
-from studies.statistics import choose_holm_levels, list_subset_means
+from studies.statistics import Difference, compare_signs
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["LINES", "Args", "Difference", "advise", "analyse", "compare", "measure", "tell_fall", "tell_learning",
+__all__ = ["LINES", "Args", "advise", "analyse", "compare", "measure", "tell_fall", "tell_learning",
            "tell_remedies"]
 
 LINES = (FlatRun,)
@@ -49,42 +48,13 @@ def measure(study: Study, args: FlatArgs, store: Store) -> None:
 # --- comparisons -----------------------------------------------------------------------------
 
 
-class Difference(NamedTuple):
-    """Learners compared by pairs of runs of one seed.
-
-    Attributes:
-        mean: of the differences.
-        low: lower end of its interval, which leaves out 0 where the test shows a difference.
-        high: upper end.
-        p: two-sided, corrected over the family; 1 with fewer than `LEAST_RUNS` pairs.
-    """
-
-    mean: float
-    low: float
-    high: float
-    p: float
-
-    @property
-    def sign(self) -> int:
-        """1 where a positive difference is shown, -1 where a negative one is, else 0."""
-        return int(np.sign(self.mean)) if self.p < ALPHA else 0
-
-
 def compare(lines: Sequence[FlatRun], others: Sequence[str], plain: str, read: Callable[[FlatRun], float]
             ) -> dict[str, Difference]:
     """Differences of some learners from the plain one in a number of each run, as one family (Holm)."""
     base = {run.seed: read(run) for run in lines if run.agent == plain}
     gains = {label: np.array([read(run) - base[run.seed] for run in lines if run.agent == label and run.seed in base])
              for label in others}
-    gains = {label: own for label, own in gains.items() if len(own) >= LEAST_RUNS}
-    means = {label: list_subset_means(own) for label, own in gains.items()}
-    p = [min(1.0, 2 * (1 + min(np.sum(own <= 0), np.sum(own >= 0))) / (len(own) + 1)) for own in means.values()]
-    found = {}
-    for (label, own), level, corrected in zip(means.items(), choose_holm_levels(p), correct_by_holm(p), strict=True):
-        outside = int((1 - level) / 2 * (len(own) + 1))
-        ends = (own[outside - 1], own[-outside]) if outside else (-math.inf, math.inf)
-        found[label] = Difference(float(gains[label].mean()), float(ends[0]), float(ends[1]), corrected)
-    return found
+    return compare_signs({label: own for label, own in gains.items() if len(own) >= LEAST_RUNS})
 
 
 def read_escape(run: FlatRun) -> float:

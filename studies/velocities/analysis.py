@@ -10,21 +10,20 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import gymnasium
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 from rich.console import Console
 
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.drawing import palette
@@ -38,7 +37,7 @@ from hrl_escape.planning.planner import RoomPlanner
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
 from studies.running import StudyArgs
-from studies.statistics import choose_holm_levels
+from studies.statistics import Difference, compare_signs
 from studies.store import Store
 from studies.study import Page, Study
 
@@ -193,7 +192,7 @@ def play_reference(data: Mapping[str, Any], name: str, room: str) -> VelocityRun
         times = [found.seconds if found.end is EpisodeEnd.ESCAPED else data["time_limit"]]
     elif name == ORDER:
         env = OptionsEnv(recorder)
-        *presses, leave = range(int(env.action_space.n))  # type: ignore[attr-defined]
+        *presses, leave = range(len(env.options))
         times = [min(_play_order(env, (*order, leave)) * data["time_step"]
                      for count in range(len(presses) + 1) for order in itertools.permutations(presses, count))]
     else:
@@ -233,59 +232,36 @@ def measure(study: Study, args: Args, store: Store) -> None:
 # --- words -----------------------------------------------------------------------------------
 
 
-class Gap(NamedTuple):
-    """Difference of two agents in a room, run by run.
-
-    Attributes:
-        mean: first less second.
-        low: lower end of its interval, which leaves out 0 where the test shows a difference.
-        high: upper end.
-        p: two-sided, corrected over the family; 1 with fewer than `LEAST_RUNS` pairs.
-    """
-
-    mean: float
-    low: float
-    high: float
-    p: float
-
-    @property
-    def sign(self) -> int:
-        """1 where a positive difference is shown, -1 where a negative one is, else 0."""
-        return int(np.sign(self.mean)) if self.p < ALPHA else 0
-
-
 Pair: TypeAlias = tuple[Sequence[float], Sequence[float]]
 """Numbers of SAC over options and of SAC over velocities, run by run."""
 
 
-def compare(pairs: Mapping[str, Pair]) -> dict[str, Gap]:
-    """Differences of paired numbers, those of all rooms as one family (Student's t, Holm)."""
-    gaps = {name: np.subtract(*map(np.asarray, own)) for name, own in pairs.items()}
-    p = [compare_pairs([gap]).p if len(gap) >= LEAST_RUNS else 1.0 for gap in gaps.values()]
-    found = {}
-    for (name, gap), level, corrected in zip(gaps.items(), choose_holm_levels(p), correct_by_holm(p), strict=True):
-        test = compare_pairs([gap], level)
-        found[name] = Gap(test.difference, test.low, test.high, corrected)
-    return found
+def compare(pairs: Mapping[str, Pair]) -> dict[str, Difference]:
+    """The first number of each pair less the second, those of all rooms as one family."""
+    return compare_signs({name: np.subtract(*pair) for name, pair in pairs.items()})
 
 
 def tell_headline(ends: Mapping[str, Pair]) -> str:
     """In which rooms which of the two escapes sooner at the end of training."""
-    found = {room: gap.sign for room, gap in compare(ends).items()}
-    parts = [f"{who} escapes sooner with {join_words(rooms)}" for who, sign in ((OPTIONS, -1), (VELOCITIES, 1))
-             if (rooms := [room for room, own in found.items() if own == sign])]
+    parts = [f"{who} escapes sooner with {join_words(rooms)}"
+             for who, rooms in zip((OPTIONS, VELOCITIES), _list_sooner(ends), strict=True) if rooms]
     return (", ".join(parts) or "No room tells SAC over options and SAC over velocities apart") + "."
 
 
 def advise(ends: Mapping[str, Pair]) -> str:
     """Advice to a user that follows from the rooms."""
-    signs = {gap.sign for gap in compare(ends).values()}
-    if {-1, 1} <= signs:
-        return ("Options first: they escape before velocities have learned anything. Velocities pay where a room is "
-                "so simple that their shorter ways count.")
-    if -1 in signs:
+    options, velocities = _list_sooner(ends)
+    if options and velocities:
+        return f"With {join_words(options)} give a robot options; with {join_words(velocities)} velocities end sooner."
+    if options:
         return "Give a robot options: velocities do not make up for them."
-    return "Velocities are enough in such rooms." if 1 in signs else "In such rooms choose by what your robot takes."
+    return "Velocities are enough in such rooms." if velocities else "In such rooms choose by what your robot takes."
+
+
+def _list_sooner(ends: Mapping[str, Pair]) -> list[list[str]]:
+    """Rooms in which SAC over options is shown to escape sooner at the end, and those in which velocities are."""
+    found = compare(ends)
+    return [[room for room, gap in found.items() if gap.sign == sign] for sign in (-1, 1)]
 
 
 def tell_ends(ends: Mapping[str, Pair]) -> list[str]:
@@ -297,8 +273,8 @@ def tell_ends(ends: Mapping[str, Pair]) -> list[str]:
     sentences = []
     for room, gap in compare(ends).items():
         options, velocities = (float(np.mean(own)) for own in ends[room])
-        told = f"({options:.1f} s against {velocities:.1f} s, a difference of {gap.mean:+.1f} s, {gap.low:+.1f} to " \
-               f"{gap.high:+.1f})"
+        told = (f"({options:.1f} s over options, {velocities:.1f} s over velocities; a difference of {gap.mean:+.1f} "
+                f"s, {gap.low:+.1f} to {gap.high:+.1f})")
         sentences.append(f"**{room.capitalize()}.** At the end of training, " + {
             -1: f"SAC over options escapes sooner than SAC over velocities {told}.",
             0: f"no difference between SAC over options and over velocities is shown {told}.",
@@ -407,6 +383,9 @@ def draw(data: Mapping[str, Any], by_place: Mapping[tuple[str, str], Sequence[Ve
                                        (by_place[room, PLAN][0].end, ":", "the planner's trajectory")):
                 axes.axhline(time, linestyle=style, color=palette.MUTED, linewidth=1.2, label=label)
             finish_axes(axes)
+            axes.yaxis.set_major_locator(FixedLocator([5, 10, 20, 50, 100, 200]))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.yaxis.set_minor_locator(NullLocator())
         panels[0][0].set_ylabel("seconds of an episode")
-        panels[0][-1].legend(loc="upper right", frameon=False, fontsize=8)
+        panels[0][-1].legend(loc="lower left", frameon=False, fontsize=8)
     return figure

@@ -242,8 +242,8 @@ MUTATIONS = [
         "studies/test_velocities.py::test_failures_count_with_the_time_limit_in_the_part_they_end_in",
     ),
     Mutation(
-        "any difference between options and velocities counts as shown",
-        "studies/velocities/analysis.py",
+        "any difference of flipped signs counts as shown",
+        "studies/statistics.py",
         "return int(np.sign(self.mean)) if self.p < ALPHA else 0",
         "return int(np.sign(self.mean))",
         "studies/test_velocities.py::test_one_lucky_run_and_few_runs_are_no_difference",
