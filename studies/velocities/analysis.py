@@ -282,17 +282,22 @@ def tell_ends(ends: Mapping[str, Pair]) -> list[str]:
     return sentences
 
 
-def tell_first_escapes(firsts: Mapping[str, Pair]) -> list[str]:
+def tell_first_escapes(firsts: Mapping[str, Pair], budget: float = math.inf) -> list[str]:
     """A sentence a room: which of the two finds its first way out sooner, by the geometric mean of the ratios.
 
     Args:
         firsts: room -> seconds to the first escape over options and over velocities, run by run; the whole budget
             where none came.
+        budget: seconds of a run.
     """
     sentences = []
     for room, gap in compare({room: _take_logarithms(pair) for room, pair in firsts.items()}).items():
         ratio, low, high = (math.exp(value) for value in (-gap.mean, -gap.high, -gap.low))
         told = f"{ratio:.1f} times the motion ({low:.1f} to {high:.1f})"
+        never = [sum(seconds >= budget for seconds in own) for own in firsts[room]]
+        if any(never):
+            told += (f"; runs that never escape, {never[0]} of {len(firsts[room][0])} over options and {never[1]} over "
+                     "velocities, count with the whole budget")
         sentences.append(f"**{room.capitalize()}, first escape.** " + {
             -1: f"Over velocities it costs {told}.",
             0: f"That options find it sooner is not shown: velocities take {told}.",
@@ -356,7 +361,7 @@ def analyse(study: Study, lines: Sequence[VelocityRun]) -> Page:
              *itertools.chain.from_iterable(describe(by_place[room, agent], budget) for room in data["rooms"])]
             for agent in (OPTIONS, VELOCITIES, *CHANCE, *data["searchers"], ORDER, PLAN)]
     head = ["", *itertools.chain.from_iterable((f"{room}: end, s", "first escape, s") for room in data["rooms"])]
-    told = [tell_ends(ends), tell_first_escapes(firsts), tell_searchers(ends, searchers)]
+    told = [tell_ends(ends), tell_first_escapes(firsts, budget), tell_searchers(ends, searchers)]
     sentences = [sentence for room in zip(*told, strict=True) for sentence in room]
     return Page({"headline": tell_headline(ends), "advice": advise(ends), "sentences": sentences,
                  "table": make_table(head, rows), "budget": budget,

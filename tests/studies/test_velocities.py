@@ -87,6 +87,13 @@ def test_first_escapes_are_told_by_ratios(velocities: float, told: str):
     assert told in tell_first_escapes({"room": (spread(50.0, 1), spread(velocities, 2))})[0]
 
 
+def test_runs_that_never_escape_are_counted_beside_the_ratio():
+    first = {"room": (spread(50.0, 1), [900.0] * 9 + [80.0])}
+    counted = "0 of 10 over options and 9 over velocities, count with the whole budget"
+    assert counted in tell_first_escapes(first, 900.0)[0]
+    assert "never" not in tell_first_escapes(first, 901.0)[0]
+
+
 @pytest.mark.parametrize(("options", "velocities", "told"), [
     (15.0, 150.0, ("SAC over options needs less", "SAC over velocities needs more")),
     (30.0, 20.05, ("SAC over options needs more", "SAC over velocities is not told apart from it"))])
