@@ -252,7 +252,11 @@ class Grid(Settings):
             raise GridError(f"grid {self.name!r}: the hierarchy of {given[0]} ends with an episode: give it no trials")
 
     def make_places(self) -> tuple[RunPlace, ...]:
-        """Rooms, or sets of rooms, in which the runs are made; `EscapeError` where one does not exist."""
+        """Rooms, or sets of rooms, in which the runs are made.
+
+        Raises:
+            EscapeError: no such preset, set or file; an impossible schematic.
+        """
         if not self.train_rooms:
             return tuple(room.make_place() for room in self.rooms)
         tests = self.test_rooms * (len(self.train_rooms) if len(self.test_rooms) == 1 else 1)

@@ -148,7 +148,11 @@ class RoomSpec(Settings):
             raise GridError(f"a room is one of preset, config, file or set, not {self.to_dict()}")
 
     def make_instance(self) -> RoomInstance:
-        """Sample the instance, or read it from its file."""
+        """Sample the instance, or read it from its file.
+
+        Raises:
+            EscapeError: no such preset, an impossible schematic, a damaged file.
+        """
         if self.file is not None:
             return RoomInstance.load(self.file)
         if self.preset is not None:

@@ -59,7 +59,11 @@ def list_specs() -> tuple[DataSpec, ...]:
 
 
 def parse_spec(name: str) -> DataSpec:
-    """The data set of a name; `UnknownNameError` where there is none."""
+    """The data set of a name.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
     form = _FORM.fullmatch(name)
     if form is None or form["rung"] not in RUNGS:
         raise UnknownNameError("data set", name, [spec.name for spec in list_specs()])

@@ -127,9 +127,11 @@ class Benchmark:
         return self._rungs[name]
 
     def verify(self, rungs: Iterable[str] = (), report: Callable[[str], None] = lambda line: None) -> None:
-        """Generate rungs, all by default, anew and check roots and disjointness; 10 ms a room, 100 ms in the largest.
+        """Generate rungs anew and check roots and disjointness; about 10 ms a room, 100 ms in the largest.
 
-        `report` takes one line a rung as it passes.
+        Args:
+            rungs: names; all by default.
+            report: takes one line a rung as it passes.
 
         Raises:
             VerificationError: something differs; the message says what.

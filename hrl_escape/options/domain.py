@@ -118,11 +118,19 @@ class OptionDomain:
                                "OptionsEnv(env, options) a list of them")
 
     def get_state(self, observation: Any) -> Any:
-        """State that options see at present, by the environment's last observation."""
+        """State that options see at present.
+
+        Args:
+            observation: last observation of the environment.
+        """
         return observation
 
     def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
-        """Primitive of a decision that cannot run: the first legal one by `mask`, or the one nearest to zero."""
+        """Primitive of a decision that cannot run: the first legal one, or the one nearest to zero.
+
+        Args:
+            mask: int8 (primitives,), the legal ones; empty unless the action space is Discrete.
+        """
         space = self.env.action_space
         if self._discrete is not None:
             return self.make_action(int(np.argmax(mask)))
@@ -142,7 +150,11 @@ class OptionDomain:
         return None if self._discrete is None else int(action) - int(self._discrete.start)
 
     def check_action(self, action: Any) -> Any:
-        """Bring an option's primitive into the form that the environment takes. Raises `OptionError`."""
+        """Bring an option's primitive into the form that the environment takes.
+
+        Raises:
+            OptionError: it is none.
+        """
         space = self.env.action_space
         if self._discrete is not None:
             try:
@@ -175,13 +187,20 @@ class OptionDomain:
         return legal
 
     def make_key(self, seed: int | None) -> list[int] | None:
-        """Key of the episode's stream of terminations and stochastic policies; None to go on with the last one's."""
+        """Key of the episode's stream of terminations and stochastic policies; None to go on with the last one's.
+
+        Args:
+            seed: of `reset`.
+        """
         return None if seed is None else [seed, TERMINATIONS, *([self.level] if self.level else [])]
 
     def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
-        """Add the entries of this kind of environment to a decision's `info`, in place; none here.
+        """Add the entries of this kind of environment to a decision's `info`; none here.
 
-        A reset has no `steps`; `option` is the one that ran, if any.
+        Args:
+            info: of the decision, changed in place.
+            steps: those of the decision; none at a reset.
+            option: the option that ran, if any.
         """
 
 

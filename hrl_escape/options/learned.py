@@ -91,7 +91,11 @@ class LearnedOption(FunctionOption):
         self._legal = legal
 
     def check_actions(self, state: Any, count: int) -> None:
-        """Refuse an environment unless `legal` has one entry for each of its actions. Raises `OptionError`."""
+        """Refuse an environment unless `legal` has one entry for each of its actions.
+
+        Raises:
+            OptionError: it has more or fewer.
+        """
         if self._legal is not None:
             _check_legal(self.name, self._legal, state, count)
 

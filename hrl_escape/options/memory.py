@@ -170,9 +170,14 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
 
 
 class MemoryStreams:
-    """The same in many rooms at once, each at its own pace: a `BatchedOptionsEnv` over `observation="objects"`.
+    """The same in many rooms at once, each at its own pace.
 
-    `observation`, (rooms, numbers), is to be read where `is_waiting`.
+    Args:
+        streams: a `BatchedOptionsEnv` over `observation="objects"`.
+
+    Attributes:
+        observation_space: of one room, with memory.
+        observation: of all rooms, (rooms, numbers); to be read where `is_waiting`.
 
     Raises:
         UnsupportedError: another environment.

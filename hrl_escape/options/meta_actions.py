@@ -40,7 +40,14 @@ class GoalOption(Option):
 
 
 class PlannedOption(GoalOption):
-    """Reach one goal by plan, and replan when off the plan, at most `max_replans` times in a run."""
+    """Reach one goal by plan, and replan when off the plan.
+
+    Args:
+        name: stable name.
+        planner: the room's planner.
+        goal: goal of the option.
+        max_replans: most plans after the first one in a run.
+    """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, max_replans: int = 100) -> None:
         super().__init__(name, planner, goal)

@@ -138,7 +138,11 @@ class FunctionOption(Option):
         return self._initiation is None or bool(self._initiation(state))
 
     def policy(self, state: Any) -> Any:
-        """Ask the given function. Raises `OptionError` for a stochastic one: only `sample_action` can choose then."""
+        """Ask the given function.
+
+        Raises:
+            OptionError: it is stochastic, so that only `sample_action` can choose.
+        """
         if self.is_stochastic:
             raise OptionError(f"option {self.name!r} is stochastic: ask sample_action(state, generator)")
         return self._policy(state)
@@ -198,7 +202,11 @@ class TableOption(Option):
         return _make_key(state) in self._starts
 
     def policy(self, state: Any) -> Any:
-        """Primitive of this state, the likeliest if the policy is stochastic. Raises `OptionError` without an entry."""
+        """Primitive of this state, the likeliest one if the policy is stochastic.
+
+        Raises:
+            OptionError: the table has no entry.
+        """
         try:
             return self._actions[_make_key(state)]
         except KeyError:

@@ -84,6 +84,10 @@ def find_best_known(instance: RoomInstance, state: RoomState) -> BestKnown:
     It is the best of all known ways: legs one by one in several orders (that of a press with its ancestors among
     them), a joint search for a shorter escape over all orders and over the poses in which legs end (with six buttons
     or fewer; with more, along the best of these orders), and returns that agents or given options have reached.
+
+    Args:
+        instance: the room.
+        state: first state of the episode.
     """
     get_planner(instance).routes.check_query(state)
     key = (instance.id, get_pose(state), state.puzzle)
@@ -106,10 +110,15 @@ def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnow
 
 
 def record_return(instance: RoomInstance, state: RoomState, value: float, source: str) -> bool:
-    """Record an undiscounted return that beats the best known one from a first state, in this process, and warn.
+    """Record a return that beats the best known one, in this process, and warn.
 
-    Rooms with noise, slip, physics or a random puzzle keep their value: a lucky episode is no reference. The source is
-    the return's origin, such as `dqn, seed 3`.
+    Rooms with noise, slip, physics or a random puzzle keep their value: a lucky episode is no reference.
+
+    Args:
+        instance: the room.
+        state: first state of the episode.
+        value: its undiscounted return.
+        source: its origin, such as `dqn, seed 3`.
 
     Returns:
         True if it was better; it is kept while the state is among the last `MOST_REMEMBERED`.

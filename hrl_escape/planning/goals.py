@@ -71,10 +71,13 @@ GripAction = Literal["grip", "release", "use", "push-east", "push-north", "push-
 
 @dataclasses.dataclass(frozen=True)
 class GripGoal:
-    """Grip, release or use at a target, by its index, or push it on a map: `action` names the primitive or the side.
+    """Grip, release or use at a target, or push it on a map, with the effect in the puzzle's symbolic model.
 
-    It is done while touching the target, on a map from the cell before it, and has the effect of the puzzle's symbolic
-    model.
+    It is done while touching the target; in a puzzle with a map, from the cell before it.
+
+    Attributes:
+        target: index of the target.
+        action: name of the primitive, or the side to which a move pushes the target.
     """
 
     target: int

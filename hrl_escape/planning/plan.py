@@ -153,7 +153,14 @@ class Plan:
         return Execution(tuple(states), tuple(rewards), end, exact)
 
     def draw(self, path: str | Path | None = None) -> Any:
-        """Draw the plan on the room's map; PNG, SVG or PDF if a path is given. Returns the matplotlib figure."""
+        """Draw the plan on the room's map.
+
+        Args:
+            path: PNG, SVG or PDF to write; None only returns the figure.
+
+        Returns:
+            The matplotlib figure.
+        """
         from hrl_escape.env.drawing.maps import Trajectory, make_map  # loads matplotlib
         from hrl_escape.figures import save_figure
 
@@ -166,7 +173,11 @@ class Plan:
         return figure
 
     def play(self, width: int = 480) -> str:
-        """Play the plan on the room's map: an HTML frame for notebooks and pages, in pixels, which loads nothing."""
+        """Play the plan on the room's map: an HTML frame for notebooks and pages, which loads nothing.
+
+        Args:
+            width: of the frame, in pixels.
+        """
         from hrl_escape.env.drawing.moving_map import embed_moving_map, make_moving_map  # loads matplotlib
 
         decisions = [(part.name, part.stop - part.start) for part in self.parts]

@@ -243,7 +243,11 @@ class RoomPlanner:
         return Orders(self.routes)
 
     def adapt(self, instance: RoomInstance) -> RoomPlanner:
-        """Planner of an edited room; it plans as a new one would, and takes over what the edit leaves valid."""
+        """Make the planner of an edited room; it plans as a new one would, and takes over what the edit leaves valid.
+
+        Args:
+            instance: the edited room, such as `Scene.instance`.
+        """
         new = RoomPlanner(instance, self.routes.method, self.routes.budget, self.routes.time_limit)
         new.routes.take_over(self.routes)
         return new
@@ -384,7 +388,13 @@ class RoomPlanner:
         return dataclasses.replace(plan, expansions=spent, seconds=read_clock() - began, timed_out=clock.has_stopped)
 
     def shorten_escape(self, state: RoomState, plan: Plan, budget: int) -> Plan:
-        """Look for a shorter escape than a known one, jointly over orders and ends of legs, within a node budget."""
+        """Look for a shorter escape than a known one, with all efforts: jointly over orders and the ends of legs.
+
+        Args:
+            state: first state.
+            plan: an escape from it.
+            budget: search nodes; the same budget finds the same plan anywhere.
+        """
         clock, settings = Clock(self.routes.time_limit), self.routes.settings
         for effort in (0, 1, 2):
             plan, spent = self._shorten_escape(state, plan, settings._replace(effort=effort), clock, budget)
@@ -426,9 +436,12 @@ class RoomPlanner:
     def plan_onward(self, state: RoomState, order: Sequence[Goal]) -> Plan:
         """Plan the next leg of an escape that noise has led astray, within milliseconds.
 
-        `order` are the goals that are left, such as those of `order_goals`. Where the body presses, the leg ends where
-        the way on is short, and may lead to another goal first if that order has become shorter. Elsewhere it leads to
-        the first goal.
+        Where the body presses, the leg ends where the way on is short, and may lead to another goal first if that
+        order has become shorter. Elsewhere it leads to the first goal.
+
+        Args:
+            state: present state.
+            order: goals that are left, in order, such as those of `order_goals`.
 
         Raises:
             PlanningFailed: the first goal cannot be reached.
@@ -447,7 +460,13 @@ class RoomPlanner:
         return self.plan(state, order[0])
 
     def follow_goals(self, state: RoomState, goals: Sequence[Goal], clock: Clock, settings: SearchSettings) -> Plan:
-        """Plan to goals in order, to each from the true end of the one before; settings are those of each search.
+        """Plan to goals in order, to each from the true end of the one before.
+
+        Args:
+            state: first state.
+            goals: the goals.
+            clock: time limit.
+            settings: of each search.
 
         Raises:
             PlanningFailed: a goal cannot be reached.
@@ -471,8 +490,12 @@ class RoomPlanner:
                      settings: SearchSettings | None = None, most_nodes: float = math.inf) -> list[Plan]:
         """List escapes leg by leg, as options make them, in several of the cheapest orders; the shortest first.
 
-        Clock and settings are those of a call that this one is part of, or the planner's own. After `most_nodes` search
-        nodes no further leg is planned.
+        Args:
+            state: first state.
+            count: most escapes to list.
+            clock: time limit of a call that this one is part of; None for the planner's own.
+            settings: of each search; None for the planner's own.
+            most_nodes: search nodes after which no further leg is planned.
 
         Raises:
             PlanningFailed: there is no escape; its reason says why.

@@ -60,7 +60,11 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[NDArray[Any], dict[str, Any]]:
-        """Begin an episode. Raises `UnsupportedError` in another room."""
+        """Begin an episode.
+
+        Raises:
+            UnsupportedError: in another room.
+        """
         _, info = self.env.reset(seed=seed, options=options)
         if self._room.instance.id != self._id:
             raise UnsupportedError(f"a hierarchy was synthesised for room {self._id}, and this is "

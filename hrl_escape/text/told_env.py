@@ -35,7 +35,12 @@ MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200
 
 
 class ToolCall(NamedTuple):
-    """A call of a tool by its name and arguments; of a malformed call whatever came, made plain."""
+    """A call of a tool.
+
+    Attributes:
+        name: of the tool.
+        arguments: by name; of a malformed call whatever came, made plain.
+    """
 
     name: str
     arguments: Any
@@ -43,7 +48,13 @@ class ToolCall(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Turn:
-    """A call, which is None before a game's first text, and the room's answer; `is_error` says that it was wrong."""
+    """A call, and the room's answer.
+
+    Attributes:
+        call: None for the text that begins a game.
+        text: of the room.
+        is_error: the call was wrong.
+    """
 
     call: ToolCall | None
     text: str
@@ -371,7 +382,12 @@ def _join(parts: Sequence[SMDPTransition]) -> SMDPTransition:
 
 
 class ToolResult(NamedTuple):
-    """Answer to a call: what happened, what it cost and what can be done next; of a wrong one what would be valid."""
+    """Answer to a call.
+
+    Attributes:
+        text: what happened, what it cost and what can be done next.
+        is_error: the call was wrong; the text says what would be valid.
+    """
 
     text: str
     is_error: bool = False

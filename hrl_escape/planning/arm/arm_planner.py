@@ -104,7 +104,13 @@ class ArmPlanner:
         return self._collisions[margin]
 
     def is_free(self, state: RoomState, angles: Sequence[float], margin: float = 0.0) -> bool:
-        """Return whether the arm is clear of solids, the shut door and the robot by a margin, m; angles in rad."""
+        """Return whether the arm is clear of solids, the shut door and the robot itself.
+
+        Args:
+            state: says where the base stands.
+            angles: joint angles, rad.
+            margin: distance that counts as a collision already, m.
+        """
         return self._get_collisions(margin).is_free(state.x, state.y, self.rules.get_heading(state), angles)
 
     # --- inverse kinematics --------------------------------------------------------------
@@ -223,10 +229,16 @@ class ArmPlanner:
     def plan_whole_body(self, state: RoomState, place: Sequence[float], goal: ArrayLike, *,
                         planner: str = "RRTConnect", seed: int = 0, budget: int = 200_000,
                         time_limit: float | None = None) -> MotionPath:
-        """Plan a collision-free motion of base and arm together; the other arguments are those of `plan`.
+        """Plan a collision-free motion of base and arm together.
 
-        `place` is that of the base at the end, x, y, m, and heading, rad, and `goal` the joint angles there, (joints,),
-        rad.
+        Args:
+            state: base and arm at the beginning.
+            place: of the base at the end: x, y, m, and heading, rad.
+            goal: joint angles at the end, (joints,), rad.
+            planner: as in `plan`.
+            seed: as in `plan`.
+            budget: as in `plan`.
+            time_limit: as in `plan`.
 
         Raises:
             PlanningFailed: there is no path; its reason says why.

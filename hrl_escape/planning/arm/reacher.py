@@ -188,9 +188,13 @@ class Reacher:
                    heading_offset: float = 0.0, budget: int = QUICK) -> ReachTable:
         """Tabulate the fewest joint steps to touch a target, for every place and heading of the base.
 
-        They are counted from `joint_steps`, the joints that much off the lattice, rad, and the base's heading too. The
-        budget of pairs of half configurations is exceeded only while none reaches the target's height; `UNLIMITED`
-        takes up to seconds with seven joints.
+        Args:
+            target: index of the target.
+            joint_steps: present configuration of the arm.
+            joint_offsets: offsets of its joints from the lattice, rad; empty for none.
+            heading_offset: offset of the base's heading from its lattice, rad.
+            budget: pairs of half configurations to examine, exceeded only while none reaches the target's
+                height; `UNLIMITED` takes up to seconds with seven joints.
         """
         t = self.instance.targets[target]
         costs, complete_to = self._get_costs(t.z, (t.half_x, t.half_y, t.half_z), t.yaw, joint_steps, joint_offsets,
@@ -202,6 +206,9 @@ class Reacher:
         """List postures at the height of a target, the cheapest from home first; one for each place of the hand.
 
         One in each cell of 0.1 m is enough, as cells are smaller than the reach of a touch.
+
+        Args:
+            target: index of the target.
 
         Returns:
             Joint steps from home (postures, joints), and positions of the hand in the base frame (postures, 3), m.
@@ -219,7 +226,12 @@ class Reacher:
         return steps, np.einsum("nij,nj->ni", rows[:, :, :3], lattice.last[j]) + rows[:, :, 3]
 
     def explain_unreachable(self, target: int, floor: CollisionMap) -> str:
-        """Say that a target is too high, low or far for the hand, by clearances with the exit open; empty if unsure."""
+        """Say whether a target is too high, too low or too far for the hand; empty if neither is certain.
+
+        Args:
+            target: index of the target.
+            floor: the room's clearances, the exit door open.
+        """
         goal, home, room = self.instance.targets[target], (0,) * self.instance.robot.joints, self.instance
         lattice = self._get_ordered(home, ()).lattice
         lowest, highest = find_heights(lattice)
@@ -242,10 +254,18 @@ class Reacher:
     def get_configuration(self, x: float, y: float, heading_steps: int, joint_steps: tuple[int, ...], target: int, *,
                           joint_offsets: tuple[float, ...] = (), heading_offset: float = 0.0
                           ) -> tuple[int, ...] | None:
-        """Find the configuration with the fewest joint steps that touches a target from an exact place, m.
+        """Find the configuration with the fewest joint steps that touches a target from an exact place.
 
-        Configurations that touch no other target come first. Offsets are those of joints and heading from their
-        lattices, rad.
+        Configurations that touch no other target come first.
+
+        Args:
+            x: the base's axis, m.
+            y: the base's axis, m.
+            heading_steps: the base's heading.
+            joint_steps: present configuration of the arm.
+            target: index of the target.
+            joint_offsets: offsets of its joints from the lattice, rad; empty for none.
+            heading_offset: offset of the base's heading from its lattice, rad.
 
         Returns:
             Joint steps from home, as in `RoomState.joint_steps`; None where the hand cannot touch the target.
@@ -277,8 +297,12 @@ class Reacher:
                     avoiding: bool = True) -> tuple[int, ...] | None:
         """Interleave joint steps with given moves of the base so that no other target is pressed on the way.
 
-        Moves stay in their order; the primitives end with the touch of the target. Not `avoiding`, others may be
-        pressed.
+        Args:
+            state: first state.
+            moves: primitives of the base, kept in their order.
+            joint_steps: last configuration.
+            target: index of the target to touch; the primitives end with the touch.
+            avoiding: other targets may not be pressed on the way.
 
         Returns:
             Primitives, verified by the room's kinematics: as many as moves and joint steps if possible, else
@@ -331,7 +355,13 @@ class Reacher:
         return None
 
     def is_push(self, state: RoomState, moves: Sequence[int], target: int) -> bool:
-        """Return whether moves of the base alone press a target by force, the arm clear of walls and obstacles."""
+        """Return whether moves of the base alone press a target by force, the arm clear of walls and obstacles.
+
+        Args:
+            state: first state; an arm in collision there may take several moves to come out.
+            moves: primitives, the last of which ends with the hand at the target.
+            target: index of the target.
+        """
         end = self.move_base(state, moves)
         if end is None:
             return False
@@ -340,9 +370,12 @@ class Reacher:
         return measure_gap(pose, hand, self._boxes[target]) <= self.limit
 
     def move_base(self, state: RoomState, moves: Sequence[int], others: int = 0) -> RoomState | None:
-        """State after moves of the base, the arm at rest; None where it meets a solid or touches a target of `others`.
+        """State after moves of the base, the arm at rest; None where the arm meets a solid or begins to touch `others`.
 
-        An arm in collision at first may take several moves to come out. `others` are bits.
+        Args:
+            state: first state; an arm in collision there may take several moves to come out.
+            moves: primitives of the base.
+            others: bits of targets that may not be pressed on the way.
         """
         is_stuck = self.collides(state)
         for move in moves:
@@ -359,8 +392,16 @@ class Reacher:
         """Plan joint steps round solids, along a path through the space of joint angles, the base at rest.
 
         The fewest joint steps may lead through solids where a path of joint angles leads round them. Rounding the path
-        to whole steps may touch what it clears, so the lattice is searched near it, and every step is tested in between
-        as well. None where no path is found, or no joint steps along it that press none of `others`, bits of targets.
+        to whole steps may touch what it clears, so the lattice is searched near it, and every step is tested in
+        between as well.
+
+        Args:
+            state: base and arm at the beginning.
+            joint_steps: last posture, from home.
+            others: bits of targets that may not be pressed on the way.
+
+        Returns:
+            Primitives; None where no path is found, or no joint steps along it.
         """
         rules, robot, heading = self.kinematics, self.kinematics.robot, self.kinematics.get_heading(state)
         home = np.array(robot.compute_angles((0,) * len(joint_steps), state.joint_offsets))

@@ -49,9 +49,11 @@ class MotionLimits:
                     raise ConfigError(f"limits.{field.name}", value, "a finite number above 0")
 
     def stack(self, names: Sequence[str], robot: Robot | None = None) -> NDArray[np.float64]:
-        """Largest speed, acceleration and jerk of each coordinate (`x`, `y`, `heading`, joints), (coordinates, 3).
+        """Largest speed, acceleration and jerk of each coordinate, shape (coordinates, 3).
 
-        A robot names the joints and caps their speeds by its URDF; without one they come in the order of `names`.
+        Args:
+            names: `x`, `y`, `heading`, and joints.
+            robot: names the joints, and caps their speeds by its URDF; None for joints in the order of `names`.
 
         Raises:
             ConfigError: limits for another number of joints.

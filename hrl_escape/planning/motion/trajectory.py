@@ -125,7 +125,12 @@ class TimedTrajectory:
     def draw(self, instance: RoomInstance, path: str | Path | None = None) -> Any:
         """Draw the base's way on the room's map, with dots where touches begin.
 
-        PNG, SVG or PDF if a path is given. Returns the matplotlib figure.
+        Args:
+            instance: the room.
+            path: PNG, SVG or PDF to write; None only returns the figure.
+
+        Returns:
+            The matplotlib figure.
         """
         from hrl_escape.env.drawing.maps import Trajectory, make_map  # loads matplotlib
         from hrl_escape.figures import save_figure

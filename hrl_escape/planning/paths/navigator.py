@@ -48,7 +48,8 @@ POSE_PLACES = 400
 class Navigator:
     """Plans paths in one room, with any registered planner. Not thread-safe; pickling keeps the room only.
 
-    Clearances with the door shut or open are computed on first use unless a function gives them.
+    Attributes:
+        instance: the room.
     """
 
     def __init__(self, instance: RoomInstance, get_collision: Callable[[bool], CollisionMap] | None = None) -> None:

@@ -96,11 +96,15 @@ class _Effects(NamedTuple):
 
 
 class TaskSearch:
-    """Search over the orders of a symbolic model's operators that make facts true, by default the model's own goal.
+    """Search over the orders of a symbolic model's operators.
 
-    `lower_bound` gives the primitives that a leg costs at least, from any place, by the operator done last, or None,
-    and the one to do, or None for the last leg; a tighter bound is faster. Not `relevant_only`, operators count that
-    the goal does not need: legs planned one by one may end better after one of these.
+    Args:
+        model: propositions and operators.
+        goal: facts to make true; None for the model's own goal.
+        lower_bound: (operator done last or None, operator to do or None for the last leg) -> primitives
+            that this leg costs at least, from any place. A tighter bound is faster.
+        relevant_only: leave out operators that the goal does not need. Legs planned one by one may end better after
+            one of these.
     """
 
     def __init__(self, model: SymbolicModel, goal: frozenset[str] | None = None,

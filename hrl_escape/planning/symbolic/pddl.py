@@ -89,7 +89,12 @@ def make_problem(model: SymbolicModel, facts: frozenset[str], name: str = "room"
 
 
 def export_pddl(instance: RoomInstance, state: RoomState | None = None) -> tuple[str, str]:
-    """Write an instance's puzzle as (domain, problem) texts; the problem begins in the state, or an episode's first."""
+    """Write an instance's puzzle as (domain, problem) texts.
+
+    Args:
+        instance: the room.
+        state: where the problem begins; None for the start of an episode.
+    """
     puzzle = instance.puzzle
     model = instance.symbolic_model
     facts = puzzle.symbolic.get_facts(puzzle.make_state() if state is None else state.puzzle)
