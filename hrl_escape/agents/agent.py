@@ -126,7 +126,8 @@ class Agent(Stateful, ABC):
     """
 
     name: ClassVar[str] = ""
-    """Name in messages; of the algorithms of this package that of their file, under which `make_agent` knows them."""
+    """Name in messages: by default the class's, for the algorithms of this package that of their file, under which
+    `make_agent` knows them."""
     Settings: ClassVar[type]
     recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Name -> settings, beside `corrected`, which is `Settings()`. Names with the prefix `smdp-` hold over options."""
@@ -144,11 +145,14 @@ class Agent(Stateful, ABC):
     made_for: int | None = None
     """Number of actions of the space it was made with; None where its class is constructed in another way."""
 
-    def __init_subclass__(cls) -> None:
-        """Name an algorithm like its file."""
+    def __init_subclass__(cls, **named: Any) -> None:
+        """Name an algorithm like its file, and any other class that has no name like itself."""
+        super().__init_subclass__(**named)
         package, _, file = cls.__module__.rpartition(".")
         if package.startswith(CATALOGUE):
             cls.name = file.replace("_", "-")
+        elif not cls.name:
+            cls.name = cls.__name__
 
     def __new__(cls, *arguments: Any, **named: Any) -> Self:
         """Note the number of actions."""

@@ -56,7 +56,6 @@ class RoomEnv(Protocol):
 class OptionLevel(Protocol):
     """An environment of options, as one above it sees it."""
 
-
     action_names: tuple[str, ...]  # of its actions, in their order
     primitive_count: int  # actions that are primitives; they come first
     level: int  # environments of options below it

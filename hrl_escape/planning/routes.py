@@ -13,7 +13,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from hrl_escape.clock import Clock
@@ -396,6 +396,7 @@ _MOST_CELLS = 12
 _SIDES = {"east": (1, 0, 0.0), "north": (0, 1, math.pi / 2), "west": (-1, 0, math.pi), "south": (0, -1, -math.pi / 2)}
 """Steps along x and y to each side, and the heading for it."""
 
+
 class DoorSearches:
     """Searches of one room with inner doors, by those that are shut; `opened` is that with all of them open.
 
@@ -406,17 +407,21 @@ class DoorSearches:
         assert opened.kinematics.inner_doors is not None
         self._opened, self._rules, self._room = opened, opened.kinematics, opened.instance
         self._doors = opened.kinematics.inner_doors
-        self._get_search = lru_cache(MOST_SEARCHES)(self._make_search)
+        self._searches: OrderedDict[int, PrimitiveSearch] = OrderedDict()
 
     def choose(self, state: RoomState) -> PrimitiveSearch:
         """Return the search of the room with its inner doors as in a state."""
         walls = self.find_walls(state)
-        return self._get_search(walls) if walls else self._opened
-
-    def _make_search(self, walls: int) -> PrimitiveSearch:
-        doors = (door for number, door in enumerate(self._room.inner_doors) if walls >> number & 1)
-        room = dataclasses.replace(self._room, solids=(*self._room.solids, *doors))
-        return self._opened.adapt(room, self._rules)
+        if not walls:
+            return self._opened
+        if walls not in self._searches:
+            doors = (door for number, door in enumerate(self._room.inner_doors) if walls >> number & 1)
+            room = dataclasses.replace(self._room, solids=(*self._room.solids, *doors))
+            self._searches[walls] = self._opened.adapt(room, self._rules)
+            if len(self._searches) > MOST_SEARCHES:
+                self._searches.popitem(last=False)
+        self._searches.move_to_end(walls)
+        return self._searches[walls]
 
     def find_walls(self, state: RoomState) -> int:
         """Bits of the shut inner doors, except those in which the body stands."""

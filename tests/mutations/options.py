@@ -84,7 +84,7 @@ MUTATIONS = [
         "options/test_options_env.py::test_numbers_and_names_stay_when_rooms_are_resampled",
     ),
     Mutation(
-        "planning of a nested option that has ended is lost",
+        "planning of an option that has ended is lost",
         "options/execution.py",
         "self._stack.pop()\n        self._finished.add(option.report)",
         "self._stack.pop()",

@@ -281,4 +281,4 @@ def test_a_held_object_collides_where_the_empty_hand_does_not():
     for room, is_free in ((scene.add("post", place(1.0, 0.1)), True), (held, True),
                           (held.add("post", place(1.0, 0.1)), False)):
         reacher = Reacher(room.instance)
-        assert reacher.collisions.is_free(state.x, state.y, heading, angles) == is_free
+        assert reacher.is_collision_free(state.x, state.y, heading, angles) == is_free

@@ -202,6 +202,9 @@ class DQN(ValueAgent):
         network: a torch module of your own in place of the settings' network, from encoded observations to one number
             an action, with the weights to begin with; it is copied.
 
+    Attributes:
+        values: Q_theta, its target and its average, see `ActionValues`.
+
     Raises:
         AgentSettingsError: `hindsight_goals` in an environment without goals, or the module does not fit.
     """

@@ -5,7 +5,7 @@ Over options it measures how much the options' planners already know (Sutton, Pr
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -18,7 +18,6 @@ from hrl_escape.agents.components.exploration import make_rng, sample_legal
 class RandomAgent(FixedPolicy):
     """pi(a | s) = 1 / (number of legal actions at s)."""
 
-    Settings: ClassVar[type] = DiscountSettings
     settings: DiscountSettings
     STATE = ("_rng",)
 

@@ -42,7 +42,7 @@ class TorchRLDQN(TorchRLReplayAgent):
 
     Settings: ClassVar[type] = TorchRLDQNSettings
     settings: TorchRLDQNSettings
-    STATE = (Kept("_target.counter", "since_target"),)
+    STATE = ("_exploration", Kept("_target.counter", "since_target"))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: TorchRLDQNSettings | None = None) -> None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 import warnings
+import weakref
 from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
@@ -229,6 +230,10 @@ class Network(nn.Sequential):
         parameters = list(self.parameters())
         self.weights, self.gradient = self.weights.to(device), self.gradient.to(device)
         self._tie(parameters)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy, pickled or not, computes by its own weights."""
+        return self.__dict__ | {"_compute": None}
 
     def compute(self, observation: NDArray) -> NDArray:
         """Outputs for one encoded observation, (outputs,), without gradients.
@@ -516,10 +521,13 @@ def _make_forward(network: Network) -> Callable[[NDArray], NDArray]:
     """The function behind `Network.compute`, for as long as the weights lie where they are."""
     device = network.weights.device
     if device.type != "cpu" or not all(isinstance(layer, (nn.Linear, nn.ReLU, nn.Tanh)) for layer in network):
+        get_network = weakref.ref(network)  # it keeps this function, and is freed without a search for cycles
 
         def forward_torch(observation: NDArray) -> NDArray:
+            own = get_network()
+            assert own is not None
             with torch.no_grad():
-                return network(torch.from_numpy(observation).unsqueeze(0).to(device)).squeeze(0).cpu().numpy()
+                return own(torch.from_numpy(observation).unsqueeze(0).to(device)).squeeze(0).cpu().numpy()
 
         is_noisy = any(isinstance(layer, NoisyLinear) for layer in network.modules())
         if device.type != "cpu" or is_noisy or isinstance(network[0], _Unit):  # pictures hardly repeat

@@ -199,7 +199,7 @@ class OfflineAgent(Agent):
         q: with a table, Q of what the data shows, float64 (states, actions).
     """
 
-    heads: ClassVar[Mapping[str, str]] = {}
+    heads: ClassVar[Mapping[str, str]]
     """Name of a network -> what it gives a number for: each `action`, or the `state`; `target_NAME` follows NAME."""
     acting: ClassVar[str] = "q"
     has_table: ClassVar[bool] = True

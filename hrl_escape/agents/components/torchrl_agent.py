@@ -199,9 +199,7 @@ class TorchRLReplaySettings(TorchRLSettings):
 class TorchRLReplayAgent(TorchRLAgent):
     """Base of agents with replay, whose target networks `_target` moves after each update."""
 
-    STATE = ("replay", Kept("_exploration", is_left_out=True), Kept("_schedule.steps", "steps"),
-             Kept("_schedule._due", "updates_due"))
-    _exploration: Any = None
+    STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"))
     _target: TargetNetUpdater
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any

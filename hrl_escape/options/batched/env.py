@@ -5,6 +5,7 @@ Every step runs one primitive in every room and returns the decisions that ended
 is `stepping.py`. The rooms' planners on the host order presses, for options that press ancestors first, and find
 primitives where the fields make no progress.
 """
+
 from __future__ import annotations
 
 import dataclasses

@@ -1,8 +1,8 @@
 """Cost-to-go of presses by hand in a batch: remaining primitives of base and arm, over a small library of postures.
 
 From a place where the hand can touch the target in some posture, exactly the joint steps to it are left. From elsewhere
-they are added to the way of the base, by the field of the best of a few candidates. A `PostureChooser` weighs the
-dozens that a target has only where a press begins or did not get nearer. Tensors have rooms last.
+they are added to the way of the base, by the field of the best of a few candidates. `PostureChooser` (`env.py`) weighs
+the dozens that a target has only where a press begins or did not get nearer. Tensors have rooms last.
 """
 
 from __future__ import annotations

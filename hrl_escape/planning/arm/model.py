@@ -27,7 +27,7 @@ try:
     import coal
     import pinocchio
 except ImportError as missing:
-    raise MissingPackageError("pin", "Planning for an arm", missing) from missing
+    raise MissingPackageError("pin", "Planning for an arm or in a mesh", missing) from missing
 
 _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
 _FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide

@@ -422,7 +422,7 @@ class Reacher:
             if get_touching(b) & ~get_touching(a) & others:
                 return False
             places = (home + robot.step * (np.array(a) + share * np.subtract(b, a)) for share in TESTED_SHARES)
-            return all(self.collisions.is_free(state.x, state.y, heading, place.tolist()) for place in places)
+            return all(self.is_collision_free(state.x, state.y, heading, place.tolist()) for place in places)
 
         steps = follow_path((path - home) / robot.step, state.joint_steps, joint_steps, can_step)
         if steps is None:
@@ -434,14 +434,26 @@ class Reacher:
     # --- collisions --------------------------------------------------------------------
 
     @cached_property
-    def collisions(self) -> ArmCollisions:
-        """Test of the arm against walls, obstacles, the shut exit door and itself; targets are to be touched."""
+    def _collisions(self) -> ArmCollisions:
         return ArmCollisions(self.kinematics.robot, self.instance.robot.hand_radius, self.instance.all_solids)
 
     def collides(self, state: RoomState) -> bool:
-        """Return whether the arm meets something in a state, by `collisions`."""
+        """Return whether the arm meets a wall, an obstacle, the shut exit door or the robot itself."""
         heading = self.kinematics.get_heading(state)
-        return not self.collisions.is_free(state.x, state.y, heading, self.kinematics.get_angles(state))
+        return not self.is_collision_free(state.x, state.y, heading, self.kinematics.get_angles(state))
+
+    def is_collision_free(self, x: float, y: float, heading: float, joints: Sequence[float]) -> bool:
+        """Return whether the arm is clear of walls, obstacles, the shut exit door and the robot itself.
+
+        Targets do not count: they are meant to be touched.
+
+        Args:
+            x: the base's axis, m.
+            y: the base's axis, m.
+            heading: rad.
+            joints: joint angles, rad.
+        """
+        return self._collisions.is_free(x, y, heading, joints)
 
 
 def _bound_reach(lattice: ArmLattice) -> float:

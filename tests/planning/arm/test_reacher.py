@@ -563,7 +563,7 @@ def test_arms_collide_with_solids_as_in_bullet(robot: RobotConfig, tmp_path: Pat
         for _ in range(300):
             angles, heading = rng.uniform(low, high), float(rng.uniform(-math.pi, math.pi))
             x, y = rng.uniform(-1.5, 1.5, size=2).tolist()
-            if not reacher.collisions.is_free(50.0, 50.0, heading, angles.tolist()):
+            if not reacher.is_collision_free(50.0, 50.0, heading, angles.tolist()):
                 continue  # the robot meets itself
             pybullet.resetBasePositionAndOrientation(
                 body, (x, y, offset[2]), pybullet.getQuaternionFromEuler((0, 0, heading)), physicsClientId=client)
@@ -579,7 +579,7 @@ def test_arms_collide_with_solids_as_in_bullet(robot: RobotConfig, tmp_path: Pat
                 gap = math.hypot(flat, max(hand[2] - solid.height, 0.0)) - robot.hand_radius
                 arm_gap = min(arm_gap, gap)
             if abs(arm_gap) > 0.02:  # Bullet's margins, and the hulls of meshes
-                assert reacher.collisions.is_free(x, y, heading, angles.tolist()) == (arm_gap > 0)
+                assert reacher.is_collision_free(x, y, heading, angles.tolist()) == (arm_gap > 0)
                 free, hit = free + (arm_gap > 0), hit + (arm_gap < 0)
     finally:
         pybullet.disconnect(client)
@@ -589,9 +589,9 @@ def test_arms_collide_with_solids_as_in_bullet(robot: RobotConfig, tmp_path: Pat
 def test_robot_meets_itself_and_is_clear_at_home():
     robot = RobotConfig(joints=6, body_radius=0.4, body_height=0.8, joint_limit_deg=170)
     reacher = Reacher(make_room(robot, z=1.1, physics=True))
-    assert reacher.collisions.is_free(0.0, 0.0, 0.0, (0.0,) * 6)
+    assert reacher.is_collision_free(0.0, 0.0, 0.0, (0.0,) * 6)
     folded = (0.0, math.radians(90), math.radians(-170), 0.0, 0.0, 0.0)
-    assert not reacher.collisions.is_free(0.0, 0.0, 0.0, folded)
+    assert not reacher.is_collision_free(0.0, 0.0, 0.0, folded)
 
 
 def test_physics_takes_the_fewest_joint_steps_that_are_clear_of_obstacles():
@@ -614,10 +614,10 @@ def test_physics_takes_the_fewest_joint_steps_that_are_clear_of_obstacles():
         away = np.linalg.norm(np.maximum(gaps - (button.half_x, button.half_y, button.half_z), 0.0), axis=1)
         pushing = configurations[away <= robot.hand_radius - 0.01]
         costs = [sum(map(abs, q)) for q in pushing.tolist()
-                 if physics.collisions.is_free(x, y, angle, compute_angles(tuple(q)))]
+                 if physics.is_collision_free(x, y, angle, compute_angles(tuple(q)))]
         assert (None if got is None else sum(map(abs, got))) == min(costs, default=None)
         clear += got is not None
-        blocked += loose is not None and not physics.collisions.is_free(x, y, angle, compute_angles(loose))
+        blocked += loose is not None and not physics.is_collision_free(x, y, angle, compute_angles(loose))
         dearer += got is not None and sum(map(abs, got)) > np.abs(pushing).sum(axis=1).min()
     assert clear >= 20 and blocked >= 20 and dearer >= 10
 

@@ -117,7 +117,7 @@ class Hamq(RowStreamAgent):
         self.settings = settings = settings or HamqSettings()
         count_actions(action_space, "hamq")
         self._program, self._see, self._read = program or flat_machine, see, read
-        self.privileges = ("program",) * (program is not None) + ("state",) * (read is not None)
+        self.privileges = ("program",) * (self._program is not flat_machine) + ("state",) * (read is not None)
         self._discretise = None if see is not None else make_discretiser(observation_space, settings, "hamq")
         self.table = ValueTable(settings.learning_rate, settings.learning_rate_power, settings.initial_value)
         self.successors: dict[Hashable, _Point] = {}

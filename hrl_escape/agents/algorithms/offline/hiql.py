@@ -16,11 +16,7 @@ from torch import Tensor
 from torch.nn.functional import cross_entropy
 
 from hrl_escape.agents.algorithms.offline.iql import MOST_WEIGHT, IQLSettings, expectile_loss
-from hrl_escape.agents.components.networks import (
-    Network,
-    ObservationEncoder,
-    make_network,
-)
+from hrl_escape.agents.components.networks import Network, ObservationEncoder, make_network
 from hrl_escape.agents.components.offline import (
     Batch,
     Decisions,

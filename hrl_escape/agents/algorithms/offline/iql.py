@@ -10,9 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.components.networks import (
-    compute_td_loss,
-)
+from hrl_escape.agents.components.networks import compute_td_loss
 from hrl_escape.agents.components.offline import Batch, DecisionTable, OfflineAgent, OfflineSettings
 from hrl_escape.settings import Range
 

@@ -39,7 +39,7 @@ def test_it_is_listed_with_the_privileges_that_its_page_names(name):
         assert privilege.removesuffix("-actions") in privileged, (line, privileged)
     agent_class = get_agent_class(name)
     flat = agent_class(gymnasium.spaces.Discrete(4), gymnasium.spaces.Discrete(2), 0, agent_class.Settings())
-    assert getattr(flat, "privileges", ()) == (), "without a hierarchy it is told nothing"
+    assert flat.privileges == (), "without a hierarchy it is told nothing"
 
 
 def test_comparisons_by_name_leave_them_out():
