@@ -70,8 +70,13 @@ def compute_ends(statistic: Statistic, scores: Scores, bounds: tuple[float, floa
     """Draws (resamples, ...) of a statistic with the lowest possible score added, and with the highest.
 
     The share of the first at or below a level is the p-value of a statistic above that level, the share of the second
-    at or above it that of a statistic below. `scores` are (..., runs) a room, and `weights`, from `draw_weights`,
-    (resamples, ..., runs + 1).
+    at or above it that of a statistic below.
+
+    Args:
+        statistic: of values and weights.
+        scores: (..., runs) a room.
+        bounds: lowest and highest possible score.
+        weights: (resamples, ..., runs + 1) a room, from `draw_weights`.
     """
     lower, upper = (statistic([_append(room, bound) for room in scores], weights) for bound in bounds)
     return lower, upper
@@ -193,7 +198,14 @@ def is_better(pair: Pair) -> bool:
 
 def compare_agents(finals: Sequence[Finals], in_family: Sequence[bool], rng: np.random.Generator,
                    resamples: int = IMPROVEMENT_RESAMPLES) -> tuple[tuple[Pair, ...], ...]:
-    """Compare all agents, each with its finals, with each other; those out of the family count in no correction."""
+    """Compare all agents with each other.
+
+    Args:
+        finals: one an agent.
+        in_family: one an agent; False for a reference that nothing is claimed of.
+        rng: source of the draws for intervals.
+        resamples: number of these draws.
+    """
     couples = list(itertools.combinations(range(len(finals)), 2))
     found = {couple: _compare(finals[couple[0]], finals[couple[1]], rng, resamples) for couple in couples}
     family = [couple for couple in couples if in_family[couple[0]] and in_family[couple[1]]]

@@ -125,7 +125,19 @@ def name_protocol(protocol: Protocol, source: str | None) -> str:
 
 def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: Sequence[AgentSpec],
                        settings: LadderSettings) -> Grid:
-    """Grid of a rung under a protocol, with some of its numbers changed; `ConfigError` for impossible ones."""
+    """Grid of a rung under a protocol.
+
+    Args:
+        bench: the benchmark.
+        rung: name of the rung.
+        protocol: see `Protocol`.
+        agents: to be compared.
+        settings: numbers to change.
+
+    Raises:
+        UnknownNameError: no such rung.
+        ConfigError: more rooms than the rung has, or a rung to train on that does not go with the protocol.
+    """
     label = name_protocol(protocol, settings.source)
     if protocol == "few-shot" and settings.trials < 2:
         raise ConfigError("trials", settings.trials, "2 or more; with one it is the protocol generalise")
@@ -170,9 +182,16 @@ def choose_floors(bench: Benchmark) -> tuple[str, ...]:
 
 def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[AgentSpec], settings: LadderSettings
                     ) -> Grid:
-    """Grid of rungs, from the bottom to the top, as the floors of one tower; `trials` and `source` have no effect.
+    """Grid of rungs as the floors of one tower.
+
+    Args:
+        bench: the benchmark.
+        rungs: names of the floors, from the bottom to the top.
+        agents: to be compared.
+        settings: numbers to change; `trials` and `source` are of other protocols.
 
     Raises:
+        UnknownNameError: no such rung.
         ConfigError: fewer than two floors, one twice but by `floors`, more rooms than a rung has, or an agent that
             follows the numbers of one room's options.
     """

@@ -39,8 +39,13 @@ def record_escapes(env: gymnasium.Env, seeds: Sequence[int], evaluations: Sequen
 
     It plans once from the start of each episode that escaped, and searches for the best known return only where the
     agent beat that plan. Left alone are other environments than rooms, puzzles with rewards of their own, and returns
-    that a wrapper made: those that an escape after so many primitives does not earn. The environment is reset where an
-    episode escaped.
+    that a wrapper made: those that an escape after so many primitives does not earn.
+
+    Args:
+        env: the evaluation environment; reset where an episode escaped.
+        seeds: of an evaluation's episodes.
+        evaluations: of these episodes.
+        source: agent and seed.
     """
     room: Any = env.unwrapped
     if not isinstance(getattr(room, "instance", None), RoomInstance):

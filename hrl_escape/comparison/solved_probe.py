@@ -39,9 +39,16 @@ class Solution:
 
 
 class SolvedProbe(Stateful):
-    """Measures whether an agent has solved its room, by a rule, in an environment between training episodes.
+    """Measures whether an agent has solved its room; see `SolvedRule`.
 
     An agent that learns nothing gets no better, so it is done with its first escape.
+
+    Args:
+        rule: when to measure, and what counts as solved.
+        env: where the policy is checked, between training episodes.
+        instance: the room.
+        spec: the agent.
+        score_range: of the room, for this agent.
     """
 
     STATE = ("_has_escaped", Kept("_structure", pack=lambda steps: list(map(list, steps)),

@@ -83,10 +83,17 @@ class FieldMaker:
     def __init__(self, instance: RoomInstance, rules: Rules, *, door_shut: bool, refinement: int = 0,
                  collision: CollisionMap | None = None, path: NDArray[np.float64] | None = None, width: float = 0.0,
                  clock: Clock = NO_LIMIT) -> None:
-        """Build the grid and its links, with the exit door, if any, shut or open. Raises `OutOfTime`.
+        """Build the grid and its links. Raises `OutOfTime`.
 
-        `collision` are the clearances with that door, None to compute them. Each `refinement` halves the cells. With a
-        `path` of places (n, 2), m, the grid holds only the cells within `width` moves of it.
+        Args:
+            instance: the room.
+            rules: its rules, for headings and touching.
+            door_shut: True to shut the exit door, if there is one.
+            refinement: number of times that the cells are halved.
+            collision: clearances of the room with the door like that; None to compute them.
+            path: places (n, 2) of a path, m; the grid then holds only cells in a corridor round it.
+            width: half width of the corridor, in moves.
+            clock: time limit.
         """
         step = rules.actions.stride
         self.door_shut = door_shut and instance.door is not None

@@ -128,11 +128,17 @@ class _LearnedPolicy:
 
 
 class AgentOption(Option):
-    """Option that follows a policy of a trained agent: an `hrl_escape.agents.agent.OptionPolicy` of its `get_options`.
+    """Option that follows a policy of a trained agent.
 
-    It sees `observe` of the state, or the state itself, and acts as `legal` allows: the number of the agent's actions,
-    or state -> bool (actions,) of the legal ones. `until` is a probability of ending in addition to the policy's own.
-    `origin` is the run in which it was learned: `agent`, `run`, `seed`, `primitives`; empty for an agent never trained.
+    Args:
+        learned: the policy, as an agent's `get_options` gives it: `hrl_escape.agents.agent.OptionPolicy`.
+        legal: number of the agent's actions, or state -> bool (actions,) of the legal ones.
+        observe: state -> observation that the agent knows; None for the state itself.
+        until: state -> probability of ending there, in addition to the policy's own end; None for that alone.
+        name: None for the policy's.
+
+    Attributes:
+        origin: run in which it was learned: `agent`, `run`, `seed`, `primitives`; empty for an agent never trained.
     """
 
     def __init__(self, learned: Any, legal: LegalActions, observe: Callable[[Any], Any] | None = None,

@@ -179,8 +179,14 @@ def _tell_unavoidable(option: Option, instance: RoomInstance, route: Route) -> N
 class AncestorsOption(GoalOption):
     """Carry out an operator's missing preconditions in the cheapest order, then the operator itself.
 
-    `parts` are the plain options of the operators' goals. Operators already done are not repeated, except that the last
-    one always runs (as in the meta-actions of the published 2019 code).
+    Operators already done are not repeated, except that the last one always runs (as in the
+    meta-actions of the published 2019 code).
+
+    Args:
+        name: stable name.
+        planner: the room's planner.
+        goal: goal of the operator.
+        parts: the plain option for each goal of an operator.
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, parts: dict[Goal, Option]) -> None:

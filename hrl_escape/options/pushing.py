@@ -93,7 +93,14 @@ class PushField:
         return float(self.costs[cell]) if cell >= 0 else math.inf
 
     def find_push(self, x: float, y: float, headings: int, others: Sequence[Footprint] = ()) -> _Push | None:
-        """Best next push of the block from a place, m, by the base's headings; nothing may meet the `others`."""
+        """Find the best next push of the block from a place, among the headings of the base.
+
+        Args:
+            x: the block's place, m.
+            y: the block's place, m.
+            headings: headings of the base in a full turn.
+            others: footprints that neither block nor body may meet.
+        """
         step = self._instance.robot.actions.stride
         goal_x, goal_y = self.goal
         left = math.hypot(goal_x - x, goal_y - y)

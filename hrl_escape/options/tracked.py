@@ -33,8 +33,13 @@ HEADROOM = 0.9
 class TrackedOption(GoalOption):
     """Reach one goal by a trajectory; where it ends short of the goal, by another from there.
 
-    A sampler finds trajectories first; without one, or where it fails, they are those of plans of primitives. The time
-    step is the environment's, s.
+    Args:
+        name: stable name.
+        planner: the room's planner.
+        goal: goal of the option.
+        limits: of the trajectories.
+        time_step: of the environment, s.
+        sampler: finds trajectories first; None for those of plans of primitives alone.
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, limits: MotionLimits, time_step: float,

@@ -28,9 +28,14 @@ def get_prop_poses(state: RoomState, instance: RoomInstance) -> list[tuple[float
 
 def list_blocks(state: RoomState, instance: RoomInstance, *, grown: float = 0.0, only_done: bool = False,
                 without: int | None = None) -> tuple[Footprint, ...]:
-    """Footprints of the blocks, each side grown by some metres, without the prop of an index.
+    """Footprints of the blocks, each side grown by some metres.
 
-    With `only_done`, they are those that stand where the puzzle wants them.
+    Args:
+        state: the state.
+        instance: the room.
+        grown: growth, m; negative to shrink.
+        only_done: leave out blocks that do not stand where the puzzle wants them.
+        without: index of a prop to leave out.
     """
     if not instance.props:
         return ()

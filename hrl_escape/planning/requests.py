@@ -164,7 +164,15 @@ def compute_lacking_clearance(plan: Plan) -> float:
 
 def bound_cost(instance: RoomInstance, state: RoomState, goals: tuple[Goal, ...], request: PlanningRequest,
                primitives: float) -> float:
-    """Lower bound of a request's cost of any plan to goals in order, by the bound of its number of primitives."""
+    """Lower bound of the cost of every plan that reaches goals in order.
+
+    Args:
+        instance: the room.
+        state: first state.
+        goals: in order.
+        request: says by which objective.
+        primitives: bound of the number of primitives.
+    """
     if request.objective == "primitives":
         return primitives
     if request.objective == "clearance":

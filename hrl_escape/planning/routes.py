@@ -176,9 +176,14 @@ class Routes:
 
     def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
                    clock: Clock | None = None, settings: SearchSettings | None = None) -> Route:
-        """Find the route from a state to a goal, or recall it; clock and settings are these routes' own by default.
+        """Find the route from a state to a goal, or recall it.
 
-        The report counts calls, cache hits and seconds.
+        Args:
+            state: first state.
+            goal: the goal.
+            report: counts calls, cache hits and seconds.
+            clock: time limit of a call that this one is part of; None for the planner's own.
+            settings: of the search; None for the planner's own.
 
         Raises:
             PlanningFailed: no route; a failure is cached like a route.
@@ -212,12 +217,19 @@ class Routes:
 
     def find_route_around(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint], budget: int,
                           report: PlanningReport, *, refine: bool = True, clock: Clock | None = None) -> Route:
-        """Find the route to a goal round footprints that the body must not meet; it is not cached.
+        """Find the route to a goal round movable things such as blocks; it is not cached.
 
-        To `refine` is to search finer grids, too, before giving up.
+        Args:
+            state: first state.
+            goal: the goal.
+            keep_out: footprints that the body must not meet.
+            budget: search nodes that may be expanded.
+            report: counts calls and seconds.
+            refine: search finer grids, too, before giving up.
+            clock: time limit of a call that this one is part of; None for the planner's own.
 
         Raises:
-            PlanningFailed: no route within the budget of search nodes.
+            PlanningFailed: no route within the budget.
         """
         began = read_clock()
         report.planner_calls += 1
@@ -259,7 +271,11 @@ class Routes:
                keep_out: Sequence[Footprint] | None = None) -> Route | None:
         """Route of given primitives from here, cut where the goal is reached; None if it never is.
 
-        The body must not meet the footprints to keep out of; by default those of blocks that must not be moved.
+        Args:
+            state: first state.
+            primitives: the primitives.
+            goal: the goal.
+            keep_out: footprints that the body must not meet; None for blocks that it must not move.
         """
         poses, pressed = [get_pose(state)], 0
         here = state

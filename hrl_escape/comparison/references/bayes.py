@@ -186,9 +186,13 @@ def _measure_depths(family: GraphFamily) -> NDArray[np.int64]:
 
 def condition_on_room(family: GraphFamily, config: ButtonsConfig, room: RoomInstance,
                       odds: NDArray[np.float64] | None = None) -> GraphFamily:
-    """The graphs of a schematic that may be a room's before its first press, by its marks and where its buttons hang.
+    """The graphs that may be a room's before its first press, by its marks and by where its buttons hang.
 
-    `odds` are those of each motif of marks, (motifs,); all alike by default.
+    Args:
+        family: every graph of the schematic.
+        config: its puzzle.
+        room: one of its rooms.
+        odds: probability of each motif of marks, (motifs,); all alike by default.
     """
     assert isinstance(room.puzzle, ButtonsPuzzle)
     return condition_on_places(condition_on_marks(family, config.marks, room.puzzle.marks, odds), config.sections,
@@ -214,7 +218,11 @@ def condition_on_marks(family: GraphFamily, rules: MarksConfig, marks: tuple[int
                        odds: NDArray[np.float64] | None = None) -> GraphFamily:
     """The graphs that the marks of a room allow, as likely as these make them; the same family where they say nothing.
 
-    The schematic's marks are known with their code; `odds` are those of each motif, (motifs,), all alike by default.
+    Args:
+        family: every graph of the schematic.
+        rules: the schematic's marks, whose code is known.
+        marks: of the room's buttons; none without marks.
+        odds: probability of each motif, (motifs,); all alike by default.
     """
     if not marks or rules.shuffled:
         return family
@@ -264,7 +272,13 @@ in which no graph is left can still find one."""
 
 
 class GraphParticles:
-    """Graphs of a schematic for a room with so many buttons and these marks, likely in the light of presses.
+    """Graphs of a schematic, likely in the light of presses.
+
+    Args:
+        config: the schematic's puzzle.
+        count: number of buttons in the room.
+        rng: draws and moves.
+        marks: of the room's buttons; none without marks.
 
     Raises:
         UnsupportedError: marks of several motifs, wires, or sections.
@@ -490,7 +504,11 @@ class BeliefGraph:
                             ) -> NDArray[np.float32]:
         """Expected primitives to the exit after a press, float32 (beliefs, places); infinite where it is in vain.
 
-        `costs` are those from the beliefs that the press leads to, `beliefs` the numbers of those before it.
+        Args:
+            costs: from the beliefs that the press leads to.
+            beliefs: numbers of the beliefs before it.
+            button: the button that is pressed.
+            ways: lengths of ways.
         """
         opens, lights, fails, resets = (odds[beliefs, button, None] for odds in
                                         (self.opens, self.lights, self.fails, self.resets))

@@ -210,7 +210,16 @@ class _View(NamedTuple):
 class BatchedCamera:
     """A camera in every room of a batch.
 
-    Its arguments, and what it raises, are those of `EscapeRoomVectorEnv.take_pictures`.
+    Args:
+        room: the batch.
+        camera: `robot` or `overhead`, as in `CAMERAS`.
+        width: pixels, from 8 to 2048.
+        height: pixels, from 8 to 2048.
+
+    Raises:
+        UnknownNameError: no camera of that name.
+        ConfigError: an impossible size.
+        UnsupportedError: the camera `chase`, a robot with an arm, or targets with marks.
     """
 
     def __init__(self, room: TensorRoom, camera: str = "robot", width: int = 84, height: int = 84) -> None:

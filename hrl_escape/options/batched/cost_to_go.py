@@ -339,8 +339,14 @@ def interpolate_cost(layout: Layout, fields: CostFields, instance: Tensor, field
                      heading: Tensor, between: Tensor | None) -> Tensor:
     """Interpolate the cost-to-go among the cells from which there is a way; float32 (..., rooms).
 
-    `field` is a field's index in its instance, int64 (rooms,); `heading` a class of headings, int64 (..., rooms), and
-    `between` the share of the way to the next class, float32 (rooms,), None if all headings are classes.
+    Args:
+        layout: properties that all rooms share.
+        fields: their fields.
+        instance: index of each room's instance, int64 (rooms,).
+        field: index of the field in its instance, int64 (rooms,).
+        place: position, from `locate`.
+        heading: class of the heading, int64 (..., rooms).
+        between: share of the way to the next class, float32 (rooms,); None if all headings are classes.
     """
     column = torch.zeros_like(instance) if layout.is_shared else instance
     first = fields.begins[field, column] + place.cell * fields.classes

@@ -164,9 +164,17 @@ def _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shar
 def trace_moves(scene, points, standing, rows, low, size, moves, targets, reaches, way_out) -> Moves:
     """Find the ends of all moves of a disc from every cell's representative place.
 
-    `points` are these places, (cells, 2), m, the centre where nothing is near; `standing` says where the body fits.
-    `moves` are displacements, (classes, translations, 2), m; `targets` rows of `stack_footprints`, touched within
-    `reaches`, (targets,), m; `way_out` is x_min, x_max, y_min, y_max of the exit, m.
+    Args:
+        scene: the room.
+        points: a representative place in each cell, shape (cells, 2), m; the centre where nothing is near.
+        standing: True where the body fits, shape (cells,).
+        rows: cells along y; a cell's index is i * rows + j.
+        low: corner of the grid, shape (2,), m.
+        size: side of a cell, m.
+        moves: displacements, shape (classes, translations, 2), m.
+        targets: rows of `stack_footprints`, shape (targets, 7).
+        reaches: distance at which each is touched, shape (targets,), m.
+        way_out: x_min, x_max, y_min, y_max of the exit, m.
     """
     offsets, shares = _trace_free(size, rows, moves)
     tables = _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shares, targets, reaches, way_out)

@@ -61,9 +61,15 @@ def make_halves(tables: list[NDArray[np.float64]], hand: NDArray[np.float64], lo
                 at: tuple[int, ...], most: int) -> Halves:
     """Split an arm's lattice into halves of at most `most` configurations each.
 
-    A half that has more keeps those with the fewest steps from `at`, and for the rest a coarser lattice through `at`
-    that spans all of it. `tables` are the placements of each joint's link in the one before, (steps, 4, 4) each, from
-    its fewest steps, `low`, on; `hand` is in the last link, (3,), m.
+    A half that has more keeps those with the fewest steps from `at`, and for the rest a coarser
+    lattice through `at` that spans all of it.
+
+    Args:
+        tables: placements of each joint's link in the one before, (steps, 4, 4) each.
+        hand: the hand in the last link, (3,), m.
+        low: fewest steps of each joint.
+        at: the central configuration, near which the lattice is complete.
+        most: most configurations of a half.
     """
     tables, counts = list(tables), [len(table) for table in tables]
     while len(tables) > 1:
@@ -144,10 +150,15 @@ def make_lattice(halves: Halves, at: tuple[int, ...]) -> tuple[ArmLattice, NDArr
 
 @kernel
 def map_hands(lattice, z_low, z_high, cell, half_cells, budget):
-    """Fewest joint steps that bring the hand into each cell of the floor, at heights from `z_low` to `z_high`, m.
+    """Fewest joint steps that bring the hand into each cell of the floor, at heights within a window.
 
-    Cells have the side `cell`, m, and there are `half_cells` from the base's axis to each edge of the map. Beyond
-    `budget` pairs of halves no further cost is begun.
+    Args:
+        lattice: the arm's configurations.
+        z_low: m.
+        z_high: m.
+        cell: side of a cell, m.
+        half_cells: cells from the base's axis to each edge of the map.
+        budget: pairs of halves beyond which no further cost is begun.
 
     Returns:
         costs (cells, cells), int16, x ahead first; first and last half of the first configuration found at that cost,
@@ -184,10 +195,21 @@ def map_hands(lattice, z_low, z_high, cell, half_cells, budget):
 def lower_costs(hands, hand_cell, headings, half_x, half_y, cell, columns, rows):
     """Lower bound of the joint steps to touch a rectangle, from each cell round it and each heading.
 
-    A base at b with heading h touches with the hand at u (base frame) where b + R(h) u lies in the rectangle, so each
-    map cell of `map_hands` with a cost lowers all of `rectangle - R(h) u`. Headings (headings,), rad, are in the
-    rectangle's frame; its half sizes, m, include the margin of touch. The result is (columns, rows, headings), int16,
-    with cells of the side `cell`, m; the rectangle's centre is the corner in the middle, and -1 is out of reach.
+    A base at b with heading h touches with the hand at u (base frame) where b + R(h) u lies in
+    the rectangle, so each map cell with a cost lowers all of `rectangle - R(h) u`.
+
+    Args:
+        hands: of `map_hands`.
+        hand_cell: side of its cells, m.
+        headings: rad, in the rectangle's frame, shape (headings,).
+        half_x: half size of the rectangle with its margin of touch, m.
+        half_y: half size of the rectangle with its margin of touch, m.
+        cell: side of a cell of the result, m.
+        columns: cells along x; the rectangle's centre is the corner in the middle.
+        rows: cells along y.
+
+    Returns:
+        Shape (columns, rows, headings), int16; -1 where out of reach.
     """
     costs = np.empty((columns, rows, headings.shape[0]), dtype=np.int16)
     size = hands.shape[0]
@@ -248,7 +270,21 @@ def _lower_windows(plane, columns, rows):
 
 def bound_costs(hands: NDArray[np.int16], hand_cell: float, headings: NDArray[np.float64], yaw: float, half_x: float,
                 half_y: float, cell: float) -> NDArray[np.int16]:
-    """Tabulate the joint steps to touch a rectangle along the room's axes: `lower_costs` of one with a yaw, rad."""
+    """Tabulate the joint steps to touch a rectangle along the room's axes: see `lower_costs`.
+
+    Args:
+        hands: of `map_hands`.
+        hand_cell: side of its cells, m.
+        headings: of the base, rad, shape (headings,).
+        yaw: of the rectangle, rad.
+        half_x: half size of the rectangle with its margin of touch, along its own x, m.
+        half_y: half size of the rectangle with its margin of touch, along its own y, m.
+        cell: side of a cell of the result, m.
+
+    Returns:
+        Shape (columns, rows, headings), int16; -1 where out of reach. The rectangle's centre is the corner
+        in the middle.
+    """
     quarters = round(yaw / (math.pi / 2))
     askew = yaw - quarters * math.pi / 2
     if quarters % 2:

@@ -288,7 +288,14 @@ class ArmCollisions:
         return q
 
     def is_free(self, x: float, y: float, heading: float, angles: Sequence[float]) -> bool:
-        """Return whether no link meets a solid, the floor or another link; places in m, heading and angles in rad."""
+        """Return whether no link meets a solid, the floor or another link.
+
+        Args:
+            x: the base's axis in the room, m.
+            y: the base's axis in the room, m.
+            heading: rad.
+            angles: joint angles, rad.
+        """
         return self._find_near(x, y)._test(x, y, heading, angles)
 
     def _test(self, x: float, y: float, heading: float, angles: Sequence[float]) -> bool:

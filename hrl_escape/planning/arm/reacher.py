@@ -462,9 +462,16 @@ def _bound_reach(lattice: ArmLattice) -> float:
 
 def follow_path(path: NDArray[np.float64], begin: Posture, end: Posture, can_step: Callable[[Posture, Posture], bool]
                 ) -> tuple[Posture, ...] | None:
-    """Fewest joint steps from one posture to another near a path, as the postures after each; None without a way.
+    """Find the fewest joint steps from one posture to another near a path.
 
-    The path's places, (n, joints), and the postures are in joint steps from home. `can_step` is asked for neighbours.
+    Args:
+        path: places along it, at most a fraction of a step apart, shape (n, joints), in joint steps from home.
+        begin: first posture, in joint steps from home.
+        end: last posture.
+        can_step: (posture, a neighbouring one) -> the arm may go from one to the other.
+
+    Returns:
+        Postures after each step; None where no tube holds a way.
     """
     found = (_search_tube(path, begin, end, can_step, wide) for wide in TUBES)
     return next((postures for postures in found if postures is not None), None)

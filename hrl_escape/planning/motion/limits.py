@@ -90,9 +90,13 @@ def compute_rest_to_rest(distance: float, speed: float, acceleration: float, jer
 
 
 def compute_duration(states: Sequence[RoomState], limits: MotionLimits, robot: Robot, turn_step: float) -> float:
-    """Shortest time to go through states, each one primitive after the one before, s.
+    """Shortest time to go through states one after another, s; the base rests wherever its direction changes.
 
-    The base rests wherever its direction changes. The turn step is in rad.
+    Args:
+        states: states of a plan, each one primitive after the one before.
+        limits: of speed, acceleration and jerk.
+        robot: the robot.
+        turn_step: angle of a turn, rad.
     """
     rates = limits.stack(("x", "heading", *robot.joint_names), robot).tolist()
     total, now, length = 0.0, (0, 0.0, 0.0), 0.0

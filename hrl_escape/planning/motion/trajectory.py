@@ -177,7 +177,15 @@ def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionL
                  ) -> TimedTrajectory:
     """Join pieces, each of which begins where the one before ends, and slow them down until the arm can do it.
 
-    A bare path has no robot. Errors, by the name of the motion, are those of `make_trajectory`.
+    Args:
+        names: of the coordinates.
+        parts: the pieces.
+        limits: that they keep.
+        robot: the robot; None for a bare path.
+        name: of the motion, for errors.
+
+    Raises:
+        ConfigError: see `make_trajectory`.
     """
     _check_joints(names, parts, robot)
     contacts, begin = [], 0.0
@@ -266,9 +274,16 @@ ASTRAY = 1e-3
 
 
 class Tracker:
-    """Chooses the velocities of each step, from the state reached to where the trajectory is a time step, s, later.
+    """Chooses the velocities of each step.
 
-    Its clock stands still while a target that it has come to is not yet pressed, and the robot pushes on.
+    Each step leads from the state reached to where the trajectory is a step later. Its clock stands still while a
+    target that it has come to is not yet pressed, and the robot pushes on.
+
+    Args:
+        trajectory: of base and arm.
+        rules: the room's rules.
+        time_step: of the environment, s.
+        state: where it begins.
 
     Attributes:
         pressed: targets whose touch has begun, in order.

@@ -269,7 +269,15 @@ def check_pose_planner(name: str) -> None:
 
 def find_pose_path(collision: CollisionMap, start: NDArray[np.float64], ends: NDArray[np.float64], planner: str,
                    seed: int, budget: CheckerBudget) -> NDArray[np.float64] | None:
-    """Find a path of poses, (x, y, heading) in m and rad, from a start (3,) to any of some ends (n, 3); the base fits.
+    """Find a path of poses from a start to any of some ends.
+
+    Args:
+        collision: the room.
+        start: x, y and heading, shape (3,), m and rad; the base fits there.
+        ends: poses of which any will do, shape (n, 3); the base fits there.
+        planner: one of `OMPL_PLANNERS`.
+        seed: the same seed gives the same path.
+        budget: poses that may be tested, and the time limit.
 
     Returns:
         Poses to go through in straight lines while turning evenly, shape (k, 3), or None.

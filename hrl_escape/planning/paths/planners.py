@@ -79,10 +79,18 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
                     goals: NDArray[np.float64], is_free: Callable[[NDArray[np.float64]], bool], spacing: float,
                     budget: CheckerBudget, *, planner: str = "RRTConnect", seed: int = 0
                     ) -> NDArray[np.float64] | None:
-    """Find a path from a start (n,) to any of some goals (m, n) through coordinates scaled to metres of motion.
+    """Find a path from a start to any of some goals through coordinates scaled to metres of motion.
 
-    Coordinates are within `low` and `high`, (n,); a motion is tested at places `spacing` apart. The same seed gives the
-    same path.
+    Args:
+        low: least coordinates, shape (n,).
+        high: largest coordinates, shape (n,).
+        start: first place, shape (n,).
+        goals: places of which any will do, shape (m, n).
+        is_free: tests one place.
+        spacing: distance between tested places of a motion.
+        budget: places that may be tested, and the time limit.
+        planner: one of `OMPL_PLANNERS`.
+        seed: the same seed gives the same path.
 
     Returns:
         Places to go through in straight lines, shape (k, n); None if the planner gave up or the budget is used up.

@@ -128,8 +128,12 @@ def step_aside(place: tuple[float, float], angle: float, distances: Sequence[flo
                ) -> tuple[float, float] | None:
     """Nearest place with the clearance that tests of motions need, straight from one that may touch a wall.
 
-    Distances, m, are tried in order, each in 16 directions from `angle`, rad, on. `is_clear` says of a place that it
-    has that clearance, `is_move_free` of two that the base can go straight between them.
+    Args:
+        place: the place, m.
+        angle: direction that is tried first, rad.
+        distances: tried in this order, each in 16 directions, m.
+        is_clear: says whether a place has that clearance.
+        is_move_free: says whether the base can go straight between two places.
     """
     x, y = place
     if is_clear(x, y):

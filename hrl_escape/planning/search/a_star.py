@@ -291,9 +291,16 @@ def take_cheapest(frontier, most, expansions):
 
 @kernel_in_place
 def expand_until_goal(scene, query, frontier, expansions):
-    """Expand nodes until a goal node is cheapest, and take it out of the frontier, which is empty at first.
+    """Expand nodes until a goal node is cheapest.
 
-    It is `EXHAUSTED`, `BUDGET` or `GROW` if there is none; `expansions` in all end the search.
+    Args:
+        scene: the room.
+        query: the query.
+        frontier: nodes so far (none at first); changed in place.
+        expansions: total number of expanded nodes at which to stop.
+
+    Returns:
+        The goal node, which is taken out of the frontier; or `EXHAUSTED`, `BUDGET` or `GROW`.
     """
     most = max(16, 2 * (query.moves.shape[1] + query.turn_steps.shape[0]))  # nodes of one expansion
     if frontier.counts[0] == 0:
@@ -414,9 +421,18 @@ def _expand_joint(shut, opened, query, frontier, node):
 
 @kernel_in_place
 def expand_until_escape(shut, opened, query, frontier, expansions):
-    """As `expand_until_goal`, until an escape is cheapest, in the room with its exit door shut and opened.
+    """Expand nodes until an escape is cheapest.
 
-    The first fact of a node is the number of its puzzle state times the number of headings, plus its heading.
+    Args:
+        shut: the room with its exit door shut.
+        opened: the room with it open.
+        query: the query.
+        frontier: nodes so far (none at first); changed in place. The first fact of a node is the number of its puzzle
+            state times the number of headings, plus its heading.
+        expansions: total number of expanded nodes at which to stop.
+
+    Returns:
+        The node of the escape, which is taken out of the frontier; or `EXHAUSTED`, `BUDGET` or `GROW`.
     """
     most = max(16, query.moves.shape[1] + query.turn_steps.shape[0])  # nodes of one expansion
     if frontier.counts[0] == 0:

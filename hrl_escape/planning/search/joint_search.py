@@ -73,10 +73,18 @@ class JointSearch:
 
     def find_escape(self, state: RoomState, order: Sequence[Goal], most: int, *, clock: Clock = NO_LIMIT,
                     effort: int = 0, budget: int = MOST_NODES) -> tuple[tuple[int, ...] | None, int]:
-        """Search for the fewest primitives, less than `most`, that escape; None without any, and the nodes expanded.
+        """Search for the fewest primitives that escape.
 
-        The state's heading and joints are on their lattices. Where the puzzle has more than `MOST_PUZZLE_STATES`, those
-        along an order of goals are used. Each effort, 0, 1 or 2, has searches of its own, which take longer and longer.
+        Args:
+            state: first state; heading and joints are on their lattices.
+            order: an order of goals; its puzzle states are used if the puzzle has more than `MOST_PUZZLE_STATES`.
+            most: plans of this many primitives or more are discarded.
+            clock: time limit.
+            effort: 0, 1 or 2; each has searches of its own, which take longer the higher it is.
+            budget: search nodes that may be expanded.
+
+        Returns:
+            Fewer than `most` primitives that end the episode by escaping, or None; and the nodes expanded.
         """
         fields = self.get_fields(state, order, clock)
         best, spent = None, 0

@@ -419,17 +419,27 @@ class PrimitiveSearch:
                avoid: bool = True, refine: bool = True, keep_out: Sequence[Footprint] = (),
                budget_expansions: int = EXPANSIONS, clock: Clock | None = None, seed: int = 0, effort: int = 0
                ) -> SearchResult:
-        """Find the fewest primitives from a state to a goal that is no push.
+        """Find the fewest primitives from a state to a goal.
 
-        A corridor is one round the path of a path planner. To avoid is to touch no other target on the way, and not to
-        leave by an open exit, unless two resolutions show no other way; `also_pressed` lists the targets touched then.
-        To refine is to search finer grids, too, before giving up. The body meets no footprint to keep out of. The same
-        budget of nodes gives the same result anywhere, unless a clock limits the call. `effort` counts further searches
-        for a shorter plan, at most `len(EFFORTS)`; -1 takes the first plan found.
+        Args:
+            state: first state.
+            goal: the goal; not a push.
+            method: `fields`, `corridor` to search round the path of a path planner first, or `auto` to choose
+                between the two by room and goal.
+            planner: path planner for corridors, one of `list_planners()`.
+            avoid: touch no other target on the way, and do not leave by an open exit, unless two resolutions
+                show no other way; `also_pressed` lists the targets touched then.
+            refine: search finer grids, too, before giving up.
+            keep_out: footprints that the body must not meet on its way, such as blocks.
+            budget_expansions: nodes that may be expanded; the same budget gives the same result anywhere.
+            clock: time limit of the call that this one is part of; None leaves the decision to the budget.
+            seed: of the path planner.
+            effort: further searches for a shorter plan, at most `len(EFFORTS)`; -1 for the first plan found.
 
         Raises:
             UnknownNameError: no such method or path planner.
             GoalError: there is no such target.
+            UnsupportedError: the goal is a push.
         """
         if method not in METHODS:
             raise UnknownNameError("search method", method, METHODS)

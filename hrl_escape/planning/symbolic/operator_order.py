@@ -223,10 +223,17 @@ class TaskSearch:
 
     def find_orders(self, facts: frozenset[str], place: Any, extend: ExtendLeg, count: int, most: int
                     ) -> list[TaskPlan]:
-        """Find several cheap orders, cheapest first, by a beam search that examines some `most` legs.
+        """Find several cheap orders, cheapest first, by a beam search.
 
         Unlike `find_order`, each (facts, last operator) keeps its `count` cheapest places, as the next leg may be
         shorter from a place that took longer to reach.
+
+        Args:
+            facts: facts that hold.
+            place: the place, as `extend` needs it.
+            extend: costs a leg.
+            count: orders to find.
+            most: legs to examine, roughly: the beam is as wide as that allows.
         """
         width = max(1, 2 * most // max(len(self.operators), 1) ** 2)
         finished = self._search_beam(self._encode(facts), place, extend, width, count, 2 * len(self.operators) + 1)
@@ -247,9 +254,18 @@ class TaskSearch:
 
     def _search_beam(self, begin: int, place: Any, extend: ExtendLeg, width: int, kept: int, most: int
                      ) -> list[tuple[float, Any]]:
-        """Complete orders, of at most `most` legs, as (cost, trail), by a beam search.
+        """Beam search: after every operator keep the most promising orders.
 
-        After every operator it keeps the `width` most promising, at most `kept` with the same facts and last operator.
+        Args:
+            begin: facts that hold.
+            place: the place, as `extend` needs it.
+            extend: costs a leg.
+            width: orders kept.
+            kept: most of them with the same facts and last operator, the cheapest.
+            most: most legs of an order.
+
+        Returns:
+            Complete orders as (cost, trail), and the number of legs examined.
         """
         layer: list[tuple[float, float, int, int, Any, Any]] = [(0.0, 0.0, begin, START, place, None)]
         finished: list[tuple[float, Any]] = []

@@ -128,8 +128,13 @@ def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, cho
               notes: Mapping[int, str] | None = None) -> str:
     """Actions with their values as bars; the chosen one is marked, masked ones are grey.
 
-    `meaning` is that of the values: `value`, `preference`, `note`, or empty where there are none. `notes` are words in
-    place of numbers, by the index of their action.
+    Args:
+        names: names of the actions.
+        values: one number an action, or None.
+        mask: legal actions.
+        chosen: index of the chosen action.
+        meaning: `value`, `preference`, `note`, or empty if there are no values.
+        notes: words in place of numbers, by the index of their action.
     """
     notes = notes or {}
     legal = [bool(on) for on in mask]

@@ -34,7 +34,14 @@ _EPISODE = {"Undo": "z", "Again": "r", "Next room": "n"}
 
 
 class PlayPage:
-    """Page on which an episode is played; a primitive takes `stride` seconds on the screen."""
+    """Page on which an episode is played.
+
+    Args:
+        server: server of the page.
+        episode: the episode.
+        folder: folder for saved episodes.
+        stride: duration of one primitive on the screen, s.
+    """
 
     def __init__(self, server: Server, episode: Episode, folder: Path = Path("episodes"),
                  stride: float = PLAY_STRIDE) -> None:

@@ -106,7 +106,21 @@ PERSONAL_BESTS = "personal-bests.json"
 
 
 def carry_out(command: Command, episode: Episode, folder: Path, best: float | None = None) -> str:
-    """Do what a key asks for, and return a message for the player."""
+    """Do what a key asks for.
+
+    Args:
+        command: from `Controls`.
+        episode: what is played.
+        folder: where episodes are saved.
+        best: best known return of the room, if it is known yet.
+
+    Returns:
+        A message for the player.
+
+    Raises:
+        UnsupportedError: there is no next room.
+        FileWriteError: the episode, or the personal best, could not be saved.
+    """
     if command.verb == "act":
         return _act(command.action, episode, folder, best)
     if command.verb == "undo":
