@@ -1,7 +1,7 @@
 """Verdict of a comparison in plain words: no more than its runs support.
 
 Pure functions from a `Summary` to sentences. One agent is called better than another only where a paired
-test says so after correction for all pairs of agents (`pairs.py`). Labels of agents stand between backticks.
+test says so after correction for all pairs of agents (`inference.py`). Labels of agents stand between backticks.
 """
 
 from __future__ import annotations

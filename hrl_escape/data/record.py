@@ -128,13 +128,14 @@ def make_about(name: str, kind: str, rooms_text: str, rooms: InstanceSet, env: g
             "policies": [kind], "scores": {}}
 
 
-def record(spec: DataSpec, path: Path, *, primitives: int | None = None) -> Tape:
+def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progress: bool | None = None) -> Tape:
     """Record a data set of the catalogue, and write its tape.
 
     Args:
         spec: the data set.
         path: file to write; what there is so far is beside it, ending in `.part`, until the tape is whole.
         primitives: another number than the name says, for trials.
+        progress: show a progress line; by default on a terminal only.
     """
     total, part = primitives or spec.primitives, path.with_suffix(".part")
     rooms = parse_room_set(text := spec.list_rooms(total))
@@ -144,7 +145,7 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None) -> Tape
     begun = load_tape(part) if part.is_file() else None
     writer = TapeWriter(begun if begun is not None and begun.about == about else None)
     saved = time.monotonic()
-    with show_progress(spec.name, share * len(rooms), len(writer), None) as report:
+    with show_progress(spec.name, share * len(rooms), len(writer), progress) as report:
         for room in range(writer.last_room, len(rooms)):
             episode, done = writer.count_in(room)
             while done < share:

@@ -25,8 +25,16 @@ class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
     Actions are float (num_envs, numbers), clipped to the bounds of the action space: a list, an array, or a tensor on
     the device. `infos` has `seconds` since each episode began, float64, and `time_step`, in place of `primitives`.
 
-    Arguments are those of `EscapeRoomVectorEnv`, for kinematic dynamics only, and the numbers of
-    `EscapeRoomContinuousEnv`: `time_step`, `speed`, `turn_speed`, `joint_speed` and `time_limit`.
+    ## Arguments
+    Args:
+        num_envs: number of rooms.
+        config: preset name, `RoomConfig`, or the dict form of one; kinematic dynamics only.
+        time_step: s.
+        speed: largest speed of the base along each of its axes, m/s.
+        turn_speed: rad/s.
+        joint_speed: rad/s.
+        time_limit: s; None for as many seconds as the room's horizon has primitives.
+        settings: all other arguments of `EscapeRoomVectorEnv`.
 
     Attributes:
         velocities: bounds, time step and time limit.

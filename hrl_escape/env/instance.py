@@ -496,25 +496,39 @@ def is_on_floor(instance: RoomInstance, x: float, y: float, slack: float = 0.0) 
 
 def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:
     """Floor rectangles: the room's, and that of the alcove behind an exit door."""
-    return tuple(Rectangle(*area) for area in _list_areas(instance, 0.0, 0.0))
+    half_x, half_y = instance.half_width, instance.half_depth
+    room = Rectangle(-half_x, half_x, -half_y, half_y)
+    if instance.door is None:
+        return (room,)
+    # the alcove is deeper than the exit in it by the radius that the base needs, and reaches back through the doorway
+    area, deep = instance.exit, instance.robot.outer_radius
+    low_x, high_x = area.x_min < -half_x, area.x_max > half_x
+    low_y, high_y = area.y_min < -half_y, area.y_max > half_y
+    alcove = Rectangle(
+        area.x_min - deep if low_x else half_x if high_x else area.x_min,
+        area.x_max + deep if high_x else -half_x if low_x else area.x_max,
+        area.y_min - deep if low_y else half_y if high_y else area.y_min,
+        area.y_max + deep if high_y else -half_y if low_y else area.y_max,
+    )
+    return room, alcove
 
 
-def _list_areas(instance: RoomInstance, skin: float = CONTACT_SKIN, overlap: float = _OVERLAP
-                ) -> list[tuple[float, float, float, float]]:
-    """Rectangles x_min, x_max, y_min, y_max of the floor: the room's, and that of the alcove behind a door.
+def _list_areas(instance: RoomInstance) -> list[tuple[float, float, float, float]]:
+    """Rectangles x_min, x_max, y_min, y_max of the floor: the room's, and that of the alcove behind a door."""
+    half_x, half_y = instance.half_width, instance.half_depth
+    areas = [(-half_x, half_x, -half_y, half_y)]
+    if instance.door is not None:
+        beyond = instance.robot.outer_radius + CONTACT_SKIN  # the body's axis stands in the exit
+        area = instance.exit
+        areas.append((*_stretch(area.x_min, area.x_max, half_x, beyond),
+                      *_stretch(area.y_min, area.y_max, half_y, beyond)))
+    return areas
 
-    The alcove is deeper than the exit in it by the radius that the base needs, and a skin; it reaches back through the
-    doorway and overlaps the room.
-    """
-    half_x, half_y, beyond = instance.half_width, instance.half_depth, instance.robot.outer_radius + skin
 
-    def stretch(low: float, high: float, half: float) -> tuple[float, float]:
-        low, high = min(low, half - overlap), max(high, overlap - half)
-        return low - beyond * (low < -half), high + beyond * (high > half)
-
-    room, area = (-half_x, half_x, -half_y, half_y), instance.exit
-    return [room] if instance.door is None else [
-        room, (*stretch(area.x_min, area.x_max, half_x), *stretch(area.y_min, area.y_max, half_y))]
+def _stretch(low: float, high: float, half: float, beyond: float) -> tuple[float, float]:
+    """Extent of an alcove along one axis: from inside the floor to the wall behind the exit."""
+    low, high = min(low, half - _OVERLAP), max(high, _OVERLAP - half)
+    return low - beyond * (low < -half), high + beyond * (high > half)
 
 
 def _trace_rectangle(x_min: float, x_max: float, y_min: float, y_max: float, spacing: float) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ from hrl_escape.env.puzzles.base import PUSH, Contacts
 from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
 from hrl_escape.errors import StateError, show_value
 
-__all__ = ["Glide", "Kinematics", "RoomState", "Rules", "Transition"]
+__all__ = ["EpisodeEnd", "Glide", "Kinematics", "RoomState", "Rules", "Transition", "check_fields", "check_state"]
 
 _AHEAD = (1.0, 0.0)
 ROUNDING = 1e-12

@@ -134,9 +134,12 @@ class Robot:
 
     def trace_links(self, angles: ArrayLike) -> NDArray[np.float64]:
         """Ends of the arm's links, the last of them the hand, in the base frame, shape (links, 3), m."""
-        # the chain cut after each joint ends where the next link begins
-        cuts = (dataclasses.replace(self, chain=self.chain[: number + 1]) for number in range(len(self.chain)))
-        return np.array([cut.compute_hand(angles) for cut in cuts])
+        return np.array([cut.compute_hand(angles) for cut in self._cuts])
+
+    @cached_property
+    def _cuts(self) -> tuple[Robot, ...]:
+        """The robot with its chain cut after each joint, which ends where the next link begins."""
+        return tuple(dataclasses.replace(self, chain=self.chain[: number + 1]) for number in range(len(self.chain)))
 
     def compute_elbows(self, angles: tuple[float, ...]) -> NDArray[np.float64]:
         """Polyline of the arm: origins of the chain's joints and of the hand in the base frame, shape (n, 3), m."""

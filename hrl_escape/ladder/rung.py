@@ -54,7 +54,10 @@ def derive_seed(*words: str | int) -> int:
 
 
 def derive_hidden_seed(beacon: Beacon, benchmark: str, rung: str, index: int) -> int:
-    """Seed of one room of a hidden test, numbered from 0, by a round that was published after agents were frozen."""
+    """Seed of one room of a hidden test, numbered from 0.
+
+    The round was announced before agents were frozen, and published after.
+    """
     return derive_seed(benchmark, rung, "hidden", str(beacon), index)
 
 

@@ -167,7 +167,7 @@ class World:
             ConfigError: a cell or a height that is none, nothing on the floor, a mesh too large for its cells, or a
                 start that is not free.
         """
-        from hrl_escape.planning.arm.model import load_triangles  # loads Pinocchio and coal
+        from hrl_escape.planning.arm.meshes import load_triangles  # loads coal
 
         if not 0.0 < cell < math.inf:
             raise ConfigError("cell", cell, "a length above 0 m")

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.board import Board, Row, conclude, read_records, run, write_page
+from benchmarks.board import Row, conclude, read_records, write_page
 from hrl_escape.comparison.inference import Estimate
 from hrl_escape.comparison.submission import Check, Record, find_rung, read_submission, verify_cells
 from hrl_escape.errors import FileReadError
+from tests.command_line import call_script
 
 ROOT = Path(__file__).parents[2]
 BOARD = ROOT / "docs/board"
@@ -22,9 +23,9 @@ def make_row(name: str, value: float, agent: str = "", reach: float = 0.05) -> R
 
 
 def test_the_page_is_what_the_command_makes(tmp_path, capsys):
-    run(Board(BOARD, tmp_path / "board.md"))
-    assert (tmp_path / "board.md").read_text() == (ROOT / "docs/board.md").read_text()
-    assert "left out" not in capsys.readouterr().out
+    code, out, _ = call_script(capsys, "benchmarks.board", BOARD, "--out", tmp_path / "board.md")
+    assert code == 0 and (tmp_path / "board.md").read_text() == (ROOT / "docs/board.md").read_text()
+    assert "left out" not in out
 
 
 def test_the_sentence_of_a_rung_follows_its_rows():

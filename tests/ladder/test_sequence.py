@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hrl_escape.agents.agent import DiscountSettings, FixedPolicy
+from hrl_escape.agents.agent import FixedPolicy
 from hrl_escape.agents.algorithms.random import RandomAgent
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
@@ -137,7 +137,6 @@ class Script(FixedPolicy):
     def __init__(self, env: SequenceEnv, words: Sequence[str]) -> None:
         about = env.action_space.about
         self._actions, self._next = [about.index(word) for word in words], 0
-        self.settings = DiscountSettings()
 
     def act(self, observation, action_mask):
         del observation, action_mask

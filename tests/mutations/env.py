@@ -141,7 +141,7 @@ MUTATIONS = [
         "env/puzzles/graphs.py",
         "choose(above, draw(min(len(above), max_parents)))",
         "choose(above, draw(1))",
-        "env/puzzles/test_graphs.py",
+        "env/puzzles/test_graphs.py::test_buttons_have_every_number_of_parents_up_to_the_limit",
     ),
     Mutation(
         "the horizon is one primitive late",

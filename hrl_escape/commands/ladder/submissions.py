@@ -6,29 +6,17 @@ import dataclasses
 import secrets
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
 
 from hrl_escape.agents.training.archive import making_folder
-from hrl_escape.comparison.submission import (
-    Card,
-    Cell,
-    Check,
-    CheckedCell,
-    Record,
-    describe_command,
-    describe_package,
-    describe_score,
-    find_rung,
-    pack_submission,
-    read_submission,
-    verify_cells,
-)
 from hrl_escape.files import read_toml, write_bytes
-from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.names import count_nouns, make_console_text
+
+if TYPE_CHECKING:
+    from hrl_escape.comparison.submission import Cell, CheckedCell
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,6 +73,14 @@ def run_submit(args: SubmitArgs) -> None:
         hrl-escape ladder submit runs/mine --card card.toml --rung chain-3 --out mine.zip
         hrl-escape ladder submit smdp-untried-nearest --card card.toml --rung chain-3 --rooms 2 --out searcher.zip
     """
+    from hrl_escape.comparison.submission import (  # loads what plays
+        Card,
+        describe_command,
+        describe_score,
+        pack_submission,
+    )
+    from hrl_escape.ladder.benchmark import load_benchmark
+
     console, card = Console(soft_wrap=True, highlight=False), Card.from_dict(read_toml(args.card, "card of an agent"))
     rung = load_benchmark(args.benchmark)[args.rung]
     if card.command:
@@ -123,6 +119,17 @@ def run_verify_submission(args: VerifySubmissionArgs) -> int:
         hrl-escape ladder verify-submission mine.zip
         hrl-escape ladder verify-submission mine.zip --cells 64 --trust --record docs/board/mine.json
     """
+    from hrl_escape.comparison.submission import (  # loads what plays
+        Check,
+        Record,
+        describe_command,
+        describe_package,
+        describe_score,
+        find_rung,
+        read_submission,
+        verify_cells,
+    )
+
     console = Console(soft_wrap=True, highlight=False)
     submission = read_submission(args.file)
     rung, card = find_rung(submission.entry, args.benchmark), submission.entry.card

@@ -188,7 +188,7 @@ def _turn(layout: Layout, tables: Tables, state: TensorState, action: Tensor, sc
     """Turn the base where nothing blocks the turn."""
     angle = math.tau / layout.headings * (state.x.new_ones(()) if scale is None else scale)
     return _take_turn(layout, tables, state, _turn_freely(layout, state, action, scale),
-                     _find_effects(layout, action, "turn", angle))
+                      _find_effects(layout, action, "turn", angle))
 
 
 def _take_turn(layout: Layout, tables: Tables, state: TensorState, turned: TensorState, angle: Tensor) -> TensorState:

@@ -121,8 +121,8 @@ class PuzzleConfig(_OfKind):
 class Puzzle(_OfKind):
     """A concrete puzzle: the rules, as pure functions of its hashable state.
 
-    A puzzle defines `kind`, `target_names`, `update`, `is_solved` and `observe`. The other members have defaults; rarer
-    abilities are traits (`traits.py`), among them a symbolic model of its own (`Modelled`).
+    A puzzle defines `kind`, `target_names`, `make_state`, `update`, `is_solved` and `observe`. The other members have
+    defaults; rarer abilities are traits (`traits.py`), among them a symbolic model of its own (`Modelled`).
 
     Attributes:
         kind: registered name.
@@ -162,9 +162,9 @@ class Puzzle(_OfKind):
         """True if the outcome of a press or grip is drawn: `update` then reads `contacts.uniform`."""
         return bool(self.chances)
 
+    @abstractmethod
     def make_state(self) -> PuzzleState:
-        """Return the state at the start of an episode; by default 0."""
-        return 0
+        """Return the state at the start of an episode."""
 
     def list_starts(self) -> tuple[PuzzleState, ...]:
         """List the states in which episodes may begin, equally likely. The first is `make_state()`."""

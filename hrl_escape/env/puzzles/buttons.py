@@ -230,6 +230,10 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
         """Fact that opens each door: its button is on."""
         return tuple(f"on({self.target_names[button]})" for button in self.doors)
 
+    def get_shut(self, state: int) -> int:
+        """Bits of the doors whose button is off."""
+        return sum(1 << door for door, button in enumerate(self.doors) if not state >> button & 1)
+
     @property
     def has_dead_ends(self) -> bool:
         """True if a button turned on too early may bar the goal, or a wrong press fails the puzzle."""

@@ -38,6 +38,10 @@ class CodePuzzle(Puzzle):
     code: tuple[int, ...]
     """Numbers of the targets in order."""
 
+    def make_state(self) -> int:
+        """State 0: nothing of the code has been entered."""
+        return 0
+
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value is a number of presses of the code."""
         return type(state) is int and 0 <= state <= len(self.code)

@@ -61,6 +61,10 @@ class DeepSeaPuzzle(Puzzle):
         """Names of the two panels, `dive-1` and `dive-2`."""
         return ("dive-1", "dive-2")
 
+    def make_state(self) -> int:
+        """State of the top left cell."""
+        return 0
+
     def _read(self, state: int) -> tuple[int, int]:
         return (state & ~_TREASURE) >> COLUMN_BITS, state & (1 << COLUMN_BITS) - 1
 

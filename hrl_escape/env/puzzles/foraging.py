@@ -56,6 +56,10 @@ class ForagingPuzzle(Modelled, Puzzle):
         """The first worm is in any corridor."""
         return tuple(range(CORRIDOR_COUNT))
 
+    def make_state(self) -> int:
+        """State with the first worm in the first corridor."""
+        return 0
+
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value is a number of worms and a corridor."""
         return type(state) is int and 0 <= state < CORRIDOR_COUNT * (self.worms + 1)

@@ -61,6 +61,10 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
         """True, as every primitive may end in a puddle."""
         return True
 
+    def make_state(self) -> int:
+        """State 0: the goal has not been entered."""
+        return 0
+
     def update(self, state: int, contacts: Contacts) -> int:
         """Return 1 once the goal's pad has been entered, else 0."""
         return int(state or bool(contacts.pressed))

@@ -92,6 +92,10 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         number = NAMES.index(name)
         return state >> SHIFTS[number] & (2**COUNT_BITS - 1 if number < MATERIALS else 1)
 
+    def make_state(self) -> int:
+        """State 0: an empty store, and nothing placed or made."""
+        return 0
+
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value keeps at most `MOST_KEPT` of each material."""
         in_word = type(state) is int and 0 <= state < 1 << SHIFTS[-1]

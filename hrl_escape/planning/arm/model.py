@@ -12,22 +12,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.env.geometry import Solid, compute_distance
-from hrl_escape.env.robot import BASE_LINK, LARGEST_MESHES, MESH_ENDINGS, Robot
-from hrl_escape.errors import FileReadError, MissingPackageError
-from hrl_escape.files import check_files
+from hrl_escape.env.robot import BASE_LINK, Robot
+from hrl_escape.errors import MissingPackageError
 
 try:
     import coal
     import pinocchio
 except ImportError as missing:
-    raise MissingPackageError("pin", "Planning for an arm or in a mesh", missing) from missing
+    raise MissingPackageError("pin", "Planning for an arm", missing) from missing
 
 _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
 _FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide
@@ -343,25 +341,3 @@ def _make_collision_object(name: str, solid: Solid) -> Any:
     turn = pinocchio.utils.rotate("z", solid.yaw)
     place = pinocchio.SE3(turn, np.array([solid.x, solid.y, solid.height / 2]))
     return pinocchio.GeometryObject(name, 0, place, shape)
-
-
-def load_triangles(path: str | Path) -> NDArray[np.float64]:
-    """Corners of the triangles of a mesh (STL, OBJ or DAE), shape (triangles, 3, 3), in the file's own frame and unit.
-
-    A unit or an up axis that a DAE file names is not applied.
-
-    Raises:
-        FileReadError: there is no such file, it is no plain file of a known kind, too large or no mesh, or a vertex is
-            no number.
-    """
-    if Path(path).exists():
-        check_files([str(path)], "mesh", MESH_ENDINGS, LARGEST_MESHES)
-    try:
-        mesh = coal.MeshLoader().load(str(Path(path).resolve(strict=True)))
-    except (OSError, RuntimeError, ValueError) as error:
-        raise FileReadError(f"{path} is no mesh that assimp reads: {type(error).__name__}") from None
-    vertices = np.asarray(mesh.vertices(), dtype=np.float64)
-    if not np.isfinite(vertices).all():
-        raise FileReadError(f"{path} is no mesh to plan in: a vertex is not a finite number")
-    corners = [[triangle[corner] for corner in range(3)] for triangle in map(mesh.tri_indices, range(mesh.num_tris))]
-    return vertices[np.array(corners, dtype=np.int64).reshape(-1, 3)]

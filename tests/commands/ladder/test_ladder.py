@@ -197,8 +197,8 @@ def test_a_tower_is_climbed_by_the_planner_and_not_by_chance(capsys, tmp_path, a
     assert len(place.split.test) == 2 * rooms
     assert place.split.room_overlap == 0 and place.instance.horizon == TOWER_HORIZON
     command = (tmp_path / "tower" / "tower" / "summary.md").read_text()
-    assert f"hrl-escape ladder run {' '.join(agents)} --rung one five --workers 1 --" in command
-    assert "--protocol tower" in command
+    assert (f"hrl-escape ladder run {' '.join(agents)} --rung one five --workers 1 --runs 1 --primitives 10 "
+            f"--rooms {rooms} --train-sizes {trained} --protocol tower") in command
 
 
 def test_a_tower_that_cannot_be_climbed_is_refused_in_one_line(capsys, tmp_path):
