@@ -26,6 +26,24 @@ def test_the_prefix_names_the_same_implementation_and_the_same_recommended_setti
     assert get_recipe(SMDP_PREFIX + name) == get_recipe(name)
 
 
+def test_a_class_of_ones_own_is_named_like_itself_and_keeps_the_hooks_of_its_other_bases():
+    made = []
+
+    class Registering:
+        def __init_subclass__(cls, mark: str = "", **named):
+            super().__init_subclass__(**named)
+            made.append((cls.__name__, mark))
+
+    class Mine(Agent, Registering, mark="first"):
+        pass
+
+    class Named(Mine):
+        name = "my-own"
+
+    assert made == [("Mine", "first"), ("Named", "")]
+    assert (Mine.name, Named.name, type("Later", (Named,), {}).name) == ("Mine", "my-own", "my-own")
+
+
 @pytest.mark.parametrize("name", list_agents())
 def test_every_agent_keeps_the_protocol(name):
     env = ButtonGrid(trace=True)

@@ -232,8 +232,13 @@ class Network(nn.Sequential):
         self._tie(parameters)
 
     def __getstate__(self) -> dict[str, Any]:
-        """A copy, pickled or not, computes by its own weights."""
+        """State of a copy, which computes by its own weights."""
         return self.__dict__ | {"_compute": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take it; parameters are views of the vectors again, as pickling does not keep them so."""
+        super().__setstate__(state)
+        self._tie(list(self.parameters()))
 
     def compute(self, observation: NDArray) -> NDArray:
         """Outputs for one encoded observation, (outputs,), without gradients.

@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.data.catalogue import FOLDER, TAPE_KINDS, find_tape, list_specs, parse_spec
-from hrl_escape.data.tape import load_tape, save_tape
 from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.names import make_file_name
 
@@ -118,6 +117,7 @@ def run_make(args: MakeArgs) -> None:
         hrl-escape data make mine --rooms paper-two-button#0 --played episodes/*.json
     """
     from hrl_escape.data.record import make_played_tape, record  # loads torch
+    from hrl_escape.data.tape import load_tape, save_tape
 
     console = Console(soft_wrap=True, highlight=False)
     if args.played or args.rooms:
@@ -158,6 +158,7 @@ def run_show(args: DataShowArgs) -> None:
         hrl-escape data show lattice-expert-v1 --draw card.png
     """
     from hrl_escape.data.card import describe, save_card  # loads torch and matplotlib
+    from hrl_escape.data.tape import load_tape
 
     tape = load_tape(find_tape(args.name))
     if args.draw is not None:

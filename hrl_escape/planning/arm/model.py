@@ -1,4 +1,4 @@
-"""Arm model for planners: Pinocchio's kinematics of the robot's URDF, coal's collisions of its links, and meshes.
+"""Arm model for planners: Pinocchio's kinematics of the robot's URDF, coal's collisions of its links.
 
 The only wrapper of the two libraries. It chooses no configuration. Frame `base`: origin on the floor below the base's
 axis, x ahead, z up; metres, radians.

@@ -1,5 +1,10 @@
 """Deep sets over rows of objects: exact equivariance, other numbers of objects, and use by dqn and ppo."""
 
+import copy
+import gc
+import pickle
+import weakref
+
 import numpy as np
 import pytest
 import torch
@@ -89,6 +94,28 @@ def test_values_hang_on_the_other_objects_and_on_the_context():
 def test_other_observations_are_refused_with_the_remedy(name):
     with pytest.raises(UnsupportedSpaceError, match="observation='objects'"):
         make_agent(name, spaces.Box(-1, 1, (4,)), spaces.Discrete(2), 0, network="objects")
+
+
+@pytest.mark.parametrize("kind", ["objects", "mlp"])
+def test_a_copy_computes_by_its_own_weights_and_a_network_is_freed_with_its_last_user(kind):
+    rng = np.random.default_rng(3)
+    network = make_action_network(ObservationEncoder(make_space(), True), PointingDiscrete(len(ABOUT), ABOUT),
+                                  PPOSettings(network=kind, hidden=(12, 12)), make_generator(rng))
+    seen = flatten(*make_observation(rng))[0].numpy().copy()
+    before = network.compute(seen)
+    for own in (copy.deepcopy(network), pickle.loads(pickle.dumps(network))):
+        assert np.array_equal(own.compute(seen), before)
+        with torch.no_grad():
+            for parameter in own.parameters():
+                parameter.zero_()
+        assert not own.compute(seen).any() and np.array_equal(network.compute(seen), before)
+    gone = weakref.ref(network)
+    gc.disable()
+    try:
+        del network
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_outputs_that_are_remembered_are_those_of_the_weights_now_and_nobody_else_s():
