@@ -117,12 +117,15 @@ def test_unseen_rooms_are_told_by_the_interval_of_the_best_network(unseen, words
 
 def test_each_kind_of_data_has_its_best_network_in_unseen_rooms():
     def efficiency(agent, kind):
-        return {("smdp-iql passes=20", "expert"): 0.7, ("smdp-cql passes=20", "play"): 0.5}.get((agent, kind), 0.3)
+        best = {("smdp-iql passes=20", "expert"): 0.7, ("smdp-cql passes=20", "play"): 0.5,
+                ("smdp-sharsa passes=20", "medium"): 0.4}
+        return best.get((agent, kind), 0.3)
 
     *_, unseen, kinds = analyse(*make_lines(lambda agent, kind: 0.5, efficiency)).conclusions
     assert "IQL over options from `expert`, does better than the best searcher (0.70," in unseen
     assert kinds.startswith("**Which data.** In unseen rooms the best of each kind of data: CQL over options from "
-                            "`play` (0.50) and IQL over options from `expert` (0.70).")
+                            "`play` (0.50), IQL over options from `expert` (0.70) and SHARSA over options from "
+                            "`medium` (0.40).")
 
 
 def test_the_best_of_many_networks_must_be_clearer_than_one_alone():
