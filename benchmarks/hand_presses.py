@@ -60,7 +60,7 @@ def measure(arm: str, obstacles: int, rooms: int, compare: int) -> None:
     for seed in range(rooms):
         room = generate(make_family(arm, obstacles), seed)
         search = PrimitiveSearch(room)
-        search.get_maker(True), search.get_maker(False), search.reacher.get_lattice()
+        search.get_maker(True), search.get_maker(False), search.reacher.list_postures(0)
         state = search.kinematics.make_state(room.starts[0])
         for target in range(len(room.targets)):
             goal, aside = PressGoal(target), search.kinematics.step(state, 4).state
@@ -108,10 +108,11 @@ def find_fewest(reacher: Reacher, state: RoomState, target: int, most: int) -> i
     table = reacher.make_table(target, state.joint_steps, budget=UNLIMITED)
     boxes = np.array([(t.x, t.y, t.z, t.footprint.cos, t.footprint.sin, t.half_x, t.half_y, t.half_z)
                       for t in room.targets])
-    lattice = reacher.get_lattice(state.joint_steps)
+    lattice = reacher._get_ordered(state.joint_steps, ()).lattice
+    reach = np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max() + lattice.longest
     return _search(stack_footprints(solids), room.robot.body_radius + 1e-3, moves, turns,
                    np.array([room.reach_x, room.reach_y]), table.costs, table.low, table.cell, lattice, boxes, target,
-                   reacher.limit, stack_footprints([room.targets[target].footprint])[0], reacher.reach + reacher.limit,
+                   reacher.limit, stack_footprints([room.targets[target].footprint])[0], reach + reacher.limit,
                    state.x, state.y, state.heading_steps, most)
 
 

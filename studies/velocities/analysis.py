@@ -20,6 +20,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 from rich.console import Console
 
+from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import StateRecorder
@@ -51,6 +52,8 @@ PARTS = 10
 """Parts of a run whose episodes are averaged."""
 LAST = 2
 """Parts at the end that count."""
+SAC: dict[str, Any] = {"batch_size": 64, "policy_kwargs": {"net_arch": [64, 64]}}
+"""Settings of Stable-Baselines3's SAC that are not its defaults: networks and batches as large as `torchrl-sac` has."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +76,7 @@ class VelocityRun:
         first_escape: seconds of motion until the first escape; None if none came.
         times: mean seconds of the episodes that end in each part of the run, None where none does; of who does not
             learn one number.
+        key: hash of what else decides the run's numbers.
     """
 
     agent: str
@@ -81,11 +85,12 @@ class VelocityRun:
     steps: int
     first_escape: float | None
     times: tuple[float | None, ...]
+    key: str
 
     @property
-    def place(self) -> tuple[str, str, int, int]:
+    def place(self) -> tuple[str, str, int, int, str]:
         """Subject of the line."""
-        return self.agent, self.room, self.run, self.steps
+        return self.agent, self.room, self.run, self.steps, self.key
 
     @property
     def end(self) -> float:
@@ -125,6 +130,12 @@ class EpisodeEnds(gymnasium.Wrapper):
         return found
 
 
+def make_key(data: Mapping[str, Any], agent: str, room: str) -> str:
+    """Hash of the room and of the settings of who acts in it."""
+    settings = {OPTIONS: data["settings"], VELOCITIES: SAC} | {name: data["episodes"] for name in data["searchers"]}
+    return compute_digest([data["rooms"][room], data["time_step"], data["time_limit"], settings.get(agent)])
+
+
 def make_room(data: Mapping[str, Any], room: str) -> EscapeRoomContinuousEnv:
     """The continuous room of this name in `study.toml`."""
     chosen = data["rooms"][room]
@@ -148,16 +159,16 @@ def run_once(data: Mapping[str, Any], agent: str, room: str, seed: int) -> Veloc
 
 
 def make_sac(env: gymnasium.Env, seed: int) -> Any:
-    """Stable-Baselines3's SAC with its own default settings, and networks and batches as large as `torchrl-sac` has.
+    """Stable-Baselines3's SAC, with `SAC` in place of some of its default settings.
 
     Raises:
         EscapeError: the extra `bench` is missing.
     """
     try:
-        from stable_baselines3 import SAC
+        import stable_baselines3
     except ImportError:
         raise EscapeError("this study trains Stable-Baselines3's SAC: pip install 'hrl-escape[bench]'") from None
-    return SAC("MlpPolicy", env, seed=seed, device="cpu", batch_size=64, policy_kwargs={"net_arch": [64, 64]})
+    return stable_baselines3.SAC("MlpPolicy", env, seed=seed, device="cpu", **SAC)
 
 
 def _act_at_random(env: gymnasium.Env, steps: int, seed: int) -> None:
@@ -179,7 +190,8 @@ def summarise(agent: str, room: str, seed: int, ends: Sequence[tuple[int, int, b
             length * data["time_step"] if escaped else data["time_limit"])
     first = next((at * data["time_step"] for at, _, escaped in ends if escaped), None)
     return VelocityRun(agent, room, seed, steps, first,
-                       tuple(round(float(np.mean(own)), 3) if own else None for own in parts))
+                       tuple(round(float(np.mean(own)), 3) if own else None for own in parts),
+                       make_key(data, agent, room))
 
 
 def play_reference(data: Mapping[str, Any], name: str, room: str) -> VelocityRun:
@@ -200,7 +212,7 @@ def play_reference(data: Mapping[str, Any], name: str, room: str) -> VelocityRun
         played = evaluate(make_reference(name, env, recorder), env, data["episodes"])
         times = [length * data["time_step"] if escaped else data["time_limit"]
                  for length, escaped in zip(played.lengths, played.successes, strict=True)]
-    return VelocityRun(name, room, 0, 0, None, (round(float(np.mean(times)), 3),))
+    return VelocityRun(name, room, 0, 0, None, (round(float(np.mean(times)), 3),), make_key(data, name, room))
 
 
 def _play_order(env: OptionsEnv, order: Sequence[int]) -> float:
@@ -219,11 +231,11 @@ def measure(study: Study, args: Args, store: Store) -> None:
     """Run what is missing, references first, then seed by seed."""
     data, known, console = study.data, {line.place for line in store.load()}, Console()
     for room, name in itertools.product(data["rooms"], (PLAN, ORDER, *data["searchers"])):
-        if (name, room, 0, 0) not in known:
+        if (name, room, 0, 0, make_key(data, name, room)) not in known:
             store.add([play_reference(data, name, room)])
     for seed, room, agent in ((seed, room, agent) for seed in range(args.runs or data["runs"])
                               for room in data["rooms"] for agent in (OPTIONS, VELOCITIES, *CHANCE)):
-        if (agent, room, seed, data["steps"]) not in known:
+        if (agent, room, seed, data["steps"], make_key(data, agent, room)) not in known:
             line = run_once(data, agent, room, seed)
             store.add([line])
             console.print(f"{agent}, {room}, seed {seed}: {line.end:.1f} s at the end", highlight=False)
@@ -345,7 +357,8 @@ def analyse(study: Study, lines: Sequence[VelocityRun]) -> Page:
     """
     data, budget = study.data, study.data["steps"] * study.data["time_step"]
     by_place = {(room, agent): sorted((line for line in lines if (line.room, line.agent) == (room, agent)
-                                       and line.steps in (0, data["steps"])),
+                                       and line.steps in (0, data["steps"])
+                                       and line.key == make_key(data, agent, room)),
                                       key=lambda line: line.run)
                 for room in data["rooms"] for agent in (OPTIONS, VELOCITIES, *CHANCE, ORDER, PLAN, *data["searchers"])}
     if missing := [f"{agent} in {room}" for (room, agent), own in by_place.items() if not own]:

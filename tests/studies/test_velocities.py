@@ -19,6 +19,7 @@ from studies.velocities.analysis import (
     EpisodeEnds,
     VelocityRun,
     advise,
+    make_key,
     make_room,
     play_reference,
     run_once,
@@ -43,12 +44,13 @@ def spread(mean: float, seed: int, by: float = 0.05) -> list[float]:
 def make_lines(options: float, velocities: float, first: tuple[float, float | None] = (50.0, 900.0)
                ) -> list[VelocityRun]:
     """Ten runs in each room that end with these seconds of an episode, and references around 20 s."""
-    lines = [VelocityRun(name, room, 0, 0, None, (time,)) for room in ROOMS
+    lines = [VelocityRun(name, room, 0, 0, None, (time,), make_key(DATA, name, room)) for room in ROOMS
              for name, time in ((ORDER, 18.0), (PLAN, 17.0), *((name, 20.0) for name in DATA["searchers"]))]
     for room in ROOMS:
         for agent, end, escape in ((OPTIONS, options, first[0]), (VELOCITIES, velocities, first[1]),
                                    (CHANCE[0], 60.0, 70.0), (CHANCE[1], 200.0, None)):
-            lines += [VelocityRun(agent, room, run, DATA["steps"], escape, (None, *(2 * time,) * 7, time, time))
+            key = make_key(DATA, agent, room)
+            lines += [VelocityRun(agent, room, run, DATA["steps"], escape, (None, *(2 * time,) * 7, time, time), key)
                       for run, time in enumerate(spread(end, len(agent)))]
     return lines
 
@@ -112,11 +114,13 @@ def test_the_page_has_a_row_an_agent_and_says_who_never_escaped(tmp_path: Path):
                                   != (PLAN, ROOMS[1])])
 
 
-def test_runs_of_another_budget_are_another_subject():
-    lines = make_lines(19.0, 190.0)
-    other = [VelocityRun(VELOCITIES, room, run, DATA["steps"] * 2, 5.0, (1.0,) * 10)
-             for room in ROOMS for run in range(10)]
-    assert write_page("velocities", lines) == write_page("velocities", lines + other)
+def test_runs_of_another_budget_or_with_other_settings_are_another_subject():
+    lines, changed = make_lines(19.0, 190.0), DATA | {"settings": {"warmup": 500}, "time_limit": 300.0}
+    others = [VelocityRun(agent, room, run, steps, 5.0, (1.0,) * 10, make_key(data, agent, room))
+              for room in ROOMS for run in range(10) for agent in (OPTIONS, VELOCITIES)
+              for steps, data in ((DATA["steps"] * 2, DATA), (DATA["steps"], changed))]
+    assert len({line.place for line in lines + others}) == len(lines) + len(others)
+    assert write_page("velocities", lines) == write_page("velocities", lines + others)
 
 
 def test_failures_count_with_the_time_limit_in_the_part_they_end_in():
