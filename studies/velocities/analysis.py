@@ -6,6 +6,7 @@ training, where one that does not escape counts with the time limit.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import itertools
 import math
@@ -168,7 +169,8 @@ def make_sac(env: gymnasium.Env, seed: int) -> Any:
         import stable_baselines3
     except ImportError:
         raise EscapeError("this study trains Stable-Baselines3's SAC: pip install 'hrl-escape[bench]'") from None
-    return stable_baselines3.SAC("MlpPolicy", env, seed=seed, device="cpu", **SAC)
+    settings = copy.deepcopy(SAC)  # SAC adds to the dict of its policy's settings
+    return stable_baselines3.SAC("MlpPolicy", env, seed=seed, device="cpu", **settings)
 
 
 def _act_at_random(env: gymnasium.Env, steps: int, seed: int) -> None:

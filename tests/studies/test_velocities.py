@@ -125,10 +125,10 @@ def test_runs_of_another_budget_or_with_other_settings_are_another_subject():
 
 def test_failures_count_with_the_time_limit_in_the_part_they_end_in():
     data = DATA | {"time_step": 0.5, "time_limit": 100.0}
-    run = summarise("someone", "room", 3, [(20, 20, True), (100, 80, True), (101, 1, False), (1000, 899, True)], 1000,
+    run = summarise("someone", ROOMS[0], 3, [(20, 20, True), (100, 80, True), (101, 1, False), (1000, 899, True)], 1000,
                     data)
     assert run.times == (25.0, 100.0, *(None,) * 7, 449.5) and run.first_escape == 10.0 and run.end == 449.5
-    assert summarise("someone", "room", 3, [(200, 200, False)], 1000, data).first_escape is None
+    assert summarise("someone", ROOMS[0], 3, [(200, 200, False)], 1000, data).first_escape is None
 
 
 def test_all_four_run_and_the_log_counts_every_step():
