@@ -259,11 +259,17 @@ def tell_unseen(scores: Mapping[tuple[str, str], NDArray[np.float64]], words: Ma
         verdict = "cannot be told apart from the best searcher, which needs no data"
     kinds = dict.fromkeys(kind for _, kind in scores)
     leaders = {kind: max((cell for cell in scores if cell[1] == kind), key=lambda cell: means[cell]) for kind in kinds}
-    listed = join_words([f"{words[agent]} from `{kind}` ({means[agent, kind]:.2f})"
-                         for kind, (agent, _) in leaders.items()])
+    if len(leaders) > 1 and len({agent for agent, _ in leaders.values()}) == 1:
+        ordered = sorted(leaders, key=lambda kind: -means[leaders[kind]])
+        listed = f"{words[best[0]]}, " + join_words(f"{means[leaders[kind]]:.2f} from `{kind}`" for kind in ordered)
+        which = f"In unseen rooms one learner is the best of every kind of data: {listed}."
+    else:
+        listed = join_words([f"{words[agent]} from `{kind}` ({means[agent, kind]:.2f})"
+                             for kind, (agent, _) in leaders.items()])
+        which = f"In unseen rooms the best of each kind of data: {listed}."
     return [f"**Unseen rooms.** The best network, {words[best[0]]} from `{best[1]}`, {verdict} ({mean:.2f}, "
             f"{mean - error:.2f} to {mean + error:.2f}, against {searcher:.2f}).",
-            f"**Which data.** In unseen rooms the best of each kind of data: {listed}."]
+            f"**Which data.** {which}"]
 
 
 def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:

@@ -118,14 +118,22 @@ def test_unseen_rooms_are_told_by_the_interval_of_the_best_network(unseen, words
 def test_each_kind_of_data_has_its_best_network_in_unseen_rooms():
     def efficiency(agent, kind):
         best = {("smdp-iql passes=20", "expert"): 0.7, ("smdp-cql passes=20", "play"): 0.5,
-                ("smdp-sharsa passes=20", "medium"): 0.4}
+                ("smdp-sharsa passes=20", "medium"): 0.4, ("smdp-cql passes=20", "noisy"): 0.6}
         return best.get((agent, kind), 0.3)
 
     *_, unseen, kinds = analyse(*make_lines(lambda agent, kind: 0.5, efficiency)).conclusions
     assert "IQL over options from `expert`, does better than the best searcher (0.70," in unseen
     assert kinds.startswith("**Which data.** In unseen rooms the best of each kind of data: CQL over options from "
-                            "`play` (0.50), IQL over options from `expert` (0.70) and SHARSA over options from "
-                            "`medium` (0.40).")
+                            "`play` (0.50), IQL over options from `expert` (0.70), SHARSA over options from "
+                            "`medium` (0.40) and CQL over options from `noisy` (0.60).")
+
+
+def test_one_network_that_is_best_of_all_kinds_of_data_is_said_to_be():
+    levels = {"play": 0.5, "expert": 0.7, "medium": 0.6, "noisy": 0.4}
+    *_, told = analyse(*make_lines(lambda agent, kind: 0.5, lambda agent, kind:
+                                   levels[kind] if agent == "smdp-cql passes=20" else 0.3)).conclusions
+    assert told == ("**Which data.** In unseen rooms one learner is the best of every kind of data: CQL over options, "
+                    "0.70 from `expert`, 0.60 from `medium`, 0.50 from `play` and 0.40 from `noisy`.")
 
 
 def test_the_best_of_many_networks_must_be_clearer_than_one_alone():
