@@ -117,7 +117,7 @@ class AgentSpec(Settings):
             EscapeError: no such agent, recipe or setting, an impossible value, or no hierarchy for this agent.
         """
         if self.leaves is not None:
-            find_kind(self.name)
+            find_kind(self.name, self.leaves)
         if self.name == TOOLS:
             return self._resolve_tools()
         if self.is_reference:

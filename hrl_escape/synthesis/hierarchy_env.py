@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.synthesis.kinds import HierarchyKind
 from hrl_escape.synthesis.situation import Situations
 from hrl_escape.synthesis.synthesise import make_structure
 
@@ -40,10 +41,11 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     Raises:
         UnknownNameError: no such kind or leaves.
-        UnsupportedError: the puzzle needs more than presses, or the environment changes its room.
+        UnsupportedError: the puzzle needs more than presses, the environment changes its room, or leaves of this kind
+            cannot be planned.
     """
 
-    def __init__(self, env: gymnasium.Env, kind: str = "maxq", leaves: str = "planned", abstract: bool = True,
+    def __init__(self, env: gymnasium.Env, kind: HierarchyKind = "maxq", leaves: str = "planned", abstract: bool = True,
                  cell: float | None = None) -> None:
         RecordConstructorArgs.__init__(self, kind=kind, leaves=leaves, abstract=abstract, cell=cell)
         gymnasium.Wrapper.__init__(self, env)
@@ -89,14 +91,15 @@ class HierarchyVectorEnv(VectorWrapper):
         ConfigError: another kind of automatic reset.
     """
 
-    def __init__(self, env: EscapeRoomVectorEnv, kind: str = "maxq", leaves: str = "planned") -> None:
+    def __init__(self, env: EscapeRoomVectorEnv, kind: HierarchyKind = "maxq", leaves: str = "planned") -> None:
         super().__init__(env)
         instance, *others = env.instances
         if others:
             raise UnsupportedError(f"a hierarchy is synthesised for one room, and these are {len(env.instances)}")
         if env.autoreset_mode == AutoresetMode.SAME_STEP:
             raise ConfigError("autoreset_mode", env.autoreset_mode.value, "'NextStep' or 'Disabled'")
-        self._rooms, self._single = env, (kind, leaves)
+        self._rooms = env
+        self._single: tuple[HierarchyKind, str] = kind, leaves
         self._situations = Situations(instance)
         make_structure(self._situations, kind, leaves)  # which refuses what cannot be
         self.single_observation_space = self._situations.space

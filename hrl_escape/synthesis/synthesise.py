@@ -23,7 +23,7 @@ import numpy as np
 from gymnasium import spaces
 
 from hrl_escape.agents.algorithms.given.feudal_rl import DIRECTIONS, Quadtree
-from hrl_escape.agents.hierarchy.goal_space import GoalSet, GoalView
+from hrl_escape.agents.hierarchy.goal_space import GoalSet, GoalSpace, GoalView
 from hrl_escape.agents.hierarchy.machine import Machine, choose, do, machine
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen
 from hrl_escape.agents.hierarchy.task_graph import Until, View, maxq
@@ -31,7 +31,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.planning.goals import Goal, RegionGoal
-from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, HierarchyKind, LeafKind
+from hrl_escape.synthesis.goal_points import make_displacement_space, make_event_space
+from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, WITHOUT_PLANS, HierarchyKind, LeafKind, check_leaves
 from hrl_escape.synthesis.situation import Situations
 
 _ROOT, EXIT = "escape", "exit"
@@ -41,31 +42,37 @@ Literal: TypeAlias = tuple[str, bool]
 
 
 def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", leaves: LeafKind = "planned", *,
-               abstract: bool = True, cell: float | None = None) -> Hierarchy | Machine | GoalSet | Quadtree:
+               abstract: bool = True, cell: float | None = None
+               ) -> Hierarchy | Machine | GoalSet | Quadtree | GoalSpace:
     """Make a hierarchy for a room from its symbolic model.
 
     Args:
         instance: the room.
         kind: `maxq`, a task graph for `maxq-q`, `r-maxq` and `h-uct`; `ham`, a program for `hamq`;
-            `landmarks`, goals for `h-dqn`; `feudal`, cells of the floor for `feudal-rl`.
+            `landmarks`, goals for `h-dqn`; `feudal`, cells of the floor for `feudal-rl`; `events`, a goal space for
+            `hac`, `sol` and `option-keyboard`; `displacements`, one for `hiro` and `hrac`.
         leaves: `planned`, the planner walks to each target; `learned`, walking is learned over primitives.
         abstract: let each task see only what is relevant to it; without, all see pose and facts.
         cell: squares by which poses are told apart in learned leaves, m; the length of a move by default.
 
     Raises:
         UnknownNameError: no such kind or leaves.
-        UnsupportedError: the puzzle needs more than presses.
+        UnsupportedError: the puzzle needs more than presses, or leaves of this kind cannot be planned.
     """
     structure = make_structure(Situations(instance, cell), kind, leaves, abstract)
     return structure[PARTS[kind]]
 
 
-def make_structure(situations: Situations, kind: str, leaves: str, abstract: bool = True) -> Mapping[str, Any]:
-    """Arguments, beside spaces and settings, of an agent that takes this kind. Raises `UnknownNameError`."""
+def make_structure(situations: Situations, kind: HierarchyKind, leaves: str, abstract: bool = True
+                   ) -> Mapping[str, Any]:
+    """Arguments, beside spaces and settings, of an agent that takes this kind; raises as `synthesise`."""
     for what, name, known in (("kind of hierarchy", kind, KINDS), ("leaves", leaves, LEAVES)):
         if name not in known:
             raise UnknownNameError(what, name, known)
+    check_leaves(kind, leaves)
     planned = leaves == "planned"
+    if kind in WITHOUT_PLANS:
+        return {"goal_space": (make_event_space if kind == "events" else make_displacement_space)(situations)}
     if kind == "maxq":
         return {"hierarchy": _make_task_graph(situations, planned, abstract)}
     if kind == "landmarks":

@@ -122,6 +122,8 @@ class Hiro(CallRunner):
     """
 
     Settings = HiroSettings
+    names_displacements = True
+    """In a room it is given displacements on the floor, in place of events."""
     STATE = ("tables", Kept("_replay", pack=lambda kept: [each._asdict() for each in kept],
                             unpack=lambda saved: [Window(**fields) for fields in saved]),
              "_added", Kept("_way"), "_steps", "_action_rng")
