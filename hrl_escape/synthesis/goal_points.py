@@ -16,7 +16,7 @@ RADIUS = 4
 """Length of a displacement, in moves."""
 BEARINGS = 8
 """Directions of displacements, over a full turn."""
-NEAR = 0.75
+EXIT_RADIUS = 0.75
 """Distance from the centre of the exit at which it counts as reached, in moves."""
 
 
@@ -39,7 +39,7 @@ def make_event_space(rooms: Situations) -> GoalSpace:
     goals = np.full((bits + 1, 2 + bits), np.nan)
     goals[range(bits), range(2, 2 + bits)] = 1.0
     goals[bits, :2] = np.divide(rooms.get_place(None), stride)
-    return GoalSpace(project, goals, tolerance=NEAR, view=_make_view(rooms), privileges=("landmarks", "state"))
+    return GoalSpace(project, goals, tolerance=EXIT_RADIUS, view=_make_view(rooms), privileges=("landmarks", "state"))
 
 
 def make_displacement_space(rooms: Situations) -> GoalSpace:
