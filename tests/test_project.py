@@ -189,8 +189,8 @@ def test_a_name_of_two_meanings_is_found():
     here, there = PACKAGE / "planning/plan.py", PACKAGE / "agents/training/run.py"
     assert find_homonyms({here: "class Plan: ...", there: "Plan = int"}) == {"Plan": [here, there]}
     assert not find_homonyms({here: "_Plan = 1", there: "_Plan = 2"})
-    assert not find_homonyms({PACKAGE / "env/noise.py": "def philox(): ...",
-                              PACKAGE / "env/batched/noise.py": "def philox(): ..."})
+    assert not find_homonyms({PACKAGE / "env/poses.py": "def turn(): ...",
+                              PACKAGE / "env/batched/poses.py": "def turn(): ..."})
     assert not find_homonyms(dict.fromkeys(TWIN_FILES, "def measure(): ..."))
 
 
