@@ -29,6 +29,8 @@ from hrl_escape.floor.sweeps import POINT, Presser, make_sweep_scene
 MOST_STATES = 1_500_000
 CACHE_BYTES = 64_000_000
 """Memory for the cached fields of one grid, bytes; a field of a room of 20 m takes 0.1 to 0.3 MB."""
+EXPLORED = 8
+"""Share of a grid's cells, one in this many, up to which what is cut off is explored from either side."""
 SLICE = 100_000
 """States that a kernel processes between two checks of a clock."""
 
@@ -44,6 +46,26 @@ class Seeds(NamedTuple):
     states: NDArray[np.int64]  # cell * headings + heading, shape (n,), int64
     costs: NDArray[np.int64]  # their cost-to-go, shape (n,), int64
     headings: int  # headings that the states distinguish: the grid's classes, or all
+
+
+class _Landings(NamedTuple):
+    """Where moves from each cell land, by cell, heading class and translation, shape (cells * classes * moves,)."""
+
+    cells: NDArray[np.int32]  # the cell, or -1
+    costs: NDArray[np.int16]  # primitives of the move
+
+    @classmethod
+    def make(cls, count: int) -> _Landings:
+        """Landings of moves that lead nowhere yet."""
+        return cls(np.full(count, -1, dtype=np.int32), np.zeros(count, dtype=np.int16))
+
+
+class _Links(NamedTuple):
+    """Reversed moves: those into state s, a (cell, class), are from `starts[s]` to before `starts[s + 1]`."""
+
+    starts: NDArray[np.int32]  # shape (cells * classes + 1,), int32
+    sources: NDArray[np.int32]  # cell from which each begins, shape (links,), int32
+    costs: NDArray[np.int16]  # its primitives, shape (links,), int16
 
 
 def count_classes(rules: Rules) -> int:
@@ -114,14 +136,11 @@ class FieldMaker:
         self._within = self._find_corridor(path, width * max(step, 2 * self.size))
         columns, rows = self.shape
         self.points, self.standing = np.empty((columns * rows, 2)), np.zeros(columns * rows, dtype=np.bool_)
-        self._landing = np.full(self.states * self._moves.shape[1], -1, dtype=np.int32)
-        self._link_cost = np.zeros(len(self._landing), dtype=np.int16)
         self._choose_points(0, columns, clock)
         self._choose_headings(clock)
-        self._find_landings(0, columns, clock)
-        self._link_cells()
-        if refinement:  # refined grids are large and never adapted
-            del self._landing, self._link_cost
+        self._keeps_landings = not refinement  # refined grids are large, and never adapted
+        self._landings: _Landings | None = None
+        self._known_links: _Links | None = None
         self._fields: OrderedDict[object, NDArray[np.int16]] = OrderedDict()
 
     def _find_corridor(self, path: NDArray[np.float64] | None, width: float) -> NDArray[np.bool_]:
@@ -165,19 +184,33 @@ class FieldMaker:
         layers = len(self.fits) // len(self.points)
         return self.fits.reshape(-1, layers)[cells][:, np.arange(headings) % layers]
 
-    def _find_landings(self, begin: int, end: int, clock: Clock) -> None:
+    def _find_landings(self, landings: _Landings, begin: int, end: int, clock: Clock) -> None:
+        """Fill in where the moves from some columns of cells land."""
         rows = self.shape[1]
         stride = max(1, SLICE // self.classes)
         for first in range(begin * rows, end * rows, stride):
             clock.check()
             dijkstra.find_landings(self.scene, self.points, self.fits, self.turns, rows, self.low, self.size,
-                                           self._moves, self.macro, first, min(first + stride, end * rows),
-                                           self._landing, self._link_cost)
+                                           self._moves, self.macro, first, min(first + stride, end * rows), *landings)
         clock.check()
 
-    def _link_cells(self) -> None:
+    @property
+    def _links(self) -> _Links:
+        return self._get_links(NO_LIMIT)
+
+    def _get_links(self, clock: Clock) -> _Links:
+        """Links into each cell, found on first use: they take nearly all of a grid's time. Raises `OutOfTime`."""
+        if self._known_links is None:
+            landings = _Landings.make(self.states * self._moves.shape[1])
+            self._find_landings(landings, 0, self.shape[0], clock)
+            self._link_cells(landings)
+        assert self._known_links is not None
+        return self._known_links
+
+    def _link_cells(self, landings: _Landings) -> None:
         """Invert the moves: for each cell, the cells from which one move lands there, and its cost."""
-        self._links = dijkstra.link_cells(self._landing, self._link_cost, self.classes, self._moves.shape[1])
+        self._landings = landings if self._keeps_landings else None
+        self._known_links = _Links(*dijkstra.link_cells(*landings, self.classes, self._moves.shape[1]))
 
     # --- edited rooms ------------------------------------------------------------------
 
@@ -192,20 +225,22 @@ class FieldMaker:
         new.collision = collision
         new.scene = make_sweep_scene(collision, len(instance.solids) if self.door_shut else -1, self.span)
         new.points, new.standing = self.points.copy(), self.standing.copy()
-        new._landing, new._link_cost = self._landing.copy(), self._link_cost.copy()
         near = collision.radius + 3 * self.size + collision.slack
         for begin, end in self._find_columns(changed, near):
             new.standing[begin * self.shape[1] : end * self.shape[1]] = False
             new._choose_points(begin, end, NO_LIMIT)
+        new._fields = OrderedDict()
+        if self._landings is None:  # no field has needed links so far
+            return new
+        landings = _Landings(*(array.copy() for array in self._landings))
         wide = self.shape[1] * self.classes * self._moves.shape[1]
         for begin, end in self._find_columns(changed, near + self.span + 3 * self.size):
-            new._landing[begin * wide : end * wide], new._link_cost[begin * wide : end * wide] = -1, 0
-            new._find_landings(begin, end, NO_LIMIT)
-        new._link_cells()
-        links = (new._landing != self._landing) | (new._link_cost != self._link_cost)
+            landings.cells[begin * wide : end * wide], landings.costs[begin * wide : end * wide] = -1, 0
+            new._find_landings(landings, begin, end, NO_LIMIT)
+        new._link_cells(landings)
         moved = (new.standing != self.standing) | (new.points != self.points).any(axis=1)
-        is_same = not (moved.any() or links.any())
-        new._fields = OrderedDict((key, field) for key, field in self._fields.items() if is_same and keeps(key))
+        if not moved.any() and all(map(np.array_equal, landings, self._landings)):
+            new._fields.update((key, field) for key, field in self._fields.items() if keeps(key))
         return new
 
     def _find_columns(self, shapes: Sequence[Footprint], around: float) -> list[tuple[int, int]]:
@@ -266,10 +301,12 @@ class FieldMaker:
         """
         headings = seeds.headings
         allowed = np.ones(len(self.points), dtype=np.bool_) if allowed is None else allowed
+        if not allowed[seeds.states // headings].any():
+            return np.full(len(self.points) * headings, -1, dtype=np.int16)
         field = np.full(len(self.points) * headings, dijkstra.UNREACHED, dtype=np.int16)
         order = np.argsort(seeds.costs, kind="stable")
         states, costs = seeds.states[order].astype(np.int64), seeds.costs[order].astype(np.int64)
-        starts, sources, costs_of_links = self._links
+        starts, sources, costs_of_links = self._get_links(clock)
         levels = max(2, int(costs_of_links.max(initial=0)) + 1)
         buckets, filled = np.empty((levels, 4096), dtype=np.int32), np.zeros(levels, dtype=np.int64)
         counts = np.array([0, 0, 0, int(np.diff(starts).max(initial=0))])
@@ -291,6 +328,43 @@ class FieldMaker:
         self._fields.move_to_end(key)
         return self._fields[key]
 
+    def has_field(self, key: object) -> bool:
+        """Return whether the field under a key is kept."""
+        return key in self._fields
+
+    def is_cut_off(self, state: RoomState, seeds: Seeds, allowed: NDArray[np.bool_] | None = None) -> bool:
+        """Return true only if a field of these seeds is -1 at a state, found sooner than the field and its links.
+
+        What leads to the seeds, or else what the state leads to, is explored up to an eighth of the cells.
+        """
+        allowed = np.ones(len(self.points), dtype=np.bool_) if allowed is None else allowed
+        wanted, most = self._list_sources(state, seeds.headings, allowed), len(self.points) // EXPLORED
+        grid = (self.scene, self.points, self.fits, self.turns, self.shape[1], self.low, self.size, self._moves,
+                self._turn_steps, self._can_turn, seeds.headings, allowed, seeds.states.astype(np.int64), wanted)
+        far = math.ceil(self.span / self.size) + 2  # cells: places are off the centres, and ends are moved to cells
+        if (result := dijkstra.grow_back(*grid, far, most)) == dijkstra.UNDECIDED:
+            result = dijkstra.grow_on(*grid, most)
+        return bool(result == dijkstra.CUT_OFF)
+
+    def _list_sources(self, state: RoomState, headings: int, allowed: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """States of the grid of which a field at a pose has the least: its own, or its neighbours' where that is none.
+
+        Without any of them a field there is -1.
+        """
+        columns, rows = self.shape
+        if (cell := self.grid.find_number(state.x, state.y)) < 0:
+            return np.zeros(0, dtype=np.int64)
+        heading, layers = self._find_layer(state, headings), len(self.fits) // len(self.points)
+        i, j = divmod(cell, rows)
+        cells = np.array([cell, *(at * rows + to for at in range(max(i - 1, 0), min(i + 2, columns))
+                                  for to in range(max(j - 1, 0), min(j + 2, rows)))])
+        known = self.fits[cells * layers + heading % layers] & allowed[cells]
+        return (cells[:1] if known[0] else cells[known]) * headings + heading
+
+    def _find_layer(self, state: RoomState, headings: int) -> int:
+        """Heading of a state among the `headings` that a field distinguishes."""
+        return (state.heading_steps + round(state.heading_offset / self._turn_step)) % headings
+
     @property
     def states(self) -> int:
         """Number of (cell, class) states."""
@@ -302,5 +376,4 @@ class FieldMaker:
         if cell < 0:
             return -1
         layers = len(field) // len(self.points)
-        layer = (state.heading_steps + round(state.heading_offset / self._turn_step)) % layers
-        return int(field[cell * layers + layer])
+        return int(field[cell * layers + self._find_layer(state, layers)])

@@ -88,25 +88,32 @@ def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, ste
 
     `moves` are displacements, (classes, translations, 2), m; a whole one costs its `steps` primitives.
     """
+    ends = moves.shape[0] * moves.shape[1]
+    for cell in range(first, last):
+        _land(scene, points, fits, turns, cells_a_row, low, size, moves, steps, cell, cell * ends, landing, link_cost)
+
+
+@kernel_part
+def _land(scene, points, fits, turns, cells_a_row, low, size, moves, steps, cell, first, landing, link_cost):
+    """Fill in, from `first` on, to which cells the moves from one cell lead and what they cost."""
     classes, translations = moves.shape[0], moves.shape[1]
     columns = points.shape[0] // cells_a_row
     layers = fits.shape[0] // points.shape[0]
-    for cell in range(first, last):
-        x, y = points[cell, 0], points[cell, 1]
-        for c in range(classes):
-            layer = c % layers
-            if not fits[cell * layers + layer]:
-                continue
-            for m in range(translations):
-                dx, dy = moves[c, m, 0], moves[c, m, 1]
-                fraction = sweep_body(scene, x, y, turns[c], dx, dy, math.hypot(moves[0, m, 0], moves[0, m, 1]))
-                ex, ey = x + fraction * dx, y + fraction * dy
-                i, j = int(math.floor((ex - low[0]) / size)), int(math.floor((ey - low[1]) / size))
-                best = _find_cell(points, fits, layers, layer, columns, cells_a_row, i, j, ex, ey)
-                if best >= 0 and best != cell:
-                    at = (cell * classes + c) * translations + m
-                    landing[at] = best
-                    link_cost[at] = max(1, int(math.ceil(fraction * steps - 1e-9)))
+    x, y = points[cell, 0], points[cell, 1]
+    for c in range(classes):
+        layer = c % layers
+        if not fits[cell * layers + layer]:
+            continue
+        for m in range(translations):
+            dx, dy = moves[c, m, 0], moves[c, m, 1]
+            fraction = sweep_body(scene, x, y, turns[c], dx, dy, math.hypot(moves[0, m, 0], moves[0, m, 1]))
+            ex, ey = x + fraction * dx, y + fraction * dy
+            i, j = int(math.floor((ex - low[0]) / size)), int(math.floor((ey - low[1]) / size))
+            best = _find_cell(points, fits, layers, layer, columns, cells_a_row, i, j, ex, ey)
+            if best >= 0 and best != cell:
+                at = first + c * translations + m
+                landing[at] = best
+                link_cost[at] = max(1, int(math.ceil(fraction * steps - 1e-9)))
 
 
 @kernel
@@ -300,3 +307,136 @@ def fill_gaps(field, known, headings, rows):
                             least = cost
                 field[cell * headings + heading] = least
     return field
+
+
+# --- what is cut off --------------------------------------------------------------------
+
+BLOCK = 8
+"""Cells along each side of a block whose links are found together."""
+CUT_OFF, JOINED, UNDECIDED = 0, 1, 2
+
+
+@kernel
+def grow_back(scene, points, fits, turns, rows, low, size, moves, turn_steps, can_turn, headings, allowed, seeds,
+              wanted, far, most):
+    """Grow the states that lead to some seeds, as `run_dijkstra` would, by links that are found as they are needed.
+
+    `seeds` and `wanted` are states cell * headings + heading, and a move leads at most `far` cells along each axis.
+    Returns `CUT_OFF` if no wanted state leads to a seed, `JOINED` if one does, and `UNDECIDED` once the links of `most`
+    cells are found.
+    """
+    classes, translations, cells = moves.shape[0], moves.shape[1], points.shape[0]
+    ends, columns, across = classes * translations, cells // rows, (rows + BLOCK - 1) // BLOCK
+    landing, link_cost = np.empty(ends, dtype=np.int32), np.empty(ends, dtype=np.int16)
+    is_known = np.zeros((columns + BLOCK - 1) // BLOCK * across, dtype=np.bool_)
+    heads = np.zeros(cells * classes, dtype=np.int32)  # 1 + the last link found into each (cell, class), 0 for none
+    room = (most + BLOCK * BLOCK) * ends + 1
+    sources, others = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
+    marks = np.zeros(cells * headings, dtype=np.int8)  # 1 where wanted, 2 where seen
+    queue = np.empty(cells * headings, dtype=np.int32)
+    count, found, taken = 0, 0, 0
+    for state in wanted:
+        marks[state] = 1
+    for state in seeds:
+        if allowed[state // headings] and marks[state] != 2:
+            if marks[state] == 1:
+                return JOINED
+            marks[state] = 2
+            queue[count] = state
+            count += 1
+    while taken < count:
+        state = np.int64(queue[taken])
+        taken += 1
+        cell = state // headings
+        heading, i, j = state - cell * headings, cell // rows, cell % rows
+        for a in range(max(i - far, 0) // BLOCK, min(i + far, columns - 1) // BLOCK + 1):
+            for b in range(max(j - far, 0) // BLOCK, min(j + far, rows - 1) // BLOCK + 1):
+                if is_known[a * across + b]:
+                    continue
+                is_known[a * across + b] = True
+                for near_i in range(a * BLOCK, min((a + 1) * BLOCK, columns)):
+                    for near_j in range(b * BLOCK, min((b + 1) * BLOCK, rows)):
+                        before, known = near_i * rows + near_j, found
+                        landing[:] = -1
+                        _land(scene, points, fits, turns, rows, low, size, moves, 1, before, 0, landing, link_cost)
+                        for k in range(ends):
+                            if landing[k] >= 0:
+                                found += 1
+                                to = landing[k] * classes + k // translations
+                                sources[found], others[found] = before, heads[to]
+                                heads[to] = found
+                        most -= found > known
+                if most < 0:
+                    return UNDECIDED
+        for turn in turn_steps:
+            before = cell * headings + (heading - turn + headings) % headings
+            if marks[before] != 2 and (
+                    can_turn.shape[0] == 0 or _is_turn_free(can_turn, cell * classes, classes, heading, turn)):
+                if marks[before] == 1:
+                    return JOINED
+                marks[before] = 2
+                queue[count] = before
+                count += 1
+        link = heads[cell * classes + heading % classes]
+        while link > 0:
+            before = np.int64(sources[link]) * headings + heading
+            if marks[before] != 2 and allowed[sources[link]]:
+                if marks[before] == 1:
+                    return JOINED
+                marks[before] = 2
+                queue[count] = before
+                count += 1
+            link = others[link]
+    return CUT_OFF
+
+
+@kernel
+def grow_on(scene, points, fits, turns, rows, low, size, moves, turn_steps, can_turn, headings, allowed, seeds, wanted,
+            most):
+    """Grow the states to which the wanted ones lead; arguments and result as of `grow_back`."""
+    classes, translations, cells = moves.shape[0], moves.shape[1], points.shape[0]
+    marks = np.zeros(cells * headings, dtype=np.int8)  # 1 where a seed, 2 where seen
+    queue = np.empty(cells * headings, dtype=np.int32)
+    is_known, ends = np.zeros(cells, dtype=np.bool_), classes * translations
+    landing, link_cost = np.empty(cells * ends, dtype=np.int32), np.empty(cells * ends, dtype=np.int16)
+    count, taken = 0, 0
+    for state in seeds:
+        if allowed[state // headings]:
+            marks[state] = 1
+    for state in wanted:
+        if marks[state] == 1:
+            return JOINED
+        marks[state] = 2
+        queue[count] = state
+        count += 1
+    while taken < count:
+        state = np.int64(queue[taken])
+        taken += 1
+        cell = state // headings
+        heading = state - cell * headings
+        first = cell * ends
+        if not is_known[cell]:
+            is_known[cell] = True
+            most -= 1
+            if most < 0:
+                return UNDECIDED
+            landing[first : first + ends] = -1
+            _land(scene, points, fits, turns, rows, low, size, moves, 1, cell, first, landing, link_cost)
+        first += heading % classes * translations
+        for k in range(turn_steps.shape[0] + translations):
+            after = np.int64(-1)
+            if k >= turn_steps.shape[0]:
+                best = np.int64(landing[first + k - turn_steps.shape[0]])
+                if best >= 0 and allowed[cell]:
+                    after = best * headings + heading
+            else:
+                to = (heading + turn_steps[k] + headings) % headings
+                if can_turn.shape[0] == 0 or _is_turn_free(can_turn, cell * classes, classes, to, turn_steps[k]):
+                    after = cell * headings + to
+            if after >= 0 and marks[after] != 2:
+                if marks[after] == 1:
+                    return JOINED
+                marks[after] = 2
+                queue[count] = after
+                count += 1
+    return CUT_OFF

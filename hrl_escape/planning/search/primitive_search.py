@@ -12,7 +12,7 @@ import dataclasses
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
@@ -57,6 +57,8 @@ SHORT = 8
 CORRIDORS = (3.0, 6.0)
 """Half widths of corridors, in moves."""
 MOST_REFINED_STATES = 6_000_000
+MOST_PARTS = 100
+"""Most pairs of a target and offsets of heading and joints whose parts of the floor are remembered."""
 _PENETRATION = 0.02 + CONTACT_SKIN  # beyond it, m, a body that contacts pushed into a wall cannot drive off again
 
 Field: TypeAlias = NDArray[np.int16]
@@ -69,6 +71,7 @@ _NODES = 1 << 11
 MOST_PATHS = 4
 """Paths of the arm round solids that one search plans: each takes a tenth of a second or two."""
 _ROUNDING = 1e-9  # margin of candidates, m; the replay decides
+_GRAIN = 1e-6  # margin of a proof, m
 _NO_TABLE = np.zeros((0, 0, 1), dtype=np.int16)
 
 
@@ -329,10 +332,13 @@ def _compute_reaches(instance: RoomInstance, hand_z: float) -> NDArray[np.float6
 
 
 class _Variant(NamedTuple):
-    """Variant of the search for one problem: grid, field, whether other targets are avoided, and method."""
+    """Variant of the search for one problem: grid, field, whether other targets are avoided, and method.
+
+    The field is None if it is known to be -1 at the start.
+    """
 
     maker: FieldMaker
-    field: Field
+    field: Field | None
     avoiding: bool
     method: str
 
@@ -352,6 +358,7 @@ class PrimitiveSearch:
         self._pressed = {i for i, target in enumerate(instance.targets) if target.name in names}
         self._makers: dict[tuple[bool, int], FieldMaker] = {}
         self._maps: dict[bool, CollisionMap] = {}
+        self._parts: dict[Hashable, frozenset[int]] = {}
         self.frontiers = a_star.FrontierPool()
 
     def __reduce__(self) -> tuple[type, tuple]:
@@ -505,13 +512,13 @@ class PrimitiveSearch:
             if problem.clock.is_up():
                 reason = problem.clock.reason
                 break
-            if maker.get_cost(field, problem.state) < 0:
-                proof = None if has_sought_proof else maker.collision.find_proof(*begin, *problem.area)
-                has_sought_proof = True
+            is_hopeless = field is None or maker.get_cost(field, problem.state) < 0
+            if not has_sought_proof and (is_hopeless or problem.table is not None):
+                has_sought_proof, proof = True, self._find_proof(problem, maker)
                 if proof is not None:
-                    reason = (PlanningReason.GOAL_INVALID if proof == "solid" and problem.table is None
-                              else PlanningReason.UNREACHABLE_PROVEN)
+                    reason = proof
                     break
+            if field is None or is_hopeless:
                 continue
             run = SearchRun(problem, self.kinematics, maker, field, avoiding=avoiding,
                             motions=self.motions if offset == 0.0 else make_motions(self.kinematics, offset),
@@ -528,6 +535,37 @@ class PrimitiveSearch:
                 reason = ended
                 break
         return SearchResult(reason, (), (problem.state,), expansions=spent, nearest=nearest)
+
+    def _find_proof(self, problem: SearchProblem, maker: FieldMaker) -> PlanningReason | None:
+        """Reason for which no way can lead to the goal, proven by the parts of the floor; None if one may."""
+        x, y, collision = problem.state.x, problem.state.y, maker.collision
+        if problem.table is None or problem.table.complete_to < NEVER:
+            proof = collision.find_proof(x, y, *problem.area)
+            is_solid = proof == "solid" and problem.table is None
+            return PlanningReason.GOAL_INVALID if is_solid else proof and PlanningReason.UNREACHABLE_PROVEN
+        here = int(collision.get_parts(np.array([[x, y]]))[0])
+        is_apart = here > 0 and here not in self._find_parts(problem, maker)
+        return PlanningReason.UNREACHABLE_PROVEN if is_apart else None
+
+    def _find_parts(self, problem: SearchProblem, maker: FieldMaker) -> frozenset[int]:
+        """Parts of the floor with a place from which some posture reaches the target to be pressed by hand.
+
+        They do not depend on the present posture, as long as its joints lie as far off their lattice.
+        """
+        assert isinstance(problem.goal, PressGoal) and problem.table is not None
+        table, state, collision = problem.table, problem.state, maker.collision
+        key = maker.door_shut, problem.goal.target, state.joint_offsets, state.heading_offset
+        if key not in self._parts:
+            if len(self._parts) >= MOST_PARTS:  # offsets from the lattice may be any
+                self._parts.clear()
+            half = table.cell / 2 + _GRAIN
+            places = table.get_centres()[(table.costs >= 0).any(axis=2)]
+            away = compute_distance_many(places, collision.solids)
+            places = places[away >= collision.inner - half * math.sqrt(2.0)]
+            shifts = np.linspace(-half, half, 1 + math.ceil(2 * half / collision.resolution))
+            corners = places[:, None] + np.stack(np.meshgrid(shifts, shifts), axis=-1).reshape(-1, 2)
+            self._parts[key] = frozenset(np.unique(collision.get_parts(corners)).tolist())
+        return self._parts[key]
 
     @cached_property
     def motions(self) -> a_star.Motions:
@@ -566,12 +604,15 @@ class PrimitiveSearch:
         if method == "corridor":
             for maker in self._iterate_corridors(problem, door_shut, planner):
                 yield _Variant(maker, self._make_field(problem, maker, None), avoid, planner)
+        is_cut_off = False  # on the grid before: then a finer one is explored before its field is made
         for refinement, avoiding in ((0, True), (1, True), (0, False), (1, False), (2, False), (3, False)):
             states = self.get_maker(door_shut, 0, problem.clock).states * 4**refinement
             is_coarse = refinement == 0 or (refine and states <= MOST_REFINED_STATES)
             if (avoid or not avoiding) and is_coarse:
                 maker = self.get_maker(door_shut, refinement, problem.clock)
-                yield _Variant(maker, self._find_field(problem, maker), avoiding, "fields")
+                field = self._find_field(problem, maker, is_cut_off and refinement > 0)
+                is_cut_off = field is None or maker.get_cost(field, state) < 0
+                yield _Variant(maker, field, avoiding, "fields")
 
     def _iterate_corridors(self, problem: SearchProblem, door_shut: bool, planner: str) -> Iterator[FieldMaker]:
         """Grids of corridors round the path of a path planner, from narrow to wide."""
@@ -590,20 +631,30 @@ class PrimitiveSearch:
 
     # --- fields --------------------------------------------------------------------------
 
-    def _find_field(self, problem: SearchProblem, maker: FieldMaker) -> Field:
-        """Field of a problem: that of its goal, or one of its own round the footprints to keep out of."""
-        if not problem.keep_out:
-            return self._get_field(problem, maker)
-        away = compute_distance_many(maker.points, stack_footprints(problem.keep_out))
-        return self._make_field(problem, maker, away > maker.collision.radius - maker.size)
+    def _find_field(self, problem: SearchProblem, maker: FieldMaker, explore: bool) -> Field | None:
+        """Field of a problem: that of its goal, or one of its own round the footprints to keep out of.
+
+        None where exploring the grid first shows that it would be -1 at the start.
+        """
+        allowed = None
+        if problem.keep_out:
+            away = compute_distance_many(maker.points, stack_footprints(problem.keep_out))
+            allowed = away > maker.collision.radius - maker.size
+        is_kept = allowed is None and maker.has_field(self._make_key(problem))
+        if explore and not is_kept and maker.is_cut_off(problem.state, self._find_seeds(problem, maker), allowed):
+            return None
+        return self._get_field(problem, maker) if allowed is None else self._make_field(problem, maker, allowed)
 
     def _get_field(self, problem: SearchProblem, maker: FieldMaker) -> Field:
+        return maker.get_field(self._make_key(problem), partial(self._find_seeds, problem), problem.clock)
+
+    def _make_key(self, problem: SearchProblem) -> Hashable:
+        """Everything about a problem, except what to keep out of, on which its field depends."""
         state = problem.state
         posture = None
         if problem.table is not None:
             posture = state.joint_steps, state.joint_offsets, state.heading_offset, problem.table.complete_to
-        facing = None if problem.facing is None else problem.facing.tobytes()
-        return maker.get_field((problem.goal, posture, facing), partial(self._find_seeds, problem), problem.clock)
+        return problem.goal, posture, None if problem.facing is None else problem.facing.tobytes()
 
     def _make_field(self, problem: SearchProblem, maker: FieldMaker, allowed: NDArray[np.bool_] | None) -> Field:
         return maker.make_field(self._find_seeds(problem, maker), allowed, problem.clock)

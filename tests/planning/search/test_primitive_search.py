@@ -376,6 +376,85 @@ def test_a_tiny_pose_that_primitives_do_not_hit_is_unreachable_at_this_resolutio
     assert search.search(begin(search), goal).status is PlanningReason.UNREACHABLE_AT_RESOLUTION
 
 
+@pytest.mark.parametrize(("gap", "shift", "grids"), [(1.06, 0.0, 1), (1.04, 0.0, 2), (1.02, 0.0, 3), (1.01, 0.0, 4),
+                                                     (1.002, 0.0, 0), (1.01, 0.13, 3), (1.002, 0.13, 0)])
+def test_a_gap_that_only_a_fine_grid_shows_is_gone_through_and_a_narrower_one_is_not(gap, shift, grids):
+    """The body is 1 m wide, and keeps 1 mm away from all solids."""
+    walls = [Solid(x=side * (5 + gap / 2) / 2 + shift / 2, y=1.0, half_x=(5 - gap / 2 - side * shift) / 2, half_y=0.3)
+             for side in (-1, 1)]
+    search, goal = PrimitiveSearch(make_room(*walls)), PoseGoal(0.0, 3.0)
+    result = search.search(begin(search), goal)
+    assert len(search._makers) == (grids or 4)
+    if grids:
+        assert_comes_true(result, goal, search.kinematics)
+    else:
+        assert result.status is PlanningReason.UNREACHABLE_AT_RESOLUTION and result.expansions == 0
+
+
+def test_a_pocket_behind_too_narrow_a_gap_takes_no_fine_grid_s_links_from_either_side():
+    walls = [Solid(x=3.9, y=1.4, half_x=1.1, half_y=0.1), Solid(x=2.9, y=1.9, half_x=0.1, half_y=0.6),
+             Solid(x=2.9, y=4.251, half_x=0.1, half_y=0.749)]  # 2 mm narrower than the body and what it keeps away
+    search = PrimitiveSearch(make_room(*walls))
+    inside, outside = (begin(search, x=x, y=y) for x, y in ((4.0, 3.0), (0.0, 0.0)))
+    for state, other in ((inside, outside), (outside, inside)):
+        there = make_footprint(other.x, other.y, 0.0, 0.0)
+        assert search.get_collision(True).find_proof(state.x, state.y, there, 0.3) is None
+        result = search.search(state, PoseGoal(other.x, other.y, tolerance=0.3))
+        assert result.status is PlanningReason.UNREACHABLE_AT_RESOLUTION and result.expansions == 0
+    assert {refinement for (_, refinement), maker in search._makers.items() if maker._known_links} == {0}
+
+
+def test_a_heading_that_no_turn_leads_to_takes_no_fine_grid_s_links():
+    search = PrimitiveSearch(generate(get_preset("clutter"), 0))
+    goal = PoseGoal(0.0, 0.0, search.kinematics.turn_step / 2, 10.0, 0.01)
+    assert search.search(begin(search), goal).status is PlanningReason.UNREACHABLE_AT_RESOLUTION
+    assert len(search._makers) == 4 and all(maker._known_links is None for maker in search._makers.values())
+    turned = begin(search, heading_offset=search.kinematics.turn_step / 2)
+    assert_comes_true(search.search(turned, goal), goal, search.kinematics)
+
+
+def make_ring(half):
+    """Walls round the middle of a room, and a panel there, higher than them; the arm passes through walls."""
+    room, away = generate(get_preset("arm-two-button"), 1), half + 0.1
+    walls = [Solid(x=side * away, half_x=0.1, half_y=away + 0.1) for side in (-1, 1)]
+    walls += [Solid(y=side * away, half_x=half, half_y=0.1) for side in (-1, 1)]
+    robot = RobotConfig(joints=3, body_radius=0.4, body_height=0.8, joint_step_deg=40.0, link_length=0.6)
+    panel = dataclasses.replace(room.targets[0], x=0.0, y=0.0, z=1.7, yaw=0.0)
+    starts = (Start(4.0, 2.0, 0),)
+    return dataclasses.replace(room, robot=robot, solids=(*room.solids, *walls), starts=starts,
+                               targets=(panel, *room.targets[1:]))
+
+
+def test_a_panel_behind_walls_is_out_of_reach_only_where_no_posture_reaches_over_them():
+    """The body gets through the walls nowhere; how far the hand gets depends on how far its joints lie off whole steps.
+
+    Each search is asked for all postures in turn, so that what it remembers of one must not count for another.
+    """
+    goal, offsets = PressGoal(0), {"whole": (), "off": (0.3, 0.3, 0.3)}
+    reached = {1.06: {"whole", "off"}, 1.18: {"whole"}, 1.26: set()}
+    for half, names in reached.items():
+        search = PrimitiveSearch(make_ring(half))
+        for name, bent in (("off", 0), ("whole", 0), ("whole", 2), ("off", -1)):
+            state = begin(search, joint_offsets=offsets[name], joint_steps=(0, bent, 0))
+            result = search.search(state, goal)
+            if name in names:
+                assert_comes_true(result, goal, search.kinematics)
+            else:
+                assert result.status is PlanningReason.UNREACHABLE_PROVEN and result.expansions == 0
+
+
+def test_a_place_behind_the_exit_s_door_is_reached_once_it_opens():
+    """The same search is asked before and after, and before again: what was cut off must not stay so, nor open."""
+    config = RoomConfig(exit=ExitConfig(door=True, width=2.4), robot=RobotConfig(body_radius=0.5))
+    search = PrimitiveSearch(generate(config, 1))
+    area = search.instance.exit
+    goal = PoseGoal((area.x_min + area.x_max) / 2, (area.y_min + area.y_max) / 2, tolerance=0.3)
+    solved = begin(search, puzzle=2 ** len(search.instance.targets) - 1)
+    for state, is_open in ((begin(search), False), (solved, True), (begin(search), False)):
+        result = search.search(state, goal, avoid=False)
+        assert result.is_reached == is_open
+
+
 def test_what_is_no_goal_or_method_says_so():
     search = PrimitiveSearch(make_room())
     with pytest.raises(GoalError, match="no target 3"):
