@@ -16,12 +16,11 @@ import pytest
 from benchmarks.reference_search import find_fewest_primitives
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid, compute_distance
-from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, GoalError, PlanningReason, UnknownNameError
 from hrl_escape.planning.areas import compute_goal_area
-from hrl_escape.planning.goals import PressGoal
+from hrl_escape.planning.goals import PoseGoal, PressGoal
 from hrl_escape.planning.motion.limits import MotionLimits, compute_rest_to_rest
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.requests import PlanningRequest, bound_cost, compute_lacking_clearance, compute_plan_cost
@@ -180,21 +179,20 @@ def test_answers_are_the_same_in_any_order_and_again(start, planner):
 # --- other threads and processes -------------------------------------------------------------------
 
 
-def make_slow_room() -> RoomInstance:
-    """A place that nothing reaches within its tolerance: every finer grid is searched."""
-    return generate(get_preset("clutter"), 0)
+SLOW = PoseGoal(-5.84, 1.29, 4.22, tolerance=0.02)
+"""A place that is hard to meet: every finer grid is searched, for seconds."""
 
 
 @pytest.mark.parametrize("method", ["fields", "RRTConnect"])
 def test_a_call_is_cancelled_from_another_thread_at_once(method):
-    planner = RoomPlanner(make_slow_room())
+    planner = RoomPlanner(generate(get_preset("clutter"), 0))
     start = planner.rules.make_state(planner.instance.starts[0])
     planner.plan(start, "button-1", method)
     waits = []
     for delay in (0.0, 0.02, 0.05, 0.1):
         stop = threading.Event()
         with ThreadPoolExecutor(1) as pool:
-            call = pool.submit(planner.answer, PlanningRequest(start, "0.03,0.04,1", method=method), stop=stop)
+            call = pool.submit(planner.answer, PlanningRequest(start, SLOW, method=method), stop=stop)
             time.sleep(delay)
             assert not call.done() or delay == 0.0
             began = time.process_time()

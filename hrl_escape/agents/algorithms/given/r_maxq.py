@@ -176,11 +176,12 @@ class RMaxq(CallRunner):
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The best choice of the same plan; any in a state never met."""
+        """The best choice of the same plan; any in a state never met, or met where none of those legal here was."""
         state = self._numbers.get(self._discretise(seen.observation))
         if state is None:
             return sample_legal(legal, rng)
-        return int(np.where(legal, self.plan(get_task(stack)).values[state], -np.inf).argmax())
+        values = np.where(legal, self.plan(get_task(stack)).values[state], -np.inf)
+        return int(values.argmax()) if np.isfinite(values).any() else sample_legal(legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Count one primitive; an option that was cut inside does not show where it leads."""

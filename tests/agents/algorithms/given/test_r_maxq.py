@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -53,6 +54,23 @@ def test_models_of_tasks_are_those_of_nested_solving(slip):
         assert model.rewards[order][1:] == pytest.approx(exact.values[name][1:], abs=1e-6), name
         if slip == "none":  # by chance two walks may be equally good and end elsewhere
             assert model.follow[np.ix_(order, order)][1:] == pytest.approx(exact.follow[name][1:], abs=1e-6), name
+
+
+def test_of_two_places_that_are_one_state_each_has_its_own_legal_primitive():
+    """A given policy may turn where two observations are rounded to one state, as a planner's does."""
+    env = gymnasium.make("MountainCar-v0")
+    hierarchy = maxq({"root": ["walk"], "walk": [0, 1, 2]}, {"walk": lambda seen: False},
+                     policies={"walk": lambda seen: 0 if seen.observation[0] < -0.5 else 2})
+    agent = RMaxq(env.observation_space, env.action_space, 0, RMaxq.Settings(bins=2), hierarchy)
+    mask, rng = np.ones(3, np.bool_), np.random.default_rng(0)
+    left, right = (np.array([at, 0.01], np.float32) for at in (-0.6, -0.4))
+    assert agent._discretise(left) == agent._discretise(right)
+    agent.learn(Step(agent.hierarchy.see(left, mask), 0, -1.0, -1.0, 1, agent.hierarchy.see(left, mask), False, False),
+                [])
+    agent.begin_episode()
+    assert agent.act(left, mask) == agent.act_greedy(left, mask, rng) == 0
+    agent.begin_episode()
+    assert agent.act(right, mask) == agent.act_greedy(right, mask, rng) == 2
 
 
 def test_an_unknown_primitive_makes_its_callers_look_worth_the_optimum():
