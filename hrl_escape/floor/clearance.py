@@ -174,6 +174,13 @@ class CollisionMap:
             return self.base.find_free_fraction(x, y, rotation, dx, dy, (self.footprints[k] for k in near)) == 1.0
         return not any(compute_first_contact(x, y, dx, dy, need, self.footprints[k]) < 1.0 for k in near)
 
+    def is_turn_free(self, x: float, y: float, heading: float, turn: float) -> bool:
+        """Return whether the body can turn by an angle at a place where it fits at a heading; rad. Exact."""
+        if self.is_clear(x, y, self.radius):
+            return True
+        rotation, to = ((math.cos(angle), math.sin(angle)) for angle in (heading, heading + turn))
+        return self.base.can_turn(x, y, rotation, to, turn, self._list_near(self._find_cell(x, y)))
+
     # --- connectivity ------------------------------------------------------------------
 
     @cached_property

@@ -61,14 +61,33 @@ def get_factory(name: str) -> PlannerFactory:
     return _FACTORIES[name]
 
 
-def _find_plane_path(planner: str, problem: PathProblem) -> NDArray[np.float64] | None:
-    """Path of a disc: straight to the nearest goal in sight, else OMPL's; shape (n, 2), m, or None."""
+def find_line_path(planner: str, problem: PathProblem) -> NDArray[np.float64] | None:
+    """Find a path of lines that are tested whole, between places where the body fits at any heading.
+
+    Args:
+        planner: one of `OMPL_PLANNERS`.
+        problem: start and goals.
+
+    Returns:
+        Places to go through, shape (n, 2), m, from the start to one of the goals; None if the planner gave up.
+
+    Raises:
+        Spent: the budget was used up before there was a path.
+    """
+    path = _find_plane_path(planner, problem, lambda begin, end: problem.is_free(end[0], end[1]) and
+                            problem.is_move_free(begin[0], begin[1], end[0], end[1]))
+    return None if path is None or np.abs(problem.goals - path[-1]).max(axis=1).min() > 1e-9 else path
+
+
+def _find_plane_path(planner: str, problem: PathProblem, is_move_free: Callable[[Any, Any], bool] | None = None
+                     ) -> NDArray[np.float64] | None:
+    """Path in the plane: straight to the nearest goal in sight, else OMPL's; shape (n, 2), m, or None."""
     for goal in problem.goals:
         if problem.is_move_free(*problem.start.tolist(), *goal.tolist()):
             return np.stack([problem.start, goal])
     return _search(planner, problem.low, problem.high, problem.start, problem.goals,
                    lambda state: problem.is_free(state[0], state[1]), problem.spacing, problem, problem.seed, STAGES,
-                   problem.optimise)
+                   problem.optimise, is_move_free)
 
 
 _FACTORIES: dict[str, PlannerFactory] = {
@@ -116,16 +135,16 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
 
 def _search(planner: str, low: NDArray[np.float64], high: NDArray[np.float64], start: NDArray[np.float64],
             goals: NDArray[np.float64], is_free: Callable[[Any], bool], spacing: float,
-            budget: CheckerBudget, seed: int, stages: Sequence[float], optimise: bool = False
-            ) -> NDArray[np.float64] | None:
+            budget: CheckerBudget, seed: int, stages: Sequence[float], optimise: bool = False,
+            is_move_free: Callable[[Any, Any], bool] | None = None) -> NDArray[np.float64] | None:
     """Search by a planner of OMPL, set up and seeded afresh; its path may end short of every goal.
 
     A planner of `ANYTIME` stops at the first stage (checker calls) that has a path, or, to `optimise`, goes on until
     the budget is spent and returns the shortest path of all stages. The others have the whole budget for their only
     path: BFMT, interrupted, cannot go on. `is_free` tests a state of OMPL and charges the budget; raises `Spent` if
-    that ends before any path.
+    that ends before any path. Motions are tested by places on them, or whole by `is_move_free`.
     """
-    information, (_, scratch) = _make_information(low, high, is_free, spacing), _get_scratch(len(low))
+    information, (_, scratch) = _make_information(low, high, is_free, spacing, is_move_free), _get_scratch(len(low))
 
     def add(places: NDArray[np.float64], take: Callable[[Any], None]) -> None:
         for place in places.tolist():
@@ -167,7 +186,7 @@ def _search(planner: str, low: NDArray[np.float64], high: NDArray[np.float64], s
 
 
 def _make_information(low: NDArray[np.float64], high: NDArray[np.float64], is_free: Callable[[Any], bool],
-                      spacing: float) -> Any:
+                      spacing: float, is_move_free: Callable[[Any, Any], bool] | None) -> Any:
     """Make OMPL's box of coordinates and its checker; not by `SimpleSetup`, whose planners are never freed."""
     space = base.RealVectorStateSpace(len(low))
     bounds = base.RealVectorBounds(len(low))
@@ -178,8 +197,21 @@ def _make_information(low: NDArray[np.float64], high: NDArray[np.float64], is_fr
     information: Any = base.SpaceInformation(space)
     information.setStateValidityChecker(is_free)
     information.setStateValidityCheckingResolution(spacing / space.getMaximumExtent())
+    if is_move_free is not None:
+        information.setMotionValidator(_WholeMotions(information, is_move_free))
     information.setup()
     return information
+
+
+class _WholeMotions(base.MotionValidator):
+    """Test of motions from one state to another, whose first state was tested before."""
+
+    def __init__(self, information: Any, is_move_free: Callable[[Any, Any], bool]) -> None:
+        super().__init__(information)
+        self._is_move_free = is_move_free
+
+    def checkMotion(self, begin: Any, end: Any) -> bool:  # noqa: N802 (OMPL's name)
+        return self._is_move_free(begin, end)
 
 
 @lru_cache

@@ -108,9 +108,12 @@ class PathProblem(CheckerBudget):
         return self._collision.is_clear(x, y, self._need)
 
     def is_move_free(self, x: float, y: float, to_x: float, to_y: float) -> bool:
-        """Return exactly whether the body can go straight between two places."""
+        """Return exactly whether the body can go straight between two places; a rectangle, ahead or backwards."""
         self.spend(10)
-        return self._collision.is_move_free(x, y, to_x, to_y)
+        dx, dy = to_x - x, to_y - y
+        length = math.hypot(dx, dy)
+        rotation = (dx / length, dy / length) if length > 0.0 else (1.0, 0.0)
+        return self._collision.is_move_free(x, y, to_x, to_y, rotation)
 
 
 def compute_spacing(collision: CollisionMap) -> tuple[float, float]:
