@@ -1,32 +1,39 @@
 """Trajectories by OMPL and Pinocchio beside those of plans of primitives, from the same states to the same goals.
 
 Run: `python -m benchmarks.sampled_motions --rooms 4`; exits with 1 if a trajectory is wrong. Every leg of every escape
-is asked for. What was found is checked as in `benchmarks/trajectories.py`: touches at 1 kHz, limits, gaps to solids.
+is asked for. What was found is checked as in `benchmarks/trajectories.py`, by touches at 1 kHz, limits and gaps to
+solids, and driven in the continuous environment.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.trajectories import SLACK, list_schematics, list_touches, measure_peaks, solve
+from benchmarks.trajectories import SLACK, change_robot, list_schematics, list_touches, measure_peaks, solve
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import EscapeError
+from hrl_escape.errors import EscapeError, GenerationError
 from hrl_escape.planning.goals import Goal, PressGoal
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.sampled import MotionSampler
-from hrl_escape.planning.motion.trajectory import TimedTrajectory, make_trajectory
+from hrl_escape.planning.motion.trajectory import TimedTrajectory, make_trajectory, track
 from hrl_escape.planning.planner import RoomPlanner
 
+DRIVING = {f"{name}, driving rectangle": name for name in ("paper-two-button", "clutter", "ten-button", "paper-random")}
+"""Presets of schematics whose robot is a rectangle with a differential drive."""
 NAMES = ("paper-two-button", "clutter", "ten-button", "inner-doors", "four-rooms", "arm-two-button", "arm-four-joints",
-         "clutter, differential", "clutter, rectangle")
+         "clutter, differential", "clutter, rectangle", *DRIVING)
 
 
 class Leg(NamedTuple):
@@ -37,6 +44,14 @@ class Leg(NamedTuple):
     sampled_cpu: float
     planned_cpu: float
     faults: tuple[str, ...]
+
+
+def make_schematic(name: str) -> RoomConfig:
+    """A schematic by its name."""
+    if name not in DRIVING:
+        return list_schematics()[name]
+    return change_robot(get_preset(DRIVING[name]), footprint="rectangle", body_length=1.0, body_width=0.6,
+                        drive="differential")
 
 
 def list_faults(rules: Kinematics, state: RoomState, goal: Goal, trajectory: TimedTrajectory) -> list[str]:
@@ -50,12 +65,17 @@ def list_faults(rules: Kinematics, state: RoomState, goal: Goal, trajectory: Tim
     if any(base.measure_gap(x, y, (math.cos(heading), math.sin(heading)), shapes) <= 0.0
            for x, y, heading in places[::20, :3].tolist()):
         faults.append("meets a solid")
+    env = EscapeRoomContinuousEnv(instance=rules.instance)
+    env.reset(options={"state": state})
+    driven = track(trajectory, env)
+    if list(driven.pressed) != wanted or driven.distance > 1e-6:
+        faults.append(f"presses {driven.pressed} and is {driven.distance:.2g} m off when driven")
     return faults
 
 
 def measure(name: str, seed: int) -> list[Leg]:
     """Measure the legs of one room's escape."""
-    plan, limits = solve(generate(list_schematics()[name], seed)), MotionLimits()
+    plan, limits = solve(generate(make_schematic(name), seed)), MotionLimits()
     planner, rules = RoomPlanner(plan.instance), Kinematics(plan.instance)
     sampler, legs = MotionSampler(plan.instance, limits), []
     for part in plan.parts:
@@ -66,6 +86,18 @@ def measure(name: str, seed: int) -> list[Leg]:
         legs.append(Leg(sampled.duration if sampled else math.nan, planned.duration if planned else math.nan,
                         sampled_cpu, planned_cpu, tuple(faults)))
     return legs
+
+
+def measure_rooms(name: str, rooms: int) -> Iterator[Leg]:
+    """Measure the legs of the first rooms that can be made."""
+    seeds = itertools.count()
+    while rooms:
+        try:
+            legs = measure(name, next(seeds))
+        except GenerationError:
+            continue
+        rooms -= 1
+        yield from legs
 
 
 def clock(make: Callable[[], TimedTrajectory]) -> tuple[TimedTrajectory | None, float]:
@@ -84,13 +116,13 @@ def main() -> None:
     parser.add_argument("--rooms", type=int, default=4)
     parser.add_argument("--names", nargs="*", default=NAMES)
     chosen, wrong = parser.parse_args(), 0
-    print(f"{'':24s} found  of  planned  seconds of motion  CPU ms sampled  planned")
+    print(f"{'':35s} found  of  planned  seconds of motion  CPU ms sampled  planned")
     for name in chosen.names:
-        legs = [leg for seed in range(chosen.rooms) for leg in measure(name, seed)]
+        legs = list(measure_rooms(name, chosen.rooms))
         both = np.array([leg[:4] for leg in legs if not math.isnan(leg.sampled + leg.planned)])
         ratio = np.exp(np.mean(np.log(both[:, 0] / both[:, 1]))) if len(both) else math.nan
         sampled, planned = 1000 * np.median(np.array([leg[2:4] for leg in legs]), axis=0)
-        print(f"{name:24s} {sum(not math.isnan(leg.sampled) for leg in legs):5d} {len(legs):3d} "
+        print(f"{name:35s} {sum(not math.isnan(leg.sampled) for leg in legs):5d} {len(legs):3d} "
               f"{sum(not math.isnan(leg.planned) for leg in legs):8d} {ratio:18.3f} {sampled:15.0f} {planned:8.0f}",
               flush=True)
         for leg in legs:

@@ -285,6 +285,27 @@ MUTATIONS = [
         "planning/motion/test_sampled.py::test_a_motion_that_presses_another_target_too_is_not_taken",
     ),
     Mutation(
+        "a rectangle that drives leaves a target in a turn",
+        "planning/motion/drives.py",
+        "first_kept, last_kept = self._floor.leaving is not self._floor.between,",
+        "first_kept, last_kept = False,",
+        "planning/motion/test_sampled.py",
+    ),
+    Mutation(
+        "a rectangle that drives presses a target again that it has not left",
+        "planning/motion/sampled.py",
+        "between = self._avoid(untouched, None, shut)",
+        'between = self._avoid(untouched, getattr(goal, "target", None), shut)',
+        "planning/motion/test_drives.py",
+    ),
+    Mutation(
+        "a rectangle turns anywhere",
+        "floor/clearance.py",
+        "return self.base.can_turn(x, y, rotation, to, turn, self._list_near(self._find_cell(x, y)))",
+        "return True",
+        "planning/motion/test_drives.py::test_a_turn_is_free_where_the_base_meets_nothing_at_any_angle_of_it",
+    ),
+    Mutation(
         "a sampled way to a region ends on its edge",
         "planning/motion/sampled.py",
         "half - min(INSIDE, half / 2.0)",

@@ -1,8 +1,9 @@
 """Trajectories by sampling, without a plan of primitives: the base's way by OMPL, a press by Pinocchio and OMPL.
 
-A disc's way is planned in the plane and a rectangle's in SE(2), round every target that is not to be pressed. A hand is
-brought to its target by inverse kinematics, from a place of the base where that has an answer, and the arm's motion is
-planned in joint space. What was found is played by the room's kinematics, and taken if it presses the target alone.
+A disc's way is planned in the plane, a rectangle's in SE(2) or, where it cannot strafe, by `drives.py`, round every
+target that is not to be pressed. A hand is brought to its target by inverse kinematics, from a place of the base where
+that has an answer, and the arm's motion is planned in joint space. What was found is played by the room's kinematics,
+and taken if it presses the target alone.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from hrl_escape.planning.areas import Area, compute_goal_area, sample_places
 from hrl_escape.planning.arm.joint_lattice import NEVER
 from hrl_escape.planning.arm.reacher import Reacher
 from hrl_escape.planning.goals import Goal, PressGoal, describe_goal, is_reached
+from hrl_escape.planning.motion.drives import Floor, find_drive, list_docks
 from hrl_escape.planning.motion.legs import MISSED_BY, ROUNDINGS, Press, list_shut_doors, play, rest, time_path
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.trajectory import TimedTrajectory, join_presses
@@ -73,6 +75,8 @@ class MotionSampler:
         self._rules = Kinematics(self._room, is_still=True)
         self._names = ("x", "y", "heading", *self._rules.robot.joint_names)
         self._rates = limits.stack(self._names, self._rules.robot)
+        self._strafes = self._room.robot.drive == "strafing"
+        self._needs_room = not (self._strafes or self._room.robot.base.turns_anywhere)
         self._by_hand = self._room.dynamics.press_with == "hand"
 
     def plan(self, state: RoomState, goal: Goal) -> TimedTrajectory:
@@ -114,20 +118,22 @@ class MotionSampler:
         """Ways of the base to a goal or to any of some places, with corners rounded less and less."""
         points = self._find_way(state, goal)
         if points is not None:
-            rounds = self._room.robot.drive == "strafing" and len(points) > 2
-            for margin in ROUNDINGS if rounds else (0.0,):
+            for margin in ROUNDINGS if self._strafes and len(points) > 2 else (0.0,):
                 yield MotionPath(self._names, points, np.ones(len(self._names)), margin, self._way_planner)
 
     def _find_way(self, state: RoomState, goal: Goal | Sequence[_Place]) -> NDArray[np.float64] | None:
         """Poses (n, coordinates) that OMPL finds for the base, the arm at rest; None where it finds none."""
+        find = self._find_drive if self._needs_room else self._find_path
+        shut = self._room.door is not None and not self._room.puzzle.is_solved(state.puzzle)
+        poses = find(state, goal, shut)
+        return None if poses is None else np.column_stack([poses, np.tile(self._rules.get_angles(state),
+                                                                          (len(poses), 1))])
+
+    def _find_path(self, state: RoomState, goal: Goal | Sequence[_Place], shut: bool) -> NDArray[np.float64] | None:
+        """Poses (n, 3) of a base that strafes or turns anywhere."""
         from hrl_escape.planning.paths.navigator import Navigator  # loads OMPL
 
-        heading, angles = self._rules.get_heading(state), self._rules.get_angles(state)
-        strafes, is_disc = self._room.robot.drive == "strafing", self._room.robot.base.turns_anywhere
-        if not (strafes or is_disc):
-            return None  # a path in SE(2) goes sideways
-        shut = self._room.door is not None and not self._room.puzzle.is_solved(state.puzzle)
-        floor = self._avoid(state, getattr(goal, "target", None), shut)
+        heading, floor = self._rules.get_heading(state), self._avoid(state, getattr(goal, "target", None), shut)
         navigator = Navigator(self._room, lambda _: floor)
         aim = np.array([place.at for place in goal]) if isinstance(goal, Sequence) else self._aim(goal, floor)
         tries = (navigator.plan((state.x, state.y), aim, planner, seed=self._seed, optimise=True, budget=WAY_CHECKS,
@@ -138,20 +144,41 @@ class MotionSampler:
             return None
         last = _find_place(goal, found.path[-1]).heading if isinstance(goal, Sequence) else None
         if len(found.headings):
-            poses = np.column_stack([found.path, found.headings])
-        else:
-            path = found.path
-            if isinstance(goal, PressGoal):
-                path = self._press_head_on(path, goal.target, state, floor)
-                if np.ptp(path, axis=0).max() < 1e-9:
-                    return None  # it stands at the target already
-            poses = (_strafe if strafes else _drive)(path, heading, last)
-        return np.column_stack([poses, np.tile(angles, (len(poses), 1))])
+            return np.column_stack([found.path, found.headings])
+        path = found.path
+        if isinstance(goal, PressGoal):
+            path = self._press_head_on(path, goal.target, state, floor)
+            if np.ptp(path, axis=0).max() < 1e-9:
+                return None  # it stands at the target already
+        return (_strafe if self._strafes else _drive)(path, heading, last)
+
+    def _find_drive(self, state: RoomState, goal: Goal | Sequence[_Place], shut: bool) -> NDArray[np.float64] | None:
+        """Poses (n, 3) of a base that drives, and turns where it has the room."""
+        untouched, start = state._replace(touching=0), [state.x, state.y, self._rules.get_heading(state)]
+        between = self._avoid(untouched, None, shut)
+        floor = Floor(self._avoid(state, None, shut) if state.touching else between, between,
+                      self._avoid(untouched, getattr(goal, "target", None), shut))
+        ends = self._list_ends(goal, floor.entering)
+        tries = (find_drive(floor, np.array(start), ends, self._rates[:3], planner, seed=self._seed, budget=WAY_CHECKS)
+                 for planner in dict.fromkeys((self._way_planner, DEFAULT_PLANNER)))
+        return next((drive for drive in tries if drive is not None and len(drive) > 1), None)
+
+    def _list_ends(self, goal: Goal | Sequence[_Place], floor: CollisionMap) -> NDArray[np.float64]:
+        """Poses (n, 3) of such a base at a goal, or at any of some places; a heading that is nan is left open."""
+        if isinstance(goal, Sequence):
+            return np.array([(*place.at, place.heading) for place in goal])
+        if isinstance(goal, PressGoal) and self._room.targets[goal.target].kind == "panel":
+            target = self._room.targets[goal.target]
+            return list_docks(floor, target.footprint, self._room.compute_press_margin(target), INSIDE)
+        aim = self._aim(goal, floor)
+        places = aim if isinstance(aim, np.ndarray) else sample_places(compute_goal_area(goal, self._room), floor)
+        heading = getattr(goal, "heading", None)
+        return np.column_stack([places, np.full(len(places), math.nan if heading is None else heading)])
 
     def _aim(self, goal: Goal, floor: CollisionMap) -> Goal | NDArray[np.float64]:
         """Places well inside a region, where a small error does no harm; the goal itself where there are none."""
         shape, reach = compute_goal_area(goal, self._room)
-        if isinstance(goal, PressGoal) or not self._room.robot.base.turns_anywhere:
+        if isinstance(goal, PressGoal) or self._strafes and not self._room.robot.base.turns_anywhere:
             return goal
         half_x, half_y = (half - min(INSIDE, half / 2.0) for half in (shape.half_x, shape.half_y))
         places = sample_places(Area(shape._replace(half_x=half_x, half_y=half_y), reach / 2.0), floor)

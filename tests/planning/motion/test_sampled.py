@@ -8,8 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.sampled_motions import measure
-from benchmarks.trajectories import change_robot, list_schematics
+from benchmarks.sampled_motions import make_schematic, measure
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.geometry import compute_distance, make_footprint
 from hrl_escape.env.presets import get_preset
@@ -23,6 +22,8 @@ from hrl_escape.planning.motion.sampled import MotionSampler
 from hrl_escape.planning.motion.trajectory import track
 from hrl_escape.planning.planner import RoomPlanner
 
+WEDGED = (9.499, 9.52)
+"""Place in a corner of the paper's room out of which a rectangle of 1.0 x 0.6 m that drives has to turn by and by."""
 LIMITS = MotionLimits(speed=0.8, turn_speed=1.2, joint_speed=0.8)
 
 
@@ -32,10 +33,10 @@ def make(config, seed: int = 0, **settings):
     return planner, MotionSampler(planner.instance, LIMITS, **settings), state
 
 
-@pytest.mark.parametrize("name", ["paper-two-button", *(
+@pytest.mark.parametrize("name", ["paper-two-button", "ten-button, driving rectangle", *(
     pytest.param(name, marks=pytest.mark.slow)
     for name in ("inner-doors", "clutter", "arm-two-button", "arm-four-joints", "clutter, differential",
-                 "clutter, rectangle"))])
+                 "clutter, rectangle", "clutter, driving rectangle"))])
 def test_every_leg_of_an_escape_presses_its_target_alone_and_keeps_all_limits(name):
     legs = measure(name, 0)
     assert all(not leg.faults and not math.isnan(leg.sampled) for leg in legs)
@@ -71,10 +72,10 @@ def test_what_no_way_leads_to_is_a_failure_by_name():
     planner, sampler, state = make(get_preset("clutter"))
     with pytest.raises(PlanningFailed, match="exit"):  # its door is shut
         sampler.plan(state, ExitGoal())
-    rectangle = change_robot(list_schematics()["clutter, rectangle"], drive="differential")
-    _, sampler, state = make(rectangle)
-    with pytest.raises(PlanningFailed, match="InformedRRTstar"):  # a way in SE(2) would go sideways
-        sampler.plan(state, PressGoal(0))
+    _, sampler, state = make(make_schematic("paper-two-button, driving rectangle"))
+    wedged = state._replace(x=WEDGED[0], y=WEDGED[1], heading_steps=0)
+    with pytest.raises(PlanningFailed, match="InformedRRTstar"):
+        sampler.plan(wedged, PressGoal(0))
 
 
 @pytest.mark.filterwarnings("error")
@@ -93,17 +94,20 @@ def test_a_target_that_is_touched_is_left_and_pressed_again_or_refused():
 
 
 def test_options_take_the_plan_of_primitives_where_nothing_is_sampled_or_where_they_are_told_to():
-    rectangle = change_robot(list_schematics()["clutter, rectangle"], drive="differential")
-    seconds = {}
-    for name, config, planner in (("rectangle", rectangle, "auto"), ("rectangle", rectangle, "fields"),
-                                  ("disc", get_preset("clutter"), "auto"), ("disc", get_preset("clutter"), "fields")):
-        env = OptionsEnv(EscapeRoomContinuousEnv(config), planner=planner)
-        env.reset(seed=0)
-        _, _, _, _, info = env.step(1)
-        assert info["option"]["ended"] == "reached" and info["option"]["pressed"] == ("button-2",)
-        seconds[name, planner] = info["duration"]
-    assert seconds["rectangle", "auto"] == seconds["rectangle", "fields"]
-    assert seconds["disc", "auto"] != seconds["disc", "fields"]
+    rectangle, seconds = generate(make_schematic("paper-two-button, driving rectangle"), 0), {}
+    start = RoomPlanner(rectangle).rules.make_state(rectangle.starts[0])
+    wedged = start._replace(x=WEDGED[0], y=WEDGED[1], heading_steps=0)
+    for name, room, state in (("wedged", rectangle, wedged), ("rectangle", rectangle, start),
+                              ("disc", generate(get_preset("clutter"), 0), None)):
+        for planner in ("auto", "fields"):
+            env = OptionsEnv(EscapeRoomContinuousEnv(instance=room), planner=planner)
+            env.reset(seed=0, options=state and {"state": state})
+            _, _, _, _, info = env.step(1)
+            assert info["option"]["ended"] == "reached" and info["option"]["pressed"] == ("button-2",)
+            seconds[name, planner] = info["duration"]
+    assert seconds["wedged", "auto"] == seconds["wedged", "fields"]
+    for name in ("rectangle", "disc"):
+        assert seconds[name, "auto"] != seconds[name, "fields"]
 
 
 def test_a_map_keeps_out_of_more_footprints():
