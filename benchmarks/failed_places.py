@@ -36,7 +36,7 @@ from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch, SearchProblem
 
 LIMIT_S = 0.2
-LINKS, FIND_PROOF = "_links", "_find_proof"
+LINKS, FIND_PROOF = "_get_links", "_find_proof"
 APART = 4.5
 """Distance from the start at which walls, blocks and panels are put, m."""
 
@@ -117,7 +117,7 @@ def make_in_full() -> Iterator[None]:
     make_field, find_proof = FieldMaker.make_field, getattr(PrimitiveSearch, FIND_PROOF)
 
     def make_all(maker: FieldMaker, *args: Any, **options: Any) -> Any:
-        getattr(maker, LINKS)
+        getattr(maker, LINKS)()
         return make_field(maker, *args, **options)
 
     def prove_by_distance(search: PrimitiveSearch, problem: SearchProblem, maker: FieldMaker) -> Any:

@@ -178,8 +178,9 @@ class CollisionMap:
         """Return whether the body can turn by an angle at a place where it fits at a heading; rad. Exact."""
         if self.is_clear(x, y, self.radius):
             return True
+        cell = self._find_cell(x, y)
         rotation, to = ((math.cos(angle), math.sin(angle)) for angle in (heading, heading + turn))
-        return self.base.can_turn(x, y, rotation, to, turn, self._list_near(self._find_cell(x, y)))
+        return cell >= 0 and self.base.can_turn(x, y, rotation, to, turn, self._list_near(cell))
 
     # --- connectivity ------------------------------------------------------------------
 

@@ -194,11 +194,7 @@ class FieldMaker:
                                            self._moves, self.macro, first, min(first + stride, end * rows), *landings)
         clock.check()
 
-    @property
-    def _links(self) -> _Links:
-        return self._get_links(NO_LIMIT)
-
-    def _get_links(self, clock: Clock) -> _Links:
+    def _get_links(self, clock: Clock = NO_LIMIT) -> _Links:
         """Links into each cell, found on first use: they take nearly all of a grid's time. Raises `OutOfTime`."""
         if self._known_links is None:
             landings = _Landings.make(self.states * self._moves.shape[1])
@@ -229,7 +225,7 @@ class FieldMaker:
         for begin, end in self._find_columns(changed, near):
             new.standing[begin * self.shape[1] : end * self.shape[1]] = False
             new._choose_points(begin, end, NO_LIMIT)
-        new._fields = OrderedDict()
+        new._fields, new._known_links = OrderedDict(), None
         if self._landings is None:  # no field has needed links so far
             return new
         landings = _Landings(*(array.copy() for array in self._landings))
@@ -332,17 +328,26 @@ class FieldMaker:
         """Return whether the field under a key is kept."""
         return key in self._fields
 
-    def is_cut_off(self, state: RoomState, seeds: Seeds, allowed: NDArray[np.bool_] | None = None) -> bool:
+    def is_cut_off(self, state: RoomState, seeds: Seeds, allowed: NDArray[np.bool_] | None = None,
+                   clock: Clock = NO_LIMIT) -> bool:
         """Return true only if a field of these seeds is -1 at a state, found sooner than the field and its links.
 
-        What leads to the seeds, or else what the state leads to, is explored up to an eighth of the cells.
+        What leads to the seeds, or else what the state leads to, is explored up to an eighth of the cells, by a kernel
+        each, in which nothing looks at the clock.
+
+        Raises:
+            OutOfTime: the clock is up before either.
         """
         allowed = np.ones(len(self.points), dtype=np.bool_) if allowed is None else allowed
         wanted, most = self._list_sources(state, seeds.headings, allowed), len(self.points) // EXPLORED
+        if not len(wanted):
+            return True
         grid = (self.scene, self.points, self.fits, self.turns, self.shape[1], self.low, self.size, self._moves,
                 self._turn_steps, self._can_turn, seeds.headings, allowed, seeds.states.astype(np.int64), wanted)
         far = math.ceil(self.span / self.size) + 2  # cells: places are off the centres, and ends are moved to cells
+        clock.check()
         if (result := dijkstra.grow_back(*grid, far, most)) == dijkstra.UNDECIDED:
+            clock.check()
             result = dijkstra.grow_on(*grid, most)
         return bool(result == dijkstra.CUT_OFF)
 

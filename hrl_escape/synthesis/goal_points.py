@@ -16,40 +16,35 @@ RADIUS = 4
 """Length of a displacement, in moves."""
 BEARINGS = 8
 """Directions of displacements, over a full turn."""
-EXIT_RADIUS = 0.75
-"""Distance from the centre of the exit at which it counts as reached, in moves."""
 
 
 def make_event_space(rooms: Situations) -> GoalSpace:
     """Absolute goals: touch a target, make a fact true, be at the exit; in this order.
 
-    A point is the place, in moves, and a bit for each touched target and each fact that a relevant operator makes true.
+    A point has a bit for each touched target, for each fact that a relevant operator makes true, and for the exit.
     """
-    instance, stride = rooms.instance, rooms.instance.robot.actions.stride
     facts = [fact for fact in rooms.model.propositions if any(fact in each.add for each in rooms.operators)]
-    targets = len(instance.targets)
+    targets, leaves = len(rooms.instance.targets), rooms.instance.exit
 
     def project(observation: Any) -> NDArray[np.float64]:
         here = rooms.read(observation)
         touched = (here.state.touching >> target & 1 for target in range(targets))
         held = (fact in here.facts for fact in facts)
-        return np.array([here.state.x / stride, here.state.y / stride, *touched, *held], np.float64)
+        return np.array([*touched, *held, leaves.contains(here.state.x, here.state.y)], np.float64)
 
-    bits = targets + len(facts)
-    goals = np.full((bits + 1, 2 + bits), np.nan)
-    goals[range(bits), range(2, 2 + bits)] = 1.0
-    goals[bits, :2] = np.divide(rooms.get_place(None), stride)
-    return GoalSpace(project, goals, tolerance=EXIT_RADIUS, view=_make_view(rooms), privileges=("landmarks", "state"))
+    count = targets + len(facts) + 1
+    goals = np.where(np.eye(count, dtype=np.bool_), 1.0, np.nan)
+    return GoalSpace(project, goals, view=_make_view(rooms), privileges=("landmarks", "state"))
 
 
 def make_displacement_space(rooms: Situations) -> GoalSpace:
     """Relative goals: so many moves in each of eight directions. A point is a square of the floor, one move wide.
 
     Raises:
-        UnsupportedError: the robot has an arm, which no displacement on the floor moves.
+        UnsupportedError: the robot presses by hand, which no displacement on the floor moves.
     """
     instance, stride = rooms.instance, rooms.instance.robot.actions.stride
-    if instance.robot.joints:
+    if instance.dynamics.press_with == "hand":
         raise UnsupportedError(f"no displacements are synthesised for the room {instance.name!r}: its robot presses by "
                                "hand, and they move the base alone")
 

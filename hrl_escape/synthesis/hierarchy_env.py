@@ -87,7 +87,8 @@ class HierarchyVectorEnv(VectorWrapper):
 
     Raises:
         UnknownNameError: no such kind or leaves.
-        UnsupportedError: the puzzle needs more than presses, or there are several instances.
+        UnsupportedError: the puzzle needs more than presses, there are several instances, or leaves of this kind cannot
+            be planned.
         ConfigError: another kind of automatic reset.
     """
 

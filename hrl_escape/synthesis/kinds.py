@@ -36,7 +36,7 @@ def find_kind(agent: str, leaves: str = "learned") -> HierarchyKind:
         others = [name for name in list_given_agents() if find_given_part(name) in PARTS.values()]
         raise UnsupportedError(f"no hierarchy is synthesised for {agent}, but for {', '.join(others)}: leave out "
                                "`leaves`")
-    kind = kinds[-1] if getattr(get_agent_class(agent), "names_displacements", False) else kinds[0]
+    kind = "displacements" if getattr(get_agent_class(agent), "names_displacements", False) else kinds[0]
     check_leaves(kind, leaves)
     return kind
 

@@ -64,7 +64,7 @@ def check_edits(preset: str, edits: int, *, executed_every: int, compared_every:
                 new = fresh.routes.search.get_maker(*key)
                 assert np.array_equal(maker.collision.distance, new.collision.distance)
                 assert np.array_equal(maker.standing, new.standing) and np.array_equal(maker.points, new.points)
-                assert all(map(np.array_equal, maker._links, new._links))
+                assert all(map(np.array_equal, maker._get_links(), new._get_links()))
         if isinstance(found, tuple):
             plan = scene.planner.plan(state, goal)
             for before, after in zip(plan.states, plan.states[1:], strict=False):  # by the distances, not by contacts

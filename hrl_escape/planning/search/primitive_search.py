@@ -537,7 +537,11 @@ class PrimitiveSearch:
         return SearchResult(reason, (), (problem.state,), expansions=spent, nearest=nearest)
 
     def _find_proof(self, problem: SearchProblem, maker: FieldMaker) -> PlanningReason | None:
-        """Reason for which no way can lead to the goal, proven by the parts of the floor; None if one may."""
+        """Reason for which no way can lead to the goal, by the parts of the floor; None if one may.
+
+        A hand whose joints or heading lie off their lattice, or may come to by noise or physics, could reach it from
+        other postures than those that are looked at, so there nothing is proven.
+        """
         x, y, collision = problem.state.x, problem.state.y, maker.collision
         if problem.table is None or problem.table.complete_to < NEVER:
             proof = collision.find_proof(x, y, *problem.area)
@@ -545,7 +549,12 @@ class PrimitiveSearch:
             return PlanningReason.GOAL_INVALID if is_solid else proof and PlanningReason.UNREACHABLE_PROVEN
         here = int(collision.get_parts(np.array([[x, y]]))[0])
         is_apart = here > 0 and here not in self._find_parts(problem, maker)
-        return PlanningReason.UNREACHABLE_PROVEN if is_apart else None
+        if not is_apart:
+            return None
+        dynamics, state = self.instance.dynamics, problem.state
+        is_exact = dynamics.kind == "kinematic" and not (
+            dynamics.noise or dynamics.slip or any(state.joint_offsets) or state.heading_offset)
+        return PlanningReason.UNREACHABLE_PROVEN if is_exact else PlanningReason.UNREACHABLE_AT_RESOLUTION
 
     def _find_parts(self, problem: SearchProblem, maker: FieldMaker) -> frozenset[int]:
         """Parts of the floor with a place from which some posture reaches the target to be pressed by hand.
@@ -641,9 +650,13 @@ class PrimitiveSearch:
             away = compute_distance_many(maker.points, stack_footprints(problem.keep_out))
             allowed = away > maker.collision.radius - maker.size
         is_kept = allowed is None and maker.has_field(self._make_key(problem))
-        if explore and not is_kept and maker.is_cut_off(problem.state, self._find_seeds(problem, maker), allowed):
+        if is_kept or not explore:
+            return self._get_field(problem, maker) if allowed is None else self._make_field(problem, maker, allowed)
+        seeds = self._find_seeds(problem, maker)
+        if maker.is_cut_off(problem.state, seeds, allowed, problem.clock):
             return None
-        return self._get_field(problem, maker) if allowed is None else self._make_field(problem, maker, allowed)
+        return (maker.get_field(self._make_key(problem), lambda _: seeds, problem.clock) if allowed is None else
+                maker.make_field(seeds, allowed, problem.clock))
 
     def _get_field(self, problem: SearchProblem, maker: FieldMaker) -> Field:
         return maker.get_field(self._make_key(problem), partial(self._find_seeds, problem), problem.clock)
