@@ -1,0 +1,571 @@
+"""The table of the canon: every algorithm on the same rooms, held against the best searcher and its flat twin."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from hrl_escape.comparison.comparison import run_grid
+from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
+from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
+from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.comparison.places import RoomSpec
+from hrl_escape.comparison.runs import RunResult
+from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.env.drawing import palette
+from hrl_escape.errors import ComparisonError, UnknownNameError
+from hrl_escape.names import count_nouns, join_words
+from studies.figures import FIGURE_STYLE
+from studies.page import make_table
+from studies.running import NO_TRAINING, StudyArgs, refuse_failures
+from studies.statistics import choose_holm_levels
+from studies.store import Store
+from studies.study import Page, Study
+
+__all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "advise", "analyse", "choose_candidate", "compare",
+           "list_families", "measure", "tell_beyond", "tell_families", "tell_given", "tell_leads", "tell_moves",
+           "tell_twins"]
+
+REFERENCE_EPISODES = 20
+"""Episodes of those that learn nothing, some of which are random."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Args(StudyArgs):
+    """Options of the study."""
+
+    out: Path = Path("runs")
+    """Folder of the runs."""
+    workers: int | None = None
+    """Runs at a time; one a core by default."""
+    trials: bool = False
+    """Try the settings of each learner in the validation rooms, instead of the study."""
+    kinds: tuple[str, ...] = ()
+    """Rungs whose rooms are run, as ladder-1/pair; all by default."""
+    rooms: int | None = None
+    """Rooms of each kind; those of `study.toml` by default."""
+    agents: tuple[str, ...] = ()
+    """Agents to run, by label; all by default."""
+    minutes: float = math.inf
+    """Minutes after which no further run is begun."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CanonRun:
+    """Result of one run.
+
+    Attributes:
+        agent: label.
+        candidate: which of its settings, from 1; 0 for agents without settings.
+        room: of a rung, in short text, such as `ladder-1/pair/test[0]`.
+        primitives: training budget; 0 for agents that learn nothing.
+        efficiency: in the last fifth of training.
+        escapes: share of the evaluation episodes there that escaped.
+        progress: mean share of the facts on the way to the goal that hold.
+        first_escape: primitives to the first escape in training; None if there was none.
+        efficient_at: primitives at the first of two evaluations in a row that are efficient; None without such a pair.
+        seconds: of training, beside another run.
+        key: hash of everything that decides the run's numbers.
+    """
+
+    agent: str
+    candidate: int
+    room: str
+    primitives: int
+    efficiency: float
+    escapes: float
+    progress: float
+    first_escape: int | None
+    efficient_at: int | None
+    seconds: float
+    key: str
+
+    @property
+    def place(self) -> tuple[str, int, str, int]:
+        """Subject of the line: another line about the same replaces it."""
+        return self.agent, self.candidate, self.room, self.primitives
+
+    @property
+    def kind(self) -> str:
+        """Rung of the room."""
+        return self.room.rpartition("/")[0]
+
+
+LINES = (CanonRun,)
+Cells: TypeAlias = Mapping[tuple[str, str], Mapping[str, CanonRun]]
+"""(kind, agent) -> room -> run."""
+
+
+class Family(NamedTuple):
+    """Learners that choose among the same things by the same kind of means.
+
+    Attributes:
+        name: short.
+        what: plural noun.
+        trials: validation rooms.
+        learners: label -> the settings that are tried.
+        given: what it is told of the room's puzzle and the searchers have to find; empty for nothing.
+    """
+
+    name: str
+    what: str
+    trials: tuple[str, ...]
+    learners: Mapping[str, Sequence[Mapping[str, Any]]]
+    given: str = ""
+
+
+def list_families(study: Study) -> list[Family]:
+    """Families, in the order of the page."""
+    return [Family(**table) for table in study.data["families"]]
+
+
+# --- runs ------------------------------------------------------------------------------------
+
+
+def measure(study: Study, args: Args, store: Store) -> None:
+    """Make trials, or the runs that are missing, kind by kind and room by room.
+
+    Raises:
+        ComparisonError: the trials of a learner are not made, or a run failed.
+        UnknownNameError: no such kind or agent.
+    """
+    data, until = study.data, time.monotonic() + 60 * args.minutes
+    references = [*data["chance"], *data["searchers"], *data["told"]]
+    known = [*references, *(label for family in list_families(study) for label in family.learners)]
+    for what, chosen, every in (("agent", args.agents, known), ("kind", args.kinds, list(data["kinds"]))):
+        if unknown := [name for name in chosen if name not in every]:
+            raise UnknownNameError(f"{what} of this study", unknown[0], every)
+    families = [family._replace(learners={label: tried for label, tried in family.learners.items()
+                                          if label in (args.agents or known)}) for family in list_families(study)]
+    if args.trials:
+        for room in dict.fromkeys(room for family in families for room in family.trials):
+            run_room(study, args, store, room, [
+                make_candidate(label, tried, number) for family in families if room in family.trials
+                for label, tried in family.learners.items() for number in range(1, len(tried) + 1)], until)
+        return
+    chosen = [choose_candidate(family, label, store.load()) for family in families for label in family.learners]
+    easiest = next(iter(data["kinds"]))
+    for kind in args.kinds or data["kinds"]:
+        rooms = [f"{kind}/test[{index}]" for index in range(args.rooms or data["rooms"])]
+        lost = find_lost(study, collect_cells(study, store.load())) if kind != easiest else set()
+        for room in rooms:
+            run_room(study, args, store, room, [
+                *((AgentSpec.parse(label), 0) for label in references if label in (args.agents or known)),
+                *((agent, number) for agent, number in chosen if agent.label not in lost)], until)
+
+
+def make_candidate(label: str, tried: Sequence[Mapping[str, Any]], number: int) -> tuple[AgentSpec, int]:
+    """A learner with one of its settings, and the number of these."""
+    agent = AgentSpec.parse(label)
+    return dataclasses.replace(agent, label=label, settings=agent.settings | dict(tried[number - 1])), number
+
+
+def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence[tuple[AgentSpec, int]], until: float
+             ) -> None:
+    """Make the runs of a room of which the store has no line, and keep their lines.
+
+    Candidates of a learner run as agents of their own; the label of a line is that of the learner.
+    """
+    data, there = study.data, {(line.agent, line.candidate, line.key) for line in store.load()}
+    for learns, budget, step, episodes in ((False, NO_TRAINING, NO_TRAINING, REFERENCE_EPISODES),
+                                           (True, data["primitives"], data["eval_every"], 1)):
+        own = {f"{agent.label} / {number}": (agent, number) for agent, number in agents if agent.learns == learns}
+        if not own or time.monotonic() > until:
+            continue
+        grid = Grid(f"canon-{'learners' if learns else 'references'}", "", tuple(
+            dataclasses.replace(agent, label=label) for label, (agent, _) in own.items()), (RoomSpec(set=room),),
+            runs=1, primitives=budget, eval_every=step, eval_episodes=episodes)
+        keys = {run.agent.label: run.key for run in grid.make_runs(grid.make_places())}
+        missing = tuple(agent for agent in grid.agents
+                        if (own[agent.label][0].label, own[agent.label][1], keys[agent.label]) not in there)
+        if missing:
+            made = run_grid(dataclasses.replace(grid, agents=missing), args.out / "canon",
+                            LocalLauncher(args.workers, begin_until=until))
+            store.add(make_line(*own[run.agent.label], room, run, result, data["efficient"])
+                      for run, result in made.runs)
+            refuse_failures(made)
+
+
+def make_line(agent: AgentSpec, candidate: int, room: str, run: GridRun, result: RunResult, efficient: float
+              ) -> CanonRun:
+    """Line of a finished run."""
+    at, curve = result.get_curve("primitives"), result.get_curve("efficiency")
+    lasting = np.flatnonzero(np.minimum(curve[:-1], curve[1:]) >= efficient)
+    return CanonRun(
+        agent=agent.label, candidate=candidate, room=room, primitives=run.grid.primitives if agent.learns else 0,
+        efficiency=round(result.get_final("efficiency"), 4), escapes=round(result.get_final("success_rate"), 4),
+        progress=round(result.get_final("mean_progress"), 4),
+        first_escape=result.first_escape if agent.learns else None,
+        efficient_at=int(at[lasting[0]]) if agent.learns and len(lasting) else None,
+        seconds=round(result.seconds[-1], 2), key=run.key)
+
+
+def choose_candidate(family: Family, label: str, lines: Iterable[CanonRun]) -> tuple[AgentSpec, int]:
+    """The settings of a learner that were most efficient in the trials, and their number.
+
+    Of equals those that escaped first, on average over the rooms; then the first.
+
+    Raises:
+        ComparisonError: a trial is missing.
+    """
+    tried = family.learners[label]
+    trials = {(line.candidate, line.room): line for line in lines if line.agent == label}
+
+    def rate(number: int) -> tuple[float, float]:
+        own = [trials[number, room] for room in family.trials if (number, room) in trials]
+        if len(own) < len(family.trials):
+            raise ComparisonError(f"{label} has {count_nouns(len(own), 'trial')} of {len(family.trials)} with settings "
+                                  f"{number}: run python -m studies canon --trials")
+        waits = [run.primitives if run.first_escape is None else run.first_escape for run in own]
+        return -float(np.mean([run.efficiency for run in own])), float(np.mean(waits))
+
+    return make_candidate(label, tried, min(range(1, len(tried) + 1), key=rate))
+
+
+def collect_cells(study: Study, lines: Sequence[CanonRun]) -> Cells:
+    """Runs in test rooms, with the chosen settings, by kind and agent."""
+    chosen: dict[str, int] = {}
+    for family in list_families(study):
+        for label in family.learners:
+            try:
+                chosen[label] = choose_candidate(family, label, lines)[1]
+            except ComparisonError:
+                continue
+    cells: dict[tuple[str, str], dict[str, CanonRun]] = {}
+    for line in lines:
+        if "/test[" in line.room and line.candidate == chosen.get(line.agent, 0):
+            cells.setdefault((line.kind, line.agent), {})[line.room] = line
+    return cells
+
+
+def find_lost(study: Study, cells: Cells) -> set[str]:
+    """Learners that ended without an escape in every room of the first kind, of `LEAST_RUNS` or more."""
+    easiest = next(iter(study.data["kinds"]))
+    return {agent for (kind, agent), runs in cells.items() if kind == easiest and len(runs) >= LEAST_RUNS
+            and not any(run.escapes for run in runs.values())}
+
+
+# --- comparisons -----------------------------------------------------------------------------
+
+
+class Contrast(NamedTuple):
+    """An agent against another, room by room, with kinds as strata of equal weight.
+
+    Attributes:
+        agent: label.
+        other: label of the other, or what it is.
+        gain: mean difference in efficiency; above 0 the agent is better.
+        low: lower end of its interval, which leaves out 0 where the test shows a difference.
+        high: upper end.
+        p: two-sided, corrected over the family (Holm).
+    """
+
+    agent: str
+    other: str
+    gain: float
+    low: float
+    high: float
+    p: float
+
+    @property
+    def sign(self) -> int:
+        """1 where a gain is shown, -1 where a loss is, else 0."""
+        return int(np.sign(self.gain)) if self.p < ALPHA else 0
+
+
+def compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells, kinds: Sequence[str]
+            ) -> list[Contrast]:
+    """Contrasts of one family, of couples that have `LEAST_RUNS` rooms in common in every kind.
+
+    Args:
+        couples: label of an agent, name of the other, and the other's label in each kind.
+        cells: runs.
+        kinds: strata.
+    """
+    asked = []
+    for agent, name, others in couples:
+        gains: list[NDArray[np.float64]] = []
+        for kind in kinds:
+            own, theirs = cells.get((kind, agent), {}), cells.get((kind, others[kind]), {})
+            gains.append(np.array([round(own[room].efficiency - theirs[room].efficiency, 9)
+                                   for room in sorted(own.keys() & theirs.keys())], dtype=np.float64))
+        if min(map(len, gains), default=0) >= LEAST_RUNS:
+            asked.append((agent, name, gains))
+    p = [compare_pairs(gains).p for _, _, gains in asked]
+    found = []
+    for (agent, name, gains), level, corrected in zip(asked, choose_holm_levels(p), correct_by_holm(p), strict=True):
+        test = compare_pairs(gains, level)
+        found.append(Contrast(agent, name, test.difference, test.low, test.high, corrected))
+    return found
+
+
+def find_best(agents: Sequence[str], cells: Cells, kinds: Sequence[str]) -> dict[str, str]:
+    """The agent that is most efficient in each kind; the choice among several favours it, so who beats it beats all."""
+    return {kind: max(agents, key=lambda agent, kind=kind: average(cells[kind, agent])) for kind in kinds}
+
+
+def average(runs: Mapping[str, CanonRun]) -> float:
+    """Mean efficiency over rooms."""
+    return float(np.mean([run.efficiency for run in runs.values()]))
+
+
+# --- sentences -------------------------------------------------------------------------------
+
+
+def tell_beyond(beyond: Sequence[Contrast], kinds: int) -> str:
+    """The finding: which learners that are given nothing reach more than the best searcher."""
+    over = f"over {count_nouns(kinds, 'kind')} of rooms"
+    if not beyond:
+        return f"Nothing is concluded, as no learner has {LEAST_RUNS} rooms beside a searcher's in every kind."
+    better = sorted((each for each in beyond if each.sign > 0), key=lambda each: -each.gain)
+    below = sum(each.sign < 0 for each in beyond)
+    rest = "none is shown to reach less"
+    if below:
+        rest = f"{below} of {len(beyond)} {'reaches' if below == 1 else 'reach'} less"
+    if not better:
+        return f"No learner is shown to beat the best searcher, which learns nothing, {over}; {rest}."
+    names = join_words(f"`{each.agent}` ({each.gain:+.2f})" for each in better)
+    return (f"{len(better)} of {len(beyond)} learners {'beats' if len(better) == 1 else 'beat'} the best searcher, "
+            f"which learns nothing, {over}: {names}; {rest}.")
+
+
+def tell_families(best: Mapping[str, tuple[str, float]], searcher: float) -> str:
+    """A sentence: the best learner of each family, in order, and where the best searcher stands among them.
+
+    Args:
+        best: family in words -> its best learner and its mean efficiency.
+        searcher: mean efficiency of the best searcher.
+    """
+    ordered = sorted(best.items(), key=lambda item: -item[1][1])
+
+    def tell(kept: Sequence[tuple[str, tuple[str, float]]]) -> str:
+        return join_words(f"{what} (`{agent}` {value:.2f})" for what, (agent, value) in kept)
+
+    above = [item for item in ordered if item[1][1] > searcher]
+    under = [item for item in ordered if item[1][1] <= searcher]
+    parts = [f"above the best searcher ({searcher:.2f}) come {tell(above)}"] if above else []
+    if under:
+        parts.append(f"{'below it' if above else f'below the best searcher ({searcher:.2f})'} stay {tell(under)}")
+    return f"By the best of each family, {'; '.join(parts)}."
+
+
+def tell_twins(contrasts: Sequence[Contrast]) -> str:
+    """A sentence: which hierarchies gain or lose against the flat learner that chooses among the same things."""
+    if not contrasts:
+        return "No hierarchy has a twin with enough rooms in every kind."
+    better, worse = ([f"`{each.agent}` ({each.gain:+.2f})" for each in sorted(
+        contrasts, key=lambda each: -each.sign * each.gain) if each.sign == sign] for sign in (1, -1))
+    level = len(contrasts) - len(better) - len(worse)
+    parts = [f"{_agree(len(better), 'gain')}: {join_words(better)}"] if better else ["none gains"]
+    if worse:
+        parts.append(f"{_agree(len(worse), 'lose')}: {join_words(worse)}")
+    if level:
+        parts.append(f"{level} cannot be told apart")
+    return (f"Of {len(contrasts)} hierarchies held against the flat learner that chooses among the same presses, "
+            f"{'; '.join(parts)}.")
+
+
+def _agree(count: int, verb: str) -> str:
+    return f"{count} {verb}{'s' if count == 1 else ''}"
+
+
+def tell_leads(means: Mapping[str, Mapping[str, float]]) -> str:
+    """A sentence: whether one learner leads in every kind of rooms.
+
+    Args:
+        means: kind in words -> learner -> mean efficiency.
+    """
+    leads: dict[str, list[str]] = {}
+    for kind, found in means.items():
+        leads.setdefault(max(found, key=lambda agent: found[agent]), []).append(kind)
+    if len(leads) == 1:
+        return f"One learner leads in every kind of rooms: `{next(iter(leads))}`."
+    return "No one learner leads everywhere: " + "; ".join(
+        f"`{agent}` with {join_words(kinds)}" for agent, kinds in leads.items()) + "."
+
+
+def tell_moves(count: int, lost: Sequence[str], kind: str, budget: int) -> str:
+    """A sentence: how many of those that choose single moves end without any escape in the easiest kind.
+
+    Args:
+        count: of learners that choose single moves.
+        lost: those that never escape at the end.
+        kind: in words.
+        budget: primitives.
+    """
+    if not lost:
+        return f"Every one of {count} learners of single moves ends with some escape in rooms with {kind}."
+    return (f"Of {count} learners of single moves {_agree(len(lost), 'end')} without an escape in every room with "
+            f"{kind} after {budget:,} primitives, hierarchies or not; they were not run in the others.")
+
+
+def tell_given(contrasts: Sequence[Contrast], given: str) -> str:
+    """A sentence: what being told the puzzle brings, beside the searchers that have to find it; empty without any."""
+    if not contrasts:
+        return ""
+    better = [each for each in contrasts if each.sign > 0]
+    if not better:
+        return f"Even told {given}, no hierarchy is shown to beat the best searcher."
+    return (f"Told {given}, which searchers have to find, {len(better)} of {len(contrasts)} hierarchies "
+            f"{'beats' if len(better) == 1 else 'beat'} the best of them (by up to "
+            f"{max(each.gain for each in better):.2f}).")
+
+
+def advise(beyond: Sequence[Contrast], searcher: str) -> str:
+    """Advice that follows from the finding."""
+    better = sorted((each for each in beyond if each.sign > 0), key=lambda each: -each.gain)
+    if better:
+        return (f"Begin with `{better[0].agent}` where a planner can press for you and the room stays the same, and "
+                "report a searcher beside your learner: most of the canon is below it.")
+    return f"Report `{searcher}` beside your learner: nothing here is shown to beat it."
+
+
+# --- page ------------------------------------------------------------------------------------
+
+
+def analyse(study: Study, lines: Sequence[CanonRun]) -> Page:
+    """Sentences, tables and the figure, of the kinds in which every agent was run that is still followed.
+
+    Raises:
+        ComparisonError: there is no such kind.
+    """
+    data, families = study.data, list_families(study)
+    flat: Mapping[str, str] = data["twins"]
+    cells = collect_cells(study, lines)
+    easiest, words = next(iter(data["kinds"])), data["kinds"]
+    lost = find_lost(study, cells)
+    references = [*data["chance"], *data["searchers"], *data["told"]]
+    learners = [label for family in families for label in family.learners]
+    followed = [label for label in learners if label not in lost]
+
+    def is_whole(kind: str) -> bool:
+        return all(len(cells.get((kind, agent), ())) >= LEAST_RUNS for agent in [*followed, *references])
+
+    kinds = [kind for kind in words if is_whole(kind)]
+    if easiest not in kinds:
+        raise ComparisonError(f"the rooms of {easiest} lack runs: of every agent there must be {LEAST_RUNS}")
+    best = find_best(data["searchers"], cells, kinds)
+    given = {label for family in families if family.given for label in family.learners}
+    against = compare([(label, "the best searcher", best) for label in followed if label not in given], cells, kinds)
+    told = compare([(label, "the best searcher", best) for label in followed if label in given], cells, kinds)
+    twins = compare([(label, twin, dict.fromkeys(kinds, twin)) for label, twin in flat.items()
+                     if label not in given], cells, kinds)
+    means = {label: float(np.mean([average(cells[kind, label]) for kind in kinds]))
+             for label in [*followed, *references]}
+    searcher = float(np.mean([average(cells[kind, best[kind]]) for kind in kinds]))
+    tops = {family.what: max(((label, means[label]) for label in own), key=lambda item: item[1])
+            for family in families if (own := [label for label in family.learners if label in followed])}
+    moves = [label for family in families for label in family.learners if not chooses_presses(label)]
+    headline = tell_beyond(against, len(kinds))
+    sentences = [
+        tell_families(tops, searcher), tell_twins(twins),
+        tell_leads({words[kind]: {label: average(cells[kind, label]) for label in followed if label not in given}
+                    for kind in kinds}),
+        tell_moves(len(moves), [label for label in moves if label in lost], words[easiest], data["primitives"]),
+        *filter(None, [tell_given(told, next((family.given for family in families if family.given), ""))])]
+    differences = {each.agent: each for each in [*against, *told]}
+    tables = [(family.name, family.given, make_table(
+        ["learner", *(words[kind] for kind in kinds), "over the best searcher"],
+        [[f"`{label}`", *(tell_cell(cells, kind, label) for kind in kinds), tell_difference(differences.get(label))]
+         for label in family.learners])) for family in families]
+    bars = make_table(["without learning", *(words[kind] for kind in kinds)], [
+        [f"`{label}`", *(tell_cell(cells, kind, label) for kind in kinds)] for label in references])
+    courses = make_table(
+        ["learner", "settings", "progress", "escapes", "first escape", f"efficiency of {data['efficient']:g}",
+         "seconds"],
+        [list(tell_course(family, label, cells, kinds, lines)) for family in families for label in family.learners])
+    return Page({
+        "headline": headline, "sentences": sentences, "advice": advise(against, best[kinds[-1]]), "tables": tables,
+        "bars": bars, "courses": courses, "twins": [
+            f"`{each.agent}` against `{each.other}`: {tell_difference(each)}" for each in twins],
+        "kinds": [f"{words[kind]} (`{kind}`)" for kind in kinds],
+        "left_out": [f"{words[kind]} (`{kind}`)" for kind in words if kind not in kinds],
+        "count": min(len(cells[kind, label]) for kind in kinds for label in [*followed, *references]),
+        "searchers": data["searchers"], "budget": data["primitives"], "efficient": data["efficient"],
+        "learners": len(learners), "episodes": REFERENCE_EPISODES,
+        "trials": [words[room.rpartition("/")[0]] for room in max((family.trials for family in families), key=len)],
+    }, {"canon": draw(cells, kinds, families, lost, words, searcher)}, [headline, *sentences])
+
+
+def chooses_presses(label: str) -> bool:
+    """A learner chooses among planned presses, or calls planned leaves."""
+    agent = AgentSpec.parse(label)
+    return agent.chooses_options or agent.leaves == "planned"
+
+
+def tell_cell(cells: Cells, kind: str, label: str) -> str:
+    """Mean efficiency in a kind of rooms."""
+    runs = cells.get((kind, label))
+    return f"{average(runs):.2f}" if runs else ""
+
+
+def tell_difference(contrast: Contrast | None) -> str:
+    """A difference with its interval; bold where it is shown."""
+    if contrast is None:
+        return ""
+    text = f"{contrast.gain:+.2f} ({contrast.low:+.2f} to {contrast.high:+.2f})"
+    return f"**{text}**" if contrast.sign else text
+
+
+def tell_course(family: Family, label: str, cells: Cells, kinds: Sequence[str], lines: Sequence[CanonRun]
+                ) -> Iterator[str]:
+    """A row on how a learner came to its end: settings, progress, escapes, waits, seconds."""
+    number = choose_candidate(family, label, lines)[1]
+    runs = [run for kind in kinds for run in cells.get((kind, label), {}).values()]
+    settings = " ".join(f"{name}={value}" for name, value in family.learners[label][number - 1].items())
+    yield from (f"`{label}`", f"`{settings}`" if settings else "defaults",
+                f"{np.mean([run.progress for run in runs]):.2f}", f"{np.mean([run.escapes for run in runs]):.0%}")
+    for name in ("first_escape", "efficient_at"):
+        waits = sorted(math.inf if (at := getattr(run, name)) is None else at for run in runs)
+        came, middle = sum(map(math.isfinite, waits)), waits[len(waits) // 2]
+        yield f"{f'{middle:,}' if math.isfinite(middle) else 'not in half'} ({came} of {len(runs)})"
+    yield f"{np.mean([run.seconds for run in runs]):.1f}"
+
+
+def draw(cells: Cells, kinds: Sequence[str], families: Sequence[Family], lost: Iterable[str],
+         words: Mapping[str, str], searcher: float) -> Figure:
+    """A row a learner, by family: a dot a room in the colour of its kind, a diamond the mean over kinds."""
+    colours, lost = dict(zip(kinds, palette.LINES, strict=False)), set(lost)
+    rows = [(family, label) for family in families for label in family.learners]
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(8.4, 0.185 * len(rows) + 0.3 * len(families) + 1.0), facecolor=palette.BACKGROUND,
+                        layout="constrained")
+        panels = figure.subplots(len(families), 1, sharex=True, squeeze=False, height_ratios=[
+            len(family.learners) + 1.2 for family in families]).ravel()
+        for panel, family in zip(panels, families, strict=True):
+            for row, label in enumerate(family.learners):
+                for number, kind in enumerate(kinds):
+                    values = [run.efficiency for run in cells.get((kind, label), {}).values()]
+                    offset = 0.5 * ((number + 0.5) / len(kinds) - 0.5)
+                    panel.plot(values, np.full(len(values), row + offset), ".", markersize=4, alpha=0.45,
+                               markeredgewidth=0, color=colours[kind])
+                if label not in lost:
+                    panel.plot(float(np.mean([average(cells[kind, label]) for kind in kinds])), row, "D", markersize=5,
+                               color=palette.INK)
+            panel.axvline(searcher, color=palette.INK, linestyle="--", linewidth=1)
+            panel.set(ylim=(len(family.learners) - 0.4, -0.6), xlim=(-0.03, 1.05))
+            panel.set_yticks(range(len(family.learners)), [
+                label.removesuffix("+no-primitives").removesuffix("+learned").removesuffix("+planned")
+                for label in family.learners])
+            panel.set_title(family.name + (f" (told {family.given})" if family.given else ""), loc="left", fontsize=9,
+                            color=palette.INK)
+            panel.grid(axis="x", color="#e5dfd2", linewidth=0.8)
+            panel.set_axisbelow(True)
+            panel.spines[["top", "right"]].set_visible(False)
+            panel.tick_params(colors=palette.MUTED, labelcolor=palette.INK, labelsize=7)
+        panels[-1].set_xlabel("efficiency; the dashed line is the best searcher, which learns nothing",
+                              color=palette.INK, fontsize=8)
+        handles = [Line2D([], [], marker="o", linestyle="", markersize=4, color=colours[kind],
+                                           label=words[kind]) for kind in kinds]
+        figure.legend(handles=handles, loc="outside upper center", ncols=min(4, len(kinds)), frameon=False, fontsize=8)
+    return figure

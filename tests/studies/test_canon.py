@@ -1,0 +1,221 @@
+"""The table of the canon: sentences from data of other truths, the choice of settings, and real runs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hrl_escape.errors import ComparisonError, UnknownNameError
+from studies.canon.analysis import CanonRun, choose_candidate, list_families
+from studies.running import open_store, run_study
+from studies.study import find_study
+from tests.studies.pages import tell as write_page
+
+STUDY = find_study("canon")
+FAMILIES = list_families(STUDY)
+LEARNERS = {label: family for family in FAMILIES for label in family.learners}
+SEARCHERS = STUDY.data["searchers"]
+REFERENCES = [*STUDY.data["chance"], *SEARCHERS, *STUDY.data["told"]]
+PAIR, FIVE = list(STUDY.data["kinds"])[:2]
+TABLE, MODEL = "smdp-q-learning+no-primitives", "smdp-factored-r-max+no-primitives"
+CRITIC, DAC, PPO = "smdp-option-critic+no-primitives", "smdp-dac+no-primitives", "smdp-ppo+no-primitives"
+MOVES = [label for label in LEARNERS if not label.startswith("smdp-") and "planned" not in label]
+
+
+def make_run(agent: str, candidate: int, room: str, efficiency: float, first_escape: int | None = 300) -> CanonRun:
+    return CanonRun(agent, candidate, room, 20_000, efficiency, float(efficiency > 0), 0.5, first_escape,
+                    4_000 if efficiency >= 0.9 else None, 2.5, "key")
+
+
+def make_trials(best: dict[str, int] | None = None) -> list[CanonRun]:
+    """Trials in which the first settings are best, or others by learner."""
+    return [make_run(label, number, room, 0.6 if number == (best or {}).get(label, 1) else 0.4)
+            for label, family in LEARNERS.items() for room in family.trials
+            for number in range(1, len(family.learners[label]) + 1)]
+
+
+def make_lines(efficiency: Callable[[str, str], float], kinds: tuple[str, ...] = (PAIR, FIVE), rooms: int = 10,
+               best: dict[str, int] | None = None) -> list[CanonRun]:
+    """Runs around these efficiencies by agent and kind; those that never escape are left out of the second kind."""
+    rng, lines = np.random.default_rng(0), make_trials(best)
+    for kind in kinds:
+        for agent in (*REFERENCES, *LEARNERS):
+            if kind == PAIR or agent in REFERENCES or efficiency(agent, PAIR):
+                mean, number = efficiency(agent, kind), (best or {}).get(agent, 1) if agent in LEARNERS else 0
+                lines += [make_run(agent, number, f"{kind}/test[{room}]",
+                                   float(np.clip(mean + 0.03 * rng.normal(), 0, 1)) if mean else 0.0)
+                          for room in range(rooms)]
+    return lines
+
+
+def usual(agent: str, kind: str) -> float:
+    """Single moves never escape, presses come to 0.4, searchers to 0.7, hierarchies that are given to 0.9."""
+    if agent in MOVES:
+        return 0.0
+    return 0.7 if agent in SEARCHERS else 0.9 if "planned" in agent or agent == "planner" else 0.4
+
+
+def change(changes: dict[str, float]) -> Callable[[str, str], float]:
+    return lambda agent, kind: changes.get(agent, usual(agent, kind))
+
+
+def read(efficiency: Callable[[str, str], float], folder: Path | None = None) -> str:
+    return write_page("canon", make_lines(efficiency), folder)
+
+
+# --- sentences -------------------------------------------------------------------------------
+
+
+def test_who_beats_the_searcher_is_the_headline(tmp_path: Path):
+    page = read(change({MODEL: 0.9, DAC: 0.8}), tmp_path)
+    assert re.search(r"\*\*2 of 30 learners beat the best searcher, which learns nothing, over 2 kinds of rooms: "
+                     rf"`{re.escape(MODEL)}` \(\+0\.\d\d\) and `{re.escape(DAC)}` \(\+0\.\d\d\); 28 of 30 reach "
+                     r"less\.\*\*", page)
+    assert f"Begin with `{MODEL}` where a planner can press for you" in page
+    assert (tmp_path / "figures/canon.svg").stat().st_size > 20_000
+
+
+def test_a_canon_below_the_searcher_is_told_so():
+    page = read(usual)
+    assert ("**No learner is shown to beat the best searcher, which learns nothing, over 2 kinds of rooms; 30 of 30 "
+            "reach less.**") in page
+    assert "nothing here is shown to beat it." in page
+
+
+def test_a_gain_in_one_room_of_twenty_is_no_gain():
+    lines = make_lines(change({MODEL: 0.7, **dict.fromkeys(SEARCHERS, 0.7)}))
+    lucky = [run if run.agent != MODEL or run.room != f"{FIVE}/test[3]" else make_run(MODEL, 1, run.room, 1.0)
+             for run in lines]
+    assert "No learner is shown to beat" in find_study("canon").analysis.analyse(STUDY, lucky).conclusions[0]
+
+
+def test_the_searcher_that_is_best_in_a_kind_is_the_bar():
+    first, second, third = SEARCHERS
+    bars = {(first, PAIR): 0.9, (second, FIVE): 0.9, (first, FIVE): 0.2, (second, PAIR): 0.2, (third, PAIR): 0.2,
+            (third, FIVE): 0.2}
+    page = read(lambda agent, kind: bars.get((agent, kind), change({MODEL: 0.7})(agent, kind)))
+    assert "No learner is shown to beat the best searcher" in page  # each alone has 0.55 at most
+
+
+def test_hierarchies_are_held_against_their_flat_twins():
+    page = read(change({CRITIC: 0.6, DAC: 0.1}))
+    assert ("- Of 23 hierarchies held against the flat learner that chooses among the same presses, 1 gains: "
+            f"`{CRITIC}` (+0.1") in page
+    assert f"1 loses: `{DAC}` (-0.3" in page and "21 cannot be told apart." in page
+    turned = read(change({TABLE: 0.6, PPO: 0.1}))
+    assert f"`{DAC}` (+0.3" in turned and f"`{CRITIC}` (-0.1" in turned
+    assert "6 gain: " in turned and "10 lose: " in turned
+
+
+def test_families_stand_in_order_of_their_best():
+    page = read(change({MODEL: 0.9, DAC: 0.6, "h-uct+planned": 0.95}))
+    above = page.index("above the best searcher (0.72) come hierarchies that are given, with planned leaves (`h-uct")
+    below = page.index("below it stay learners of their own options over planned presses (`smdp-dac")
+    assert above < page.index(f"learners of structure over planned presses (`{MODEL}` 0.9") < below
+    other = read(change({"planner": 1.0, **dict.fromkeys((label for label in LEARNERS if "planned" in label), 0.3)}))
+    assert "below the best searcher (0.72) stay" in other and "come" not in other[:other.index("below the best")]
+
+
+def test_one_leader_and_several_are_told_apart():
+    assert f"- One learner leads in every kind of rooms: `{MODEL}`." in read(change({MODEL: 0.8}))
+    page = read(lambda agent, kind: 0.8 if (agent, kind) in ((MODEL, PAIR), (DAC, FIVE)) else usual(agent, kind))
+    assert f"- No one learner leads everywhere: `{MODEL}` with two buttons; `{DAC}` with five buttons." in page
+
+
+def test_those_that_choose_single_moves_are_counted():
+    count = len(MOVES)
+    assert (f"- Of {count} learners of single moves {count} end without an escape in every room with two buttons after "
+            "20,000 primitives, hierarchies or not; they were not run in the others.") in read(usual)
+    page = read(change(dict.fromkeys(MOVES, 0.2)))
+    assert f"- Every one of {count} learners of single moves ends with some escape in rooms with two buttons." in page
+    some = read(change({"dqn": 0.2}))
+    assert f"Of {count} learners of single moves {count - 1} end without" in some
+    assert some.index("2 kinds of rooms") and "31 of 31 reach less" in some  # who escapes is followed
+
+
+def test_what_being_told_the_graph_brings_is_a_sentence_of_its_own():
+    told = [label for label in LEARNERS if "planned" in label]
+    page = read(usual)
+    assert f"- Told the task graph, which searchers have to find, {len(told)} of {len(told)} hierarchies beat" in page
+    page = read(change(dict.fromkeys(told, 0.5)))
+    assert "- Even told the task graph, no hierarchy is shown to beat the best searcher." in page
+
+
+def test_kinds_that_lack_runs_are_left_out_and_named():
+    lines = make_lines(usual)
+    page = write_page("canon", lines[:-1])
+    assert "over 1 kind of rooms" in page and f"not run whole: five buttons (`{FIVE}`)" in page
+    with pytest.raises(ComparisonError, match="lack runs: of every agent there must be"):
+        find_study("canon").analysis.analyse(STUDY, make_lines(usual, rooms=5))
+
+
+# --- settings --------------------------------------------------------------------------------
+
+
+def test_settings_are_those_of_the_best_mean_trial_then_of_the_quickest():
+    family = LEARNERS[MODEL]
+    assert choose_candidate(family, MODEL, make_trials({MODEL: 2}))[0].settings["max_parents"] == 3
+    equal = [make_run(MODEL, number, room, 0.5, first_escape=400 - 100 * (number == 3))
+             for number in (1, 2, 3) for room in family.trials]
+    assert choose_candidate(family, MODEL, equal)[1] == 3
+    late = [make_run(MODEL, number, room, 0.5, None if number == 1 else 19_000)
+            for number in (1, 2, 3) for room in family.trials]
+    assert choose_candidate(family, MODEL, late)[1] == 2
+    with pytest.raises(ComparisonError, match="has 2 trials of 3 with settings 3"):
+        choose_candidate(family, MODEL, equal[:-1])
+
+
+def test_runs_with_other_settings_than_the_chosen_do_not_count():
+    lines = make_lines(usual, best={MODEL: 2})
+    stray = [make_run(MODEL, 1, f"{kind}/test[{room}]", 1.0) for kind in (PAIR, FIVE) for room in range(10)]
+    assert "No learner is shown" in find_study("canon").analysis.analyse(STUDY, [*lines, *stray]).conclusions[0]
+
+
+def test_every_learner_has_three_settings_that_exist_and_differ():
+    for label, family in LEARNERS.items():
+        made = [dict(settings) for settings in family.learners[label]]
+        assert len(made) == 3 and all(made.count(settings) == 1 for settings in made), label
+    assert set(STUDY.data["twins"]) <= LEARNERS.keys() and set(STUDY.data["twins"].values()) <= LEARNERS.keys()
+
+
+def test_trials_are_in_rooms_that_no_result_is_from():
+    assert all("/valid[" in room for family in FAMILIES for room in family.trials)
+
+
+# --- real runs -------------------------------------------------------------------------------
+
+
+def run(folder: Path, **changes: object):
+    args = find_study("canon").analysis.Args(docs=folder / "docs", out=folder / "runs", workers=1, **changes)
+    study = find_study("canon")
+    study.data["primitives"], study.data["eval_every"] = 400, 200
+    return study, args
+
+
+def test_real_trials_and_runs_are_kept_line_by_line_and_not_made_twice(tmp_path: Path):
+    study, args = run(tmp_path, agents=(MODEL,), trials=True)
+    store = open_store(study, args.docs)
+    study.analysis.measure(study, args, store)
+    trials = store.load()
+    assert {(line.candidate, line.room) for line in trials} == {
+        (number, room) for number in (1, 2, 3) for room in LEARNERS[MODEL].trials}
+    study, args = run(tmp_path, agents=(MODEL, "planner"), kinds=(PAIR,), rooms=1)
+    study.analysis.measure(study, args, store)
+    made = [line for line in store.load() if line not in trials]
+    assert [(line.agent, line.primitives, line.kind) for line in made] == [("planner", 0, PAIR), (MODEL, 400, PAIR)]
+    planner, model = made
+    assert planner.efficiency == planner.escapes == 1 and 0 < model.first_escape <= 400 and model.seconds > 0
+    text = store.path.read_text()
+    study.analysis.measure(study, args, store)
+    assert store.path.read_text() == text
+
+
+def test_agents_and_kinds_that_are_unknown_are_named(tmp_path: Path):
+    for changes, what in (({"agents": ("dqm",)}, "agent"), ({"kinds": ("ladder-1/pear",)}, "kind")):
+        study, args = run(tmp_path, **changes)
+        with pytest.raises(UnknownNameError, match=f"{what} of this study"):
+            run_study(study, args)
