@@ -36,6 +36,8 @@ __all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "advise", "analyse
            "list_families", "measure", "tell_beyond", "tell_families", "tell_given", "tell_leads", "tell_moves",
            "tell_twins"]
 
+NAMED = 3
+"""Agents that a sentence names at most; tables name all."""
 REFERENCE_EPISODES = 20
 """Episodes of those that learn nothing, some of which are random."""
 
@@ -327,16 +329,15 @@ def tell_beyond(beyond: Sequence[Contrast], kinds: int) -> str:
     over = f"over {count_nouns(kinds, 'kind')} of rooms"
     if not beyond:
         return f"Nothing is concluded, as no learner has {LEAST_RUNS} rooms beside a searcher's in every kind."
-    better = sorted((each for each in beyond if each.sign > 0), key=lambda each: -each.gain)
+    better = [each for each in beyond if each.sign > 0]
     below = sum(each.sign < 0 for each in beyond)
     rest = "none is shown to reach less"
     if below:
         rest = f"{below} of {len(beyond)} {'reaches' if below == 1 else 'reach'} less"
     if not better:
         return f"No learner is shown to beat the best searcher, which learns nothing, {over}; {rest}."
-    names = join_words(f"`{each.agent}` ({each.gain:+.2f})" for each in better)
     return (f"{len(better)} of {len(beyond)} learners {'beats' if len(better) == 1 else 'beat'} the best searcher, "
-            f"which learns nothing, {over}: {names}; {rest}.")
+            f"which learns nothing, {over}{_name_most(better)}; {rest}.")
 
 
 def tell_families(best: Mapping[str, tuple[str, float]], searcher: float) -> str:
@@ -363,12 +364,11 @@ def tell_twins(contrasts: Sequence[Contrast]) -> str:
     """A sentence: which hierarchies gain or lose against the flat learner that chooses among the same things."""
     if not contrasts:
         return "No hierarchy has a twin with enough rooms in every kind."
-    better, worse = ([f"`{each.agent}` ({each.gain:+.2f})" for each in sorted(
-        contrasts, key=lambda each: -each.sign * each.gain) if each.sign == sign] for sign in (1, -1))
+    better, worse = ([each for each in contrasts if each.sign == sign] for sign in (1, -1))
     level = len(contrasts) - len(better) - len(worse)
-    parts = [f"{_agree(len(better), 'gain')}: {join_words(better)}"] if better else ["none gains"]
+    parts = [f"{_agree(len(better), 'gain')}{_name_most(better)}"] if better else ["none gains"]
     if worse:
-        parts.append(f"{_agree(len(worse), 'lose')}: {join_words(worse)}")
+        parts.append(f"{_agree(len(worse), 'lose')}{_name_most(worse)}")
     if level:
         parts.append(f"{level} cannot be told apart")
     return (f"Of {len(contrasts)} hierarchies held against the flat learner that chooses among the same presses, "
@@ -377,6 +377,13 @@ def tell_twins(contrasts: Sequence[Contrast]) -> str:
 
 def _agree(count: int, verb: str) -> str:
     return f"{count} {verb}{'s' if count == 1 else ''}"
+
+
+def _name_most(contrasts: Sequence[Contrast]) -> str:
+    """The agents of contrasts, the largest differences first and no more than `NAMED`, to follow their number."""
+    ordered = sorted(contrasts, key=lambda each: -abs(each.gain))
+    names = join_words(f"`{each.agent}` ({each.gain:+.2f})" for each in ordered[:NAMED])
+    return f": {names}" if len(ordered) <= NAMED else f", most of all {names}"
 
 
 def tell_leads(means: Mapping[str, Mapping[str, float]]) -> str:
@@ -410,9 +417,12 @@ def tell_moves(count: int, lost: Sequence[str], kind: str, budget: int) -> str:
 
 
 def tell_given(contrasts: Sequence[Contrast], given: str) -> str:
-    """A sentence: what being told the puzzle brings, beside the searchers that have to find it; empty without any."""
-    if not contrasts:
-        return ""
+    """A sentence: what being told of the puzzle brings, beside the searchers that have to find it.
+
+    Args:
+        contrasts: with the best searcher, of those that are told; one at least.
+        given: what they are told.
+    """
     better = [each for each in contrasts if each.sign > 0]
     if not better:
         return f"Even told {given}, no hierarchy is shown to beat the best searcher."
@@ -434,11 +444,7 @@ def advise(beyond: Sequence[Contrast], searcher: str) -> str:
 
 
 def analyse(study: Study, lines: Sequence[CanonRun]) -> Page:
-    """Sentences, tables and the figure, of the kinds in which every agent was run that is still followed.
-
-    Raises:
-        ComparisonError: there is no such kind.
-    """
+    """Sentences, tables and the figure, of the kinds in which every agent was run that is still followed."""
     data, families = study.data, list_families(study)
     flat: Mapping[str, str] = data["twins"]
     cells = collect_cells(study, lines)
@@ -453,9 +459,10 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Page:
 
     kinds = [kind for kind in words if is_whole(kind)]
     if easiest not in kinds:
-        raise ComparisonError(f"the rooms of {easiest} lack runs: of every agent there must be {LEAST_RUNS}")
+        return Page({"headline": f"Nothing is concluded yet, as the rooms with {words[easiest]} lack runs: of every "
+                                 f"agent there must be {LEAST_RUNS}.", "kinds": []})
     best = find_best(data["searchers"], cells, kinds)
-    given = {label for family in families if family.given for label in family.learners}
+    given = {label: family.given for family in families if family.given for label in family.learners}
     against = compare([(label, "the best searcher", best) for label in followed if label not in given], cells, kinds)
     told = compare([(label, "the best searcher", best) for label in followed if label in given], cells, kinds)
     twins = compare([(label, twin, dict.fromkeys(kinds, twin)) for label, twin in flat.items()
@@ -472,7 +479,8 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Page:
         tell_leads({words[kind]: {label: average(cells[kind, label]) for label in followed if label not in given}
                     for kind in kinds}),
         tell_moves(len(moves), [label for label in moves if label in lost], words[easiest], data["primitives"]),
-        *filter(None, [tell_given(told, next((family.given for family in families if family.given), ""))])]
+        *(tell_given(own, words) for words in dict.fromkeys(given.values())
+          if (own := [each for each in told if given[each.agent] == words]))]
     differences = {each.agent: each for each in [*against, *told]}
     tables = [(family.name, family.given, make_table(
         ["learner", *(words[kind] for kind in kinds), "over the best searcher"],
