@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -32,9 +32,9 @@ from studies.statistics import choose_holm_levels
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "advise", "analyse", "choose_candidate", "compare",
-           "list_families", "measure", "tell_beyond", "tell_families", "tell_given", "tell_leads", "tell_moves",
-           "tell_twins"]
+__all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "Standing", "advise", "analyse", "choose_candidate",
+           "compare", "find_lasting", "list_families", "measure", "tell_beyond", "tell_families", "tell_given",
+           "tell_leads", "tell_moves", "tell_standing", "tell_twins"]
 
 NAMED = 3
 """Agents that a sentence names at most; tables name all."""
@@ -201,15 +201,26 @@ def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence
 def make_line(agent: AgentSpec, candidate: int, room: str, run: GridRun, result: RunResult, efficient: float
               ) -> CanonRun:
     """Line of a finished run."""
-    at, curve = result.get_curve("primitives"), result.get_curve("efficiency")
-    lasting = np.flatnonzero(np.minimum(curve[:-1], curve[1:]) >= efficient)
+    lasting = find_lasting(result.get_curve("primitives"), result.get_curve("efficiency"), efficient)
     return CanonRun(
         agent=agent.label, candidate=candidate, room=room, primitives=run.grid.primitives if agent.learns else 0,
         efficiency=round(result.get_final("efficiency"), 4), escapes=round(result.get_final("success_rate"), 4),
         progress=round(result.get_final("mean_progress"), 4),
         first_escape=result.first_escape if agent.learns else None,
-        efficient_at=int(at[lasting[0]]) if agent.learns and len(lasting) else None,
+        efficient_at=lasting if agent.learns else None,
         seconds=round(result.seconds[-1], 2), key=run.key)
+
+
+def find_lasting(at: NDArray[np.float64], curve: NDArray[np.float64], least: float) -> int | None:
+    """Where the first of two values in a row that are no less stands; None where there are no two.
+
+    Args:
+        at: (n,) ascending.
+        curve: (n,) values there.
+        least: of both.
+    """
+    found = np.flatnonzero(np.minimum(curve[:-1], curve[1:]) >= least)
+    return int(at[found[0]]) if len(found) else None
 
 
 def choose_candidate(family: Family, label: str, lines: Iterable[CanonRun]) -> tuple[AgentSpec, int]:
@@ -445,64 +456,123 @@ def advise(beyond: Sequence[Contrast], searcher: str) -> str:
 
 def analyse(study: Study, lines: Sequence[CanonRun]) -> Page:
     """Sentences, tables and the figure, of the kinds in which every agent was run that is still followed."""
-    data, families = study.data, list_families(study)
+    found = Standing.read(study, lines)
+    values = tell_standing(found)
+    figures = {"canon": draw(found)} if found.kinds else {}
+    return Page(values, figures, [values["headline"], *values.get("sentences", ())])
+
+
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """What the lines tell of.
+
+    Attributes:
+        study: the study.
+        lines: all.
+        families: in the order of the page.
+        cells: runs in test rooms with the chosen settings.
+        kinds: rungs in which every agent was run that is followed; none while the first is not.
+        lost: learners that are not followed; see `find_lost`.
+    """
+
+    study: Study
+    lines: Sequence[CanonRun]
+    families: Sequence[Family]
+    cells: Cells
+    kinds: Sequence[str]
+    lost: Set[str]
+
+    @classmethod
+    def read(cls, study: Study, lines: Sequence[CanonRun]) -> Standing:
+        """Make it of lines."""
+        cells, families = collect_cells(study, lines), list_families(study)
+        found = cls(study, lines, families, cells, (), find_lost(study, cells))
+        needed = [*found.followed, *found.references]
+        kinds = [kind for kind in study.data["kinds"]
+                 if all(len(cells.get((kind, agent), ())) >= LEAST_RUNS for agent in needed)]
+        return dataclasses.replace(found, kinds=kinds if next(iter(study.data["kinds"])) in kinds else ())
+
+    @property
+    def words(self) -> Mapping[str, str]:
+        """Rung -> words on its rooms."""
+        return self.study.data["kinds"]
+
+    @property
+    def references(self) -> list[str]:
+        """Agents that learn nothing."""
+        return [*self.study.data["chance"], *self.study.data["searchers"], *self.study.data["told"]]
+
+    @property
+    def learners(self) -> list[str]:
+        """All learners."""
+        return [label for family in self.families for label in family.learners]
+
+    @property
+    def followed(self) -> list[str]:
+        """Learners that are run in every kind."""
+        return [label for label in self.learners if label not in self.lost]
+
+    @property
+    def best(self) -> dict[str, str]:
+        """The searcher that is most efficient in each kind."""
+        return find_best(self.study.data["searchers"], self.cells, self.kinds)
+
+    @property
+    def searcher(self) -> float:
+        """Its mean efficiency over the kinds."""
+        return float(np.mean([average(self.cells[kind, agent]) for kind, agent in self.best.items()]))
+
+    def average(self, label: str) -> float:
+        """Mean efficiency of an agent over the kinds."""
+        return float(np.mean([average(self.cells[kind, label]) for kind in self.kinds]))
+
+
+def tell_standing(found: Standing) -> dict[str, Any]:
+    """Values of the page's template."""
+    data, cells, kinds, words = found.study.data, found.cells, found.kinds, found.words
+    easiest = words[next(iter(words))]
+    if not kinds:
+        return {"headline": f"Nothing is concluded yet, as the rooms with {easiest} lack runs: of every agent there "
+                            f"must be {LEAST_RUNS}.", "kinds": []}
     flat: Mapping[str, str] = data["twins"]
-    cells = collect_cells(study, lines)
-    easiest, words = next(iter(data["kinds"])), data["kinds"]
-    lost = find_lost(study, cells)
-    references = [*data["chance"], *data["searchers"], *data["told"]]
-    learners = [label for family in families for label in family.learners]
-    followed = [label for label in learners if label not in lost]
-
-    def is_whole(kind: str) -> bool:
-        return all(len(cells.get((kind, agent), ())) >= LEAST_RUNS for agent in [*followed, *references])
-
-    kinds = [kind for kind in words if is_whole(kind)]
-    if easiest not in kinds:
-        return Page({"headline": f"Nothing is concluded yet, as the rooms with {words[easiest]} lack runs: of every "
-                                 f"agent there must be {LEAST_RUNS}.", "kinds": []})
-    best = find_best(data["searchers"], cells, kinds)
-    given = {label: family.given for family in families if family.given for label in family.learners}
-    against = compare([(label, "the best searcher", best) for label in followed if label not in given], cells, kinds)
-    told = compare([(label, "the best searcher", best) for label in followed if label in given], cells, kinds)
-    twins = compare([(label, twin, dict.fromkeys(kinds, twin)) for label, twin in flat.items()
-                     if label not in given], cells, kinds)
-    means = {label: float(np.mean([average(cells[kind, label]) for kind in kinds]))
-             for label in [*followed, *references]}
-    searcher = float(np.mean([average(cells[kind, best[kind]]) for kind in kinds]))
-    tops = {family.what: max(((label, means[label]) for label in own), key=lambda item: item[1])
-            for family in families if (own := [label for label in family.learners if label in followed])}
-    moves = [label for family in families for label in family.learners if not chooses_presses(label)]
-    headline = tell_beyond(against, len(kinds))
+    given = {label: family.given for family in found.families if family.given for label in family.learners}
+    against, told = (compare([(label, "the best searcher", found.best) for label in found.followed
+                              if (label in given) == is_given], cells, kinds) for is_given in (False, True))
+    twins = compare([(label, twin, dict.fromkeys(kinds, twin)) for label, twin in flat.items() if label not in given],
+                    cells, kinds)
+    tops = {family.what: max(((label, found.average(label)) for label in own), key=lambda item: item[1])
+            for family in found.families if (own := [label for label in family.learners if label in found.followed])}
+    moves = [label for label in found.learners if not chooses_presses(label)]
     sentences = [
-        tell_families(tops, searcher), tell_twins(twins),
-        tell_leads({words[kind]: {label: average(cells[kind, label]) for label in followed if label not in given}
+        tell_families(tops, found.searcher), tell_twins(twins),
+        tell_leads({words[kind]: {label: average(cells[kind, label]) for label in found.followed if label not in given}
                     for kind in kinds}),
-        tell_moves(len(moves), [label for label in moves if label in lost], words[easiest], data["primitives"]),
-        *(tell_given(own, words) for words in dict.fromkeys(given.values())
-          if (own := [each for each in told if given[each.agent] == words]))]
+        tell_moves(len(moves), [label for label in moves if label in found.lost], easiest, data["primitives"]),
+        *(tell_given(own, what) for what in dict.fromkeys(given.values())
+          if (own := [each for each in told if given[each.agent] == what]))]
     differences = {each.agent: each for each in [*against, *told]}
     tables = [(family.name, family.given, make_table(
         ["learner", *(words[kind] for kind in kinds), "over the best searcher"],
         [[f"`{label}`", *(tell_cell(cells, kind, label) for kind in kinds), tell_difference(differences.get(label))]
-         for label in family.learners])) for family in families]
+         for label in family.learners])) for family in found.families]
     bars = make_table(["without learning", *(words[kind] for kind in kinds)], [
-        [f"`{label}`", *(tell_cell(cells, kind, label) for kind in kinds)] for label in references])
+        [f"`{label}`", *(tell_cell(cells, kind, label) for kind in kinds)] for label in found.references])
     courses = make_table(
         ["learner", "settings", "progress", "escapes", "first escape", f"efficiency of {data['efficient']:g}",
          "seconds"],
-        [list(tell_course(family, label, cells, kinds, lines)) for family in families for label in family.learners])
-    return Page({
-        "headline": headline, "sentences": sentences, "advice": advise(against, best[kinds[-1]]), "tables": tables,
-        "bars": bars, "courses": courses, "twins": [
-            f"`{each.agent}` against `{each.other}`: {tell_difference(each)}" for each in twins],
+        [list(tell_course(family, label, found)) for family in found.families for label in family.learners])
+    return {
+        "headline": tell_beyond(against, len(kinds)), "sentences": sentences,
+        "advice": advise(against, found.best[kinds[-1]]), "tables": tables, "bars": bars, "courses": courses,
+        "twins": [f"`{each.agent}` against `{each.other}`: {tell_difference(each)}" for each in twins],
         "kinds": [f"{words[kind]} (`{kind}`)" for kind in kinds],
         "left_out": [f"{words[kind]} (`{kind}`)" for kind in words if kind not in kinds],
-        "count": min(len(cells[kind, label]) for kind in kinds for label in [*followed, *references]),
+        "count": min(len(cells[kind, label]) for kind in kinds for label in [*found.followed, *found.references]),
         "searchers": data["searchers"], "budget": data["primitives"], "efficient": data["efficient"],
-        "learners": len(learners), "episodes": REFERENCE_EPISODES,
-        "trials": [words[room.rpartition("/")[0]] for room in max((family.trials for family in families), key=len)],
-    }, {"canon": draw(cells, kinds, families, lost, words, searcher)}, [headline, *sentences])
+        "learners": len(found.learners), "episodes": REFERENCE_EPISODES,
+        "trials": [words[room.rpartition("/")[0]]
+                   for room in max((family.trials for family in found.families), key=len)],
+    }
 
 
 def chooses_presses(label: str) -> bool:
@@ -525,11 +595,10 @@ def tell_difference(contrast: Contrast | None) -> str:
     return f"**{text}**" if contrast.sign else text
 
 
-def tell_course(family: Family, label: str, cells: Cells, kinds: Sequence[str], lines: Sequence[CanonRun]
-                ) -> Iterator[str]:
+def tell_course(family: Family, label: str, found: Standing) -> Iterator[str]:
     """A row on how a learner came to its end: settings, progress, escapes, waits, seconds."""
-    number = choose_candidate(family, label, lines)[1]
-    runs = [run for kind in kinds for run in cells.get((kind, label), {}).values()]
+    number = choose_candidate(family, label, found.lines)[1]
+    runs = [run for kind in found.kinds for run in found.cells.get((kind, label), {}).values()]
     settings = " ".join(f"{name}={value}" for name, value in family.learners[label][number - 1].items())
     yield from (f"`{label}`", f"`{settings}`" if settings else "defaults",
                 f"{np.mean([run.progress for run in runs]):.2f}", f"{np.mean([run.escapes for run in runs]):.0%}")
@@ -540,10 +609,10 @@ def tell_course(family: Family, label: str, cells: Cells, kinds: Sequence[str], 
     yield f"{np.mean([run.seconds for run in runs]):.1f}"
 
 
-def draw(cells: Cells, kinds: Sequence[str], families: Sequence[Family], lost: Iterable[str],
-         words: Mapping[str, str], searcher: float) -> Figure:
+def draw(found: Standing) -> Figure:
     """A row a learner, by family: a dot a room in the colour of its kind, a diamond the mean over kinds."""
-    colours, lost = dict(zip(kinds, palette.LINES, strict=False)), set(lost)
+    cells, kinds, families = found.cells, found.kinds, found.families
+    colours = dict(zip(kinds, palette.LINES, strict=False))
     rows = [(family, label) for family in families for label in family.learners]
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(8.4, 0.185 * len(rows) + 0.3 * len(families) + 1.0), facecolor=palette.BACKGROUND,
@@ -557,10 +626,9 @@ def draw(cells: Cells, kinds: Sequence[str], families: Sequence[Family], lost: I
                     offset = 0.5 * ((number + 0.5) / len(kinds) - 0.5)
                     panel.plot(values, np.full(len(values), row + offset), ".", markersize=4, alpha=0.45,
                                markeredgewidth=0, color=colours[kind])
-                if label not in lost:
-                    panel.plot(float(np.mean([average(cells[kind, label]) for kind in kinds])), row, "D", markersize=5,
-                               color=palette.INK)
-            panel.axvline(searcher, color=palette.INK, linestyle="--", linewidth=1)
+                if label not in found.lost:
+                    panel.plot(found.average(label), row, "D", markersize=5, color=palette.INK)
+            panel.axvline(found.searcher, color=palette.INK, linestyle="--", linewidth=1)
             panel.set(ylim=(len(family.learners) - 0.4, -0.6), xlim=(-0.03, 1.05))
             panel.set_yticks(range(len(family.learners)), [
                 label.removesuffix("+no-primitives").removesuffix("+learned").removesuffix("+planned")
@@ -574,6 +642,6 @@ def draw(cells: Cells, kinds: Sequence[str], families: Sequence[Family], lost: I
         panels[-1].set_xlabel("efficiency; the dashed line is the best searcher, which learns nothing",
                               color=palette.INK, fontsize=8)
         handles = [Line2D([], [], marker="o", linestyle="", markersize=4, color=colours[kind],
-                                           label=words[kind]) for kind in kinds]
+                                           label=found.words[kind]) for kind in kinds]
         figure.legend(handles=handles, loc="outside upper center", ncols=min(4, len(kinds)), frameon=False, fontsize=8)
     return figure

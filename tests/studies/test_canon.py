@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -10,9 +11,17 @@ import numpy as np
 import pytest
 
 from hrl_escape.errors import ComparisonError, UnknownNameError
-from studies.canon.analysis import CanonRun, choose_candidate, list_families
+from studies.canon.analysis import (
+    CanonRun,
+    Standing,
+    choose_candidate,
+    find_lasting,
+    list_families,
+    tell_standing,
+)
+from studies.page import render
 from studies.running import open_store, run_study
-from studies.study import find_study
+from studies.study import Page, find_study
 from tests.studies.pages import tell as write_page
 
 STUDY = find_study("canon")
@@ -63,15 +72,20 @@ def change(changes: dict[str, float]) -> Callable[[str, str], float]:
     return lambda agent, kind: changes.get(agent, usual(agent, kind))
 
 
-def read(efficiency: Callable[[str, str], float], folder: Path | None = None) -> str:
-    return write_page("canon", make_lines(efficiency), folder)
+def tell(lines: list[CanonRun]) -> str:
+    """The page of lines, without its figure, which takes longer than the rest."""
+    return render(STUDY, Page(tell_standing(Standing.read(STUDY, lines))))
+
+
+def read(efficiency: Callable[[str, str], float]) -> str:
+    return tell(make_lines(efficiency))
 
 
 # --- sentences -------------------------------------------------------------------------------
 
 
 def test_who_beats_the_searcher_is_the_headline(tmp_path: Path):
-    page = read(change({MODEL: 0.9, DAC: 0.8}), tmp_path)
+    page = write_page("canon", make_lines(change({MODEL: 0.9, DAC: 0.8})), tmp_path)
     assert re.search(r"\*\*2 of 30 learners beat the best searcher, which learns nothing, over 2 kinds of rooms: "
                      rf"`{re.escape(MODEL)}` \(\+0\.\d\d\) and `{re.escape(DAC)}` \(\+0\.\d\d\); 28 of 30 reach "
                      r"less\.\*\*", page)
@@ -90,7 +104,7 @@ def test_a_gain_in_one_room_of_twenty_is_no_gain():
     lines = make_lines(change({MODEL: 0.7, **dict.fromkeys(SEARCHERS, 0.7)}))
     lucky = [run if run.agent != MODEL or run.room != f"{FIVE}/test[3]" else make_run(MODEL, 1, run.room, 1.0)
              for run in lines]
-    assert "No learner is shown to beat" in find_study("canon").analysis.analyse(STUDY, lucky).conclusions[0]
+    assert "No learner is shown to beat" in tell(lucky)
 
 
 def test_the_searcher_that_is_best_in_a_kind_is_the_bar():
@@ -153,10 +167,26 @@ def test_what_being_told_the_graph_brings_is_a_sentence_of_its_own():
 
 def test_kinds_that_lack_runs_are_left_out_and_named():
     lines = make_lines(usual)
-    page = write_page("canon", lines[:-1])
+    page = tell(lines[:-1])
     assert "over 1 kind of rooms" in page and f"not run whole: five buttons (`{FIVE}`)" in page
     for few in (make_lines(usual, rooms=5), make_trials()):
-        assert "**Nothing is concluded yet, as the rooms with two buttons lack runs" in write_page("canon", few)
+        assert "**Nothing is concluded yet, as the rooms with two buttons lack runs" in tell(few)
+
+
+def test_waits_are_medians_over_all_rooms_and_those_that_never_end_are_counted():
+    waits = iter([*range(100, 1000, 100), *[None] * 11])  # nine of twenty
+    lines = [dataclasses.replace(line, first_escape=next(waits), seconds=4.0)
+             if line.agent == MODEL and "/test[" in line.room else line for line in make_lines(usual)]
+    (row,) = [line for line in tell(lines).splitlines() if line.startswith(f"| `{MODEL}` | defaults")]
+    assert row.endswith("| 0.50 | 100% | not in half (9 of 20) | not in half (0 of 20) | 4.0 |")
+    early = [dataclasses.replace(line, first_escape=50) if line.first_escape is None else line for line in lines]
+    assert "| 50 (20 of 20) |" in tell(early)
+
+
+def test_an_efficiency_counts_where_the_next_evaluation_has_it_too():
+    at = np.array([0.0, 4e3, 8e3, 12e3, 16e3])
+    assert find_lasting(at, np.array([0.0, 0.95, 0.2, 0.9, 1.0]), 0.9) == 12_000
+    assert find_lasting(at, np.array([0.0, 0.95, 0.2, 0.8, 1.0]), 0.9) is None
 
 
 # --- settings --------------------------------------------------------------------------------
@@ -178,7 +208,7 @@ def test_settings_are_those_of_the_best_mean_trial_then_of_the_quickest():
 def test_runs_with_other_settings_than_the_chosen_do_not_count():
     lines = make_lines(usual, best={MODEL: 2})
     stray = [make_run(MODEL, 1, f"{kind}/test[{room}]", 1.0) for kind in (PAIR, FIVE) for room in range(10)]
-    assert "No learner is shown" in find_study("canon").analysis.analyse(STUDY, [*lines, *stray]).conclusions[0]
+    assert "No learner is shown" in tell([*lines, *stray])
 
 
 def test_every_learner_has_three_settings_that_exist_and_differ():
@@ -218,6 +248,15 @@ def test_real_trials_and_runs_are_kept_line_by_line_and_not_made_twice(tmp_path:
     text = store.path.read_text()
     study.analysis.measure(study, args, store)
     assert store.path.read_text() == text
+
+
+def test_a_learner_that_never_escaped_from_the_easiest_rooms_is_not_run_in_others(tmp_path: Path):
+    study, args = run(tmp_path, agents=(MODEL, "planner"), kinds=(FIVE,), rooms=1)
+    store = open_store(study, args.docs)
+    trials = [line for line in make_trials() if line.agent == MODEL]
+    store.add([*trials, *(make_run(MODEL, 1, f"{PAIR}/test[{room}]", 0.0, 500) for room in range(10))])
+    study.analysis.measure(study, args, store)
+    assert {line.agent for line in store.load() if line.room.startswith(f"{FIVE}/test[")} == {"planner"}
 
 
 def test_agents_and_kinds_that_are_unknown_are_named(tmp_path: Path):
