@@ -232,18 +232,24 @@ def run(folder: Path, **changes: object):
     return study, args
 
 
-def test_real_trials_and_runs_are_kept_line_by_line_and_not_made_twice(tmp_path: Path):
-    study, args = run(tmp_path, agents=(MODEL,), trials=True)
+def test_real_trials_are_kept_line_by_line(tmp_path: Path):
+    study, args = run(tmp_path, agents=("q-learning",), trials=True)
     store = open_store(study, args.docs)
     study.analysis.measure(study, args, store)
-    trials = store.load()
-    assert {(line.candidate, line.room) for line in trials} == {
-        (number, room) for number in (1, 2, 3) for room in LEARNERS[MODEL].trials}
+    (room,) = LEARNERS["q-learning"].trials
+    assert {(line.agent, line.candidate, line.room) for line in store.load()} == {
+        ("q-learning", number, room) for number in (1, 2, 3)}
+
+
+def test_real_runs_have_the_chosen_settings_and_are_not_made_twice(tmp_path: Path):
     study, args = run(tmp_path, agents=(MODEL, "planner"), kinds=(PAIR,), rooms=1)
+    store = open_store(study, args.docs)
+    trials = [line for line in make_trials({MODEL: 2}) if line.agent == MODEL]
+    store.add(trials)
     study.analysis.measure(study, args, store)
-    made = [line for line in store.load() if line not in trials]
-    assert [(line.agent, line.primitives, line.kind) for line in made] == [("planner", 0, PAIR), (MODEL, 400, PAIR)]
-    planner, model = made
+    planner, model = [line for line in store.load() if line not in trials]
+    assert [(line.agent, line.candidate, line.primitives, line.room) for line in (planner, model)] == [
+        ("planner", 0, 0, f"{PAIR}/test[0]"), (MODEL, 2, 400, f"{PAIR}/test[0]")]
     assert planner.efficiency == planner.escapes == 1 and 0 < model.first_escape <= 400 and model.seconds > 0
     text = store.path.read_text()
     study.analysis.measure(study, args, store)
