@@ -129,16 +129,17 @@ def _collect(comparison: Comparison) -> list[Line]:
     return [*collect_baselines(comparison, "per-instance", comparison.grid.name)]
 
 
-def refuse_failures(comparison: Comparison) -> None:
-    """Refuse a comparison in which runs failed, because a study tells of all of them.
+def refuse_failures(*comparisons: Comparison) -> None:
+    """Refuse comparisons in which runs failed, because a study tells of all of them.
 
     Raises:
         ComparisonError: runs failed; names the first and its error.
     """
-    if comparison.failures:
-        first = comparison.failures[0]
-        raise ComparisonError(f"{len(comparison.failures)} runs of {comparison.grid.name} failed; {first.run.name}: "
-                              f"{first.message}. The same command tries them again")
+    failures = [(failure, comparison.grid.name) for comparison in comparisons for failure in comparison.failures]
+    if failures:
+        first, name = failures[0]
+        raise ComparisonError(f"{len(failures)} runs of {name} failed; {first.run.name}: {first.message}. The same "
+                              "command tries them again")
 
 
 def claim_folder(path: Path) -> None:

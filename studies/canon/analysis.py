@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.comparison import run_grid
+from hrl_escape.comparison.comparison import Comparison, run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
 from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
 from hrl_escape.comparison.launching.local import LocalLauncher
@@ -149,11 +149,13 @@ def measure(study: Study, args: Args, store: Store) -> None:
             raise UnknownNameError(f"{what} of this study", unknown[0], every)
     families = [family._replace(learners={label: tried for label, tried in family.learners.items()
                                           if label in (args.agents or known)}) for family in list_families(study)]
+    made: list[Comparison] = []
     if args.trials:
         for room in dict.fromkeys(room for family in families for room in family.trials):
-            run_room(study, args, store, room, [
+            made += run_room(study, args, store, room, [
                 make_candidate(label, tried, number) for family in families if room in family.trials
                 for label, tried in family.learners.items() for number in range(1, len(tried) + 1)], until)
+        refuse_failures(*made)
         return
     chosen = [choose_candidate(family, label, store.load()) for family in families for label in family.learners]
     easiest = next(iter(data["kinds"]))
@@ -161,9 +163,10 @@ def measure(study: Study, args: Args, store: Store) -> None:
         rooms = [f"{kind}/test[{index}]" for index in range(args.rooms or data["rooms"])]
         lost = find_lost(study, collect_cells(study, store.load())) if kind != easiest else set()
         for room in rooms:
-            run_room(study, args, store, room, [
+            made += run_room(study, args, store, room, [
                 *((AgentSpec.parse(label), 0) for label in references if label in (args.agents or known)),
                 *((agent, number) for agent, number in chosen if agent.label not in lost)], until)
+    refuse_failures(*made)
 
 
 def make_candidate(label: str, tried: Sequence[Mapping[str, Any]], number: int) -> tuple[AgentSpec, int]:
@@ -173,8 +176,8 @@ def make_candidate(label: str, tried: Sequence[Mapping[str, Any]], number: int) 
 
 
 def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence[tuple[AgentSpec, int]], until: float
-             ) -> None:
-    """Make the runs of a room of which the store has no line, and keep their lines.
+             ) -> Iterator[Comparison]:
+    """Make the runs of a room of which the store has no line, and keep their lines; yields what was made.
 
     Candidates of a learner run as agents of their own; the label of a line is that of the learner.
     """
@@ -195,7 +198,7 @@ def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence
                             LocalLauncher(args.workers, begin_until=until))
             store.add(make_line(*own[run.agent.label], room, run, result, data["efficient"])
                       for run, result in made.runs)
-            refuse_failures(made)
+            yield made
 
 
 def make_line(agent: AgentSpec, candidate: int, room: str, run: GridRun, result: RunResult, efficient: float
