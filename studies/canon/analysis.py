@@ -34,7 +34,7 @@ from studies.study import Page, Study
 
 __all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "Standing", "advise", "analyse", "choose_candidate",
            "compare", "find_lasting", "list_families", "measure", "tell_beyond", "tell_families", "tell_given",
-           "tell_leads", "tell_moves", "tell_standing", "tell_twins"]
+           "tell_leads", "tell_lost", "tell_standing", "tell_twins"]
 
 NAMED = 3
 """Agents that a sentence names at most; tables name all."""
@@ -401,33 +401,40 @@ def _name_most(contrasts: Sequence[Contrast]) -> str:
 
 
 def tell_leads(means: Mapping[str, Mapping[str, float]]) -> str:
-    """A sentence: whether one learner leads in every kind of rooms.
+    """A sentence: who leads in which kind of rooms; means that are equal to two digits share a lead.
 
     Args:
         means: kind in words -> learner -> mean efficiency.
     """
-    leads: dict[str, list[str]] = {}
-    for kind, found in means.items():
-        leads.setdefault(max(found, key=lambda agent: found[agent]), []).append(kind)
-    if len(leads) == 1:
-        return f"One learner leads in every kind of rooms: `{next(iter(leads))}`."
-    return "No one learner leads everywhere: " + "; ".join(
-        f"`{agent}` with {join_words(kinds)}" for agent, kinds in leads.items()) + "."
+    leads = {kind: {agent for agent, mean in found.items() if round(mean, 2) == round(max(found.values()), 2)}
+             for kind, found in means.items()}
+    everywhere = set.intersection(*leads.values())
+    if everywhere:
+        first = min(everywhere)
+        return (f"One learner leads in every kind of rooms: `{first}`." if len(everywhere) == 1 else
+                f"{len(everywhere)} learners share the lead in every kind of rooms, `{first}` among them.")
+    told = [f"`{min(agents)}`{f' and {len(agents) - 1} more' if len(agents) > 1 else ''} with {kind}"
+            for kind, agents in leads.items()]
+    return f"No one learner leads everywhere: {'; '.join(told)}."
 
 
-def tell_moves(count: int, lost: Sequence[str], kind: str, budget: int) -> str:
-    """A sentence: how many of those that choose single moves end without any escape in the easiest kind.
+def tell_lost(moves: int, lost: Sequence[str], others: Sequence[str], kind: str, budget: int) -> str:
+    """A sentence: how many learners end without any escape in the easiest kind of rooms, and are not followed.
 
     Args:
-        count: of learners that choose single moves.
-        lost: those that never escape at the end.
+        moves: number of learners that choose single moves.
+        lost: those of them that never escape at the end.
+        others: of learners over presses those that do not.
         kind: in words.
         budget: primitives.
     """
+    names = join_words(f"`{each}`" for each in others)
     if not lost:
-        return f"Every one of {count} learners of single moves ends with some escape in rooms with {kind}."
-    return (f"Of {count} learners of single moves {_agree(len(lost), 'end')} without an escape in every room with "
-            f"{kind} after {budget:,} primitives, hierarchies or not; they were not run in the others.")
+        over = f"; over presses {names} never does" if others else ""
+        return f"Every one of {moves} learners of single moves ends with some escape in rooms with {kind}{over}."
+    over = f"; over presses {names} as well" if others else ""
+    return (f"Of {moves} learners of single moves {_agree(len(lost), 'end')} without an escape in every room with "
+            f"{kind} after {budget:,} primitives, hierarchies or not{over}. None of these was run in other rooms.")
 
 
 def tell_given(contrasts: Sequence[Contrast], given: str) -> str:
@@ -550,7 +557,9 @@ def tell_standing(found: Standing) -> dict[str, Any]:
         tell_families(tops, found.searcher), tell_twins(twins),
         tell_leads({words[kind]: {label: average(cells[kind, label]) for label in found.followed if label not in given}
                     for kind in kinds}),
-        tell_moves(len(moves), [label for label in moves if label in found.lost], easiest, data["primitives"]),
+        tell_lost(len(moves), [label for label in moves if label in found.lost],
+                  [label for label in found.learners if label in found.lost and label not in moves], easiest,
+                  data["primitives"]),
         *(tell_given(own, what) for what in dict.fromkeys(given.values())
           if (own := [each for each in told if given[each.agent] == what]))]
     differences = {each.agent: each for each in [*against, *told]}

@@ -17,6 +17,7 @@ from studies.canon.analysis import (
     choose_candidate,
     find_lasting,
     list_families,
+    tell_leads,
     tell_standing,
 )
 from studies.page import render
@@ -138,6 +139,10 @@ def test_families_stand_in_order_of_their_best():
 
 def test_one_leader_and_several_are_told_apart():
     assert f"- One learner leads in every kind of rooms: `{MODEL}`." in read(change({MODEL: 0.8}))
+    assert tell_leads({"a": {"x": 0.912, "y": 0.909, "z": 0.5}, "b": {"x": 0.701, "y": 0.699, "z": 0.698}}) == (
+        "2 learners share the lead in every kind of rooms, `x` among them.")
+    assert tell_leads({"a": {"x": 0.9, "y": 0.9, "z": 0.5}, "b": {"x": 0.1, "y": 0.1, "z": 0.6}}) == (
+        "No one learner leads everywhere: `x` and 1 more with a; `z` with b.")
     page = read(lambda agent, kind: 0.8 if (agent, kind) in ((MODEL, PAIR), (DAC, FIVE)) else usual(agent, kind))
     assert f"- No one learner leads everywhere: `{MODEL}` with two buttons; `{DAC}` with five buttons." in page
 
@@ -145,9 +150,10 @@ def test_one_leader_and_several_are_told_apart():
 def test_those_that_choose_single_moves_are_counted():
     count = len(MOVES)
     assert (f"- Of {count} learners of single moves {count} end without an escape in every room with two buttons after "
-            "20,000 primitives, hierarchies or not; they were not run in the others.") in read(usual)
+            "20,000 primitives, hierarchies or not. None of these was run in other rooms.") in read(usual)
     page = read(change(dict.fromkeys(MOVES, 0.2)))
     assert f"- Every one of {count} learners of single moves ends with some escape in rooms with two buttons." in page
+    assert f"hierarchies or not; over presses `{DAC}` as well. None of these" in read(change({DAC: 0.0}))
     some = read(change({"dqn": 0.2}))
     assert f"Of {count} learners of single moves {count - 1} end without" in some
     assert some.index("2 kinds of rooms") and "31 of 31 reach less" in some  # who escapes is followed
