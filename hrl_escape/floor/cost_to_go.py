@@ -49,7 +49,7 @@ class Seeds(NamedTuple):
 
 
 class _Landings(NamedTuple):
-    """Where moves from each cell land, by cell, heading class and translation, shape (cells * classes * moves,)."""
+    """Landings of moves by cell, heading class and translation, shape (cells * classes * moves,)."""
 
     cells: NDArray[np.int32]  # the cell, or -1
     costs: NDArray[np.int16]  # primitives of the move

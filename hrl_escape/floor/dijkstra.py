@@ -311,7 +311,7 @@ def fill_gaps(field, known, headings, rows):
 
 # --- what is cut off --------------------------------------------------------------------
 
-BLOCK = 8
+TILE = 8
 """Cells along each side of a block whose links are found together."""
 CUT_OFF, JOINED, UNDECIDED = 0, 1, 2
 
@@ -326,11 +326,11 @@ def grow_back(scene, points, fits, turns, rows, low, size, moves, turn_steps, ca
     cells are found.
     """
     classes, translations, cells = moves.shape[0], moves.shape[1], points.shape[0]
-    ends, columns, across = classes * translations, cells // rows, (rows + BLOCK - 1) // BLOCK
+    ends, columns, across = classes * translations, cells // rows, (rows + TILE - 1) // TILE
     landing, link_cost = np.empty(ends, dtype=np.int32), np.empty(ends, dtype=np.int16)
-    is_known = np.zeros((columns + BLOCK - 1) // BLOCK * across, dtype=np.bool_)
+    is_known = np.zeros((columns + TILE - 1) // TILE * across, dtype=np.bool_)
     heads = np.zeros(cells * classes, dtype=np.int32)  # 1 + the last link found into each (cell, class), 0 for none
-    room = (most + BLOCK * BLOCK) * ends + 1
+    room = (most + TILE * TILE) * ends + 1
     sources, others = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
     marks = np.zeros(cells * headings, dtype=np.int8)  # 1 where wanted, 2 where seen
     queue = np.empty(cells * headings, dtype=np.int32)
@@ -349,13 +349,13 @@ def grow_back(scene, points, fits, turns, rows, low, size, moves, turn_steps, ca
         taken += 1
         cell = state // headings
         heading, i, j = state - cell * headings, cell // rows, cell % rows
-        for a in range(max(i - far, 0) // BLOCK, min(i + far, columns - 1) // BLOCK + 1):
-            for b in range(max(j - far, 0) // BLOCK, min(j + far, rows - 1) // BLOCK + 1):
+        for a in range(max(i - far, 0) // TILE, min(i + far, columns - 1) // TILE + 1):
+            for b in range(max(j - far, 0) // TILE, min(j + far, rows - 1) // TILE + 1):
                 if is_known[a * across + b]:
                     continue
                 is_known[a * across + b] = True
-                for near_i in range(a * BLOCK, min((a + 1) * BLOCK, columns)):
-                    for near_j in range(b * BLOCK, min((b + 1) * BLOCK, rows)):
+                for near_i in range(a * TILE, min((a + 1) * TILE, columns)):
+                    for near_j in range(b * TILE, min((b + 1) * TILE, rows)):
                         before, known = near_i * rows + near_j, found
                         landing[:] = -1
                         _land(scene, points, fits, turns, rows, low, size, moves, 1, before, 0, landing, link_cost)

@@ -215,7 +215,7 @@ def make_line(agent: AgentSpec, candidate: int, room: str, run: GridRun, result:
 
 
 def find_lasting(at: NDArray[np.float64], curve: NDArray[np.float64], least: float) -> int | None:
-    """Where the first of two values in a row that are no less stands; None where there are no two.
+    """Place of the first of two values in a row that are no less; None where there are no two.
 
     Args:
         at: (n,) ascending.
@@ -474,7 +474,7 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Page:
 
 @dataclasses.dataclass(frozen=True)
 class Standing:
-    """What the lines tell of.
+    """State of the study: its lines, read.
 
     Attributes:
         study: the study.

@@ -23,7 +23,7 @@ from hrl_escape.planning.paths.problem import PathProblem, Spent, compute_spacin
 
 TURNS = (0.0, *(sign * math.radians(angle) for angle in range(5, 91, 5) for sign in (1.0, -1.0)))
 """Turns before the line out of a place without room for a whole turn, rad."""
-FARTHEST = 4.0
+FARTHEST_LINE = 4.0
 """Length of the longest such line, in radii of the base."""
 SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Places along a panel's side at which it is pressed, as shares of half its length and half the base's width."""
@@ -141,7 +141,7 @@ class _Steering:
         else:
             headings = [heading + turn for turn in TURNS if collision.is_turn_free(x, y, heading, turn)]
         step = between.inner / 10.0
-        steps = range(1, math.ceil(FARTHEST * between.radius / step))
+        steps = range(1, math.ceil(FARTHEST_LINE * between.radius / step))
         for angle, k, sign in itertools.product(headings, steps, (1.0, -1.0)):
             cos, sin = math.cos(angle), math.sin(angle)
             to_x, to_y = x + sign * k * step * cos, y + sign * k * step * sin
