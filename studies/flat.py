@@ -38,6 +38,7 @@ from hrl_escape.settings import read_record, replace_settings
 from hrl_escape.version import find_versions
 from studies.archive import ArchiveSettings, explore
 from studies.running import StudyArgs
+from studies.statistics import find_lasting
 from studies.store import Store
 from studies.study import Study
 
@@ -139,10 +140,7 @@ class FlatRun:
 
     def find_threshold(self, least: float) -> int | None:
         """Primitives at the first of two evaluations in a row of at least this efficiency; None without such a pair."""
-        for (at, value), (_, after) in zip(self.curve, self.curve[1:], strict=False):
-            if min(value, after) >= least - 1e-9:
-                return at
-        return None
+        return find_lasting(self.curve, least)
 
 
 class RepeatedStreams:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special, stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import ALPHA, LEVEL, correct_by_holm
+from hrl_escape.comparison.inference import ALPHA, LEVEL, compare_pairs, correct_by_holm
 from hrl_escape.comparison.statistics import LEAST_RUNS, Floats
 
-__all__ = ["Difference", "choose_holm_levels", "compare_signs", "compute_median_interval", "compute_restricted_mean",
-           "compute_sign_flip_p", "compute_slope", "compute_survival", "correct_by_benjamini_hochberg", "cut_signs",
-           "find_visible_difference", "find_visible_shift", "list_subset_means", "tell_power"]
+__all__ = ["Difference", "choose_holm_levels", "compare_signs", "compare_strata", "compute_median_interval",
+           "compute_restricted_mean", "compute_sign_flip_p", "compute_slope", "compute_survival",
+           "correct_by_benjamini_hochberg", "cut_signs", "find_lasting", "find_visible_difference",
+           "find_visible_shift", "list_subset_means", "tell_power"]
 
 MOST_SIGNS = 14
 """Differences whose signs are all tried."""
@@ -165,6 +166,31 @@ def compare_signs(differences: Mapping[str, ArrayLike]) -> dict[str, Difference]
         ends = (own[outside - 1], own[-outside]) if outside else (-math.inf, math.inf)
         found[name] = Difference(float(gains[name].mean()), float(ends[0]), float(ends[1]), corrected)
     return found
+
+
+def compare_strata(couples: Sequence[Sequence[NDArray[np.float64]]]) -> list[Difference]:
+    """Test the means of paired differences over strata of equal weight by Student's t, as one family (Holm).
+
+    Args:
+        couples: of each the differences (n,) in each stratum.
+    """
+    p = [compare_pairs(strata).p for strata in couples]
+    found = []
+    for strata, level, corrected in zip(couples, choose_holm_levels(p), correct_by_holm(p), strict=True):
+        test = compare_pairs(strata, level)
+        found.append(Difference(test.difference, test.low, test.high, corrected))
+    return found
+
+
+def find_lasting(curve: Iterable[tuple[int, float]], least: float) -> int | None:
+    """Place of the first of two values in a row that are no less, beyond rounding; None without such a pair.
+
+    Args:
+        curve: places, ascending, and the values there.
+        least: of both.
+    """
+    return next((at for (at, value), (_, after) in itertools.pairwise(curve) if min(value, after) >= least - 1e-9),
+                None)
 
 
 def correct_by_benjamini_hochberg(p: Sequence[float]) -> list[float]:

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.inference import ALPHA, compare_pairs, compute_interval, correct_by_holm
+from hrl_escape.comparison.inference import ALPHA, compute_interval
 from hrl_escape.comparison.references.registry import SEARCHERS
 from hrl_escape.comparison.statistics import LEAST_RUNS, compute_iqm
 from hrl_escape.comparison.verdict import count_things, tell_privileges
@@ -28,12 +28,12 @@ from hrl_escape.settings import read_record
 from studies.baseline import BaselineRun
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
-from studies.statistics import choose_holm_levels, find_visible_difference, tell_power
+from studies.statistics import compare_strata, find_visible_difference, tell_power
 from studies.study import Page, Study
 
-__all__ = ["Advice", "Contrast", "Question", "analyse", "choose_advice", "compare_twins", "compare_with_chance",
-           "compare_with_searchers", "find_forced", "find_repeated_rooms", "group", "list_questions", "tell_beyond",
-           "tell_question", "tell_visible"]
+__all__ = ["Advice", "Contrast", "Question", "analyse", "choose_advice", "chooses_presses", "compare_twins",
+           "compare_with_chance", "compare_with_searchers", "find_forced", "find_repeated_rooms", "group",
+           "list_questions", "tell_beyond", "tell_question", "tell_visible"]
 
 
 @dataclass(frozen=True)
@@ -233,11 +233,12 @@ def compare_with_chance(cells: Cells, rooms: Sequence[str], agents: Sequence[str
     """Each learner against random choices among what it chooses among."""
     chance = {spec.chooses_options: agent for agent in agents if (spec := AgentSpec.parse(agent)).algorithm == "random"}
     return _compare([(agent, other, dict.fromkeys(rooms, other)) for agent in agents
-                     if (spec := AgentSpec.parse(agent)).learns and (other := chance.get(_decides(spec)))],
+                     if (spec := AgentSpec.parse(agent)).learns and (other := chance.get(chooses_presses(spec)))],
                     cells, rooms)
 
 
-def _decides(spec: AgentSpec) -> bool:
+def chooses_presses(spec: AgentSpec) -> bool:
+    """An agent chooses among planned presses, or calls planned leaves; others choose single moves."""
     return spec.chooses_options or spec.leaves == "planned"
 
 
@@ -254,15 +255,10 @@ def _compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells
         asked.append((agent, other, gains, tuple(
             room for room in rooms if all(_are_equal(one, two) for one, two in pairs[room])
             and any(one.first_escape is not None for one, _ in pairs[room]))))
-    tests = [compare_pairs(gains) for _, _, gains, _ in asked]
-    levels, corrected = (rule([test.p for test in tests]) for rule in (choose_holm_levels, correct_by_holm))
-    found = []
-    for (agent, other, gains, equal), level, p in zip(asked, levels, corrected, strict=True):
-        test = compare_pairs(gains, level)
-        found.append(Contrast(agent, other, {room: float(own.mean()) for room, own in zip(rooms, gains, strict=True)},
-                              test.difference, test.low, test.high, p,
-                              find_visible_difference(gains, ALPHA / len(asked)), equal))
-    return found
+    tests = compare_strata([gains for _, _, gains, _ in asked])
+    return [Contrast(agent, other, {room: float(own.mean()) for room, own in zip(rooms, gains, strict=True)}, *test,
+                     find_visible_difference(gains, ALPHA / len(asked)), equal)
+            for (agent, other, gains, equal), test in zip(asked, tests, strict=True)]
 
 
 def _pair(runs: Cell, others: Cell) -> list[tuple[BaselineRun, BaselineRun]]:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.comparison.comparison import Comparison, run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
-from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.runs import RunResult
@@ -28,12 +28,13 @@ from hrl_escape.names import count_nouns, join_words
 from studies.figures import FIGURE_STYLE
 from studies.page import make_table
 from studies.running import NO_TRAINING, StudyArgs, refuse_failures
-from studies.statistics import choose_holm_levels
+from studies.statistics import Difference, compare_strata, find_lasting
 from studies.store import Store
 from studies.study import Page, Study
+from studies.twins import chooses_presses
 
 __all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "Standing", "advise", "analyse", "choose_candidate",
-           "compare", "find_lasting", "list_families", "measure", "tell_beyond", "tell_families", "tell_given",
+           "compare", "list_families", "measure", "tell_beyond", "tell_families", "tell_given",
            "tell_leads", "tell_lost", "tell_standing", "tell_twins"]
 
 NAMED = 3
@@ -204,7 +205,8 @@ def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence
 def make_line(agent: AgentSpec, candidate: int, room: str, run: GridRun, result: RunResult, efficient: float
               ) -> CanonRun:
     """Line of a finished run."""
-    lasting = find_lasting(result.get_curve("primitives"), result.get_curve("efficiency"), efficient)
+    curves = (result.get_curve(name).tolist() for name in ("primitives", "efficiency"))
+    lasting = find_lasting(zip(*curves, strict=True), efficient)
     return CanonRun(
         agent=agent.label, candidate=candidate, room=room, primitives=run.grid.primitives if agent.learns else 0,
         efficiency=round(result.get_final("efficiency"), 4), escapes=round(result.get_final("success_rate"), 4),
@@ -212,18 +214,6 @@ def make_line(agent: AgentSpec, candidate: int, room: str, run: GridRun, result:
         first_escape=result.first_escape if agent.learns else None,
         efficient_at=lasting if agent.learns else None,
         seconds=round(result.seconds[-1], 2), key=run.key)
-
-
-def find_lasting(at: NDArray[np.float64], curve: NDArray[np.float64], least: float) -> int | None:
-    """Place of the first of two values in a row that are no less; None where there are no two.
-
-    Args:
-        at: (n,) ascending.
-        curve: (n,) values there.
-        least: of both.
-    """
-    found = np.flatnonzero(np.minimum(curve[:-1], curve[1:]) >= least)
-    return int(at[found[0]]) if len(found) else None
 
 
 def choose_candidate(family: Family, label: str, lines: Iterable[CanonRun]) -> tuple[AgentSpec, int]:
@@ -275,28 +265,11 @@ def find_lost(study: Study, cells: Cells) -> set[str]:
 
 
 class Contrast(NamedTuple):
-    """An agent against another, room by room, with kinds as strata of equal weight.
+    """An agent against another, room by room, with kinds as strata of equal weight."""
 
-    Attributes:
-        agent: label.
-        other: label of the other, or what it is.
-        gain: mean difference in efficiency; above 0 the agent is better.
-        low: lower end of its interval, which leaves out 0 where the test shows a difference.
-        high: upper end.
-        p: two-sided, corrected over the family (Holm).
-    """
-
-    agent: str
-    other: str
-    gain: float
-    low: float
-    high: float
-    p: float
-
-    @property
-    def sign(self) -> int:
-        """1 where a gain is shown, -1 where a loss is, else 0."""
-        return int(np.sign(self.gain)) if self.p < ALPHA else 0
+    agent: str  # label
+    other: str  # label of the other, or what it is
+    found: Difference  # in efficiency; above 0 the agent is better
 
 
 def compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells, kinds: Sequence[str]
@@ -317,12 +290,8 @@ def compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells,
                                    for room in sorted(own.keys() & theirs.keys())], dtype=np.float64))
         if min(map(len, gains), default=0) >= LEAST_RUNS:
             asked.append((agent, name, gains))
-    p = [compare_pairs(gains).p for _, _, gains in asked]
-    found = []
-    for (agent, name, gains), level, corrected in zip(asked, choose_holm_levels(p), correct_by_holm(p), strict=True):
-        test = compare_pairs(gains, level)
-        found.append(Contrast(agent, name, test.difference, test.low, test.high, corrected))
-    return found
+    tests = compare_strata([gains for _, _, gains in asked])
+    return [Contrast(agent, name, test) for (agent, name, _), test in zip(asked, tests, strict=True)]
 
 
 def find_best(agents: Sequence[str], cells: Cells, kinds: Sequence[str]) -> dict[str, str]:
@@ -343,8 +312,8 @@ def tell_beyond(beyond: Sequence[Contrast], kinds: int) -> str:
     over = f"over {count_nouns(kinds, 'kind')} of rooms"
     if not beyond:
         return f"Nothing is concluded, as no learner has {LEAST_RUNS} rooms beside a searcher's in every kind."
-    better = [each for each in beyond if each.sign > 0]
-    below = sum(each.sign < 0 for each in beyond)
+    better = [each for each in beyond if each.found.sign > 0]
+    below = sum(each.found.sign < 0 for each in beyond)
     rest = "none is shown to reach less"
     if below:
         rest = f"{below} of {len(beyond)} {'reaches' if below == 1 else 'reach'} less"
@@ -378,7 +347,7 @@ def tell_twins(contrasts: Sequence[Contrast]) -> str:
     """A sentence: which hierarchies gain or lose against the flat learner that chooses among the same things."""
     if not contrasts:
         return "No hierarchy has a twin with enough rooms in every kind."
-    better, worse = ([each for each in contrasts if each.sign == sign] for sign in (1, -1))
+    better, worse = ([each for each in contrasts if each.found.sign == sign] for sign in (1, -1))
     level = len(contrasts) - len(better) - len(worse)
     parts = [f"{_agree(len(better), 'gain')}{_name_most(better)}"] if better else ["none gains"]
     if worse:
@@ -395,8 +364,8 @@ def _agree(count: int, verb: str) -> str:
 
 def _name_most(contrasts: Sequence[Contrast]) -> str:
     """The agents of contrasts, the largest differences first and no more than `NAMED`, to follow their number."""
-    ordered = sorted(contrasts, key=lambda each: -abs(each.gain))
-    names = join_words(f"`{each.agent}` ({each.gain:+.2f})" for each in ordered[:NAMED])
+    ordered = sorted(contrasts, key=lambda each: -abs(each.found.mean))
+    names = join_words(f"`{each.agent}` ({each.found.mean:+.2f})" for each in ordered[:NAMED])
     return f": {names}" if len(ordered) <= NAMED else f", most of all {names}"
 
 
@@ -444,20 +413,21 @@ def tell_given(contrasts: Sequence[Contrast], given: str) -> str:
         contrasts: with the best searcher, of those that are told; one at least.
         given: what they are told.
     """
-    better = [each for each in contrasts if each.sign > 0]
+    better = [each for each in contrasts if each.found.sign > 0]
     if not better:
         return f"Even told {given}, no hierarchy is shown to beat the best searcher."
     return (f"Told {given}, which searchers have to find, {len(better)} of {len(contrasts)} hierarchies "
             f"{'beats' if len(better) == 1 else 'beat'} the best of them (by up to "
-            f"{max(each.gain for each in better):.2f}).")
+            f"{max(each.found.mean for each in better):.2f}).")
 
 
 def advise(beyond: Sequence[Contrast], searcher: str) -> str:
     """Advice that follows from the finding."""
-    better = sorted((each for each in beyond if each.sign > 0), key=lambda each: -each.gain)
+    better = sorted((each for each in beyond if each.found.sign > 0), key=lambda each: -each.found.mean)
     if better:
+        rest = len(beyond) - len(better)
         return (f"Begin with `{better[0].agent}` where a planner can press for you and the room stays the same, and "
-                "report a searcher beside your learner: most of the canon is below it.")
+                f"report a searcher beside your learner: {rest} of {len(beyond)} here are not shown to beat it.")
     return f"Report `{searcher}` beside your learner: nothing here is shown to beat it."
 
 
@@ -507,27 +477,27 @@ class Standing:
         """Rung -> words on its rooms."""
         return self.study.data["kinds"]
 
-    @property
+    @cached_property
     def references(self) -> list[str]:
         """Agents that learn nothing."""
         return [*self.study.data["chance"], *self.study.data["searchers"], *self.study.data["told"]]
 
-    @property
+    @cached_property
     def learners(self) -> list[str]:
         """All learners."""
         return [label for family in self.families for label in family.learners]
 
-    @property
+    @cached_property
     def followed(self) -> list[str]:
         """Learners that are run in every kind."""
         return [label for label in self.learners if label not in self.lost]
 
-    @property
+    @cached_property
     def best(self) -> dict[str, str]:
         """The searcher that is most efficient in each kind."""
         return find_best(self.study.data["searchers"], self.cells, self.kinds)
 
-    @property
+    @cached_property
     def searcher(self) -> float:
         """Its mean efficiency over the kinds."""
         return float(np.mean([average(self.cells[kind, agent]) for kind, agent in self.best.items()]))
@@ -552,7 +522,7 @@ def tell_standing(found: Standing) -> dict[str, Any]:
                     cells, kinds)
     tops = {family.what: max(((label, found.average(label)) for label in own), key=lambda item: item[1])
             for family in found.families if (own := [label for label in family.learners if label in found.followed])}
-    moves = [label for label in found.learners if not chooses_presses(label)]
+    moves = [label for label in found.learners if not chooses_presses(AgentSpec.parse(label))]
     sentences = [
         tell_families(tops, found.searcher), tell_twins(twins),
         tell_leads({words[kind]: {label: average(cells[kind, label]) for label in found.followed if label not in given}
@@ -587,12 +557,6 @@ def tell_standing(found: Standing) -> dict[str, Any]:
     }
 
 
-def chooses_presses(label: str) -> bool:
-    """A learner chooses among planned presses, or calls planned leaves."""
-    agent = AgentSpec.parse(label)
-    return agent.chooses_options or agent.leaves == "planned"
-
-
 def tell_cell(cells: Cells, kind: str, label: str) -> str:
     """Mean efficiency in a kind of rooms."""
     runs = cells.get((kind, label))
@@ -603,8 +567,9 @@ def tell_difference(contrast: Contrast | None) -> str:
     """A difference with its interval; bold where it is shown."""
     if contrast is None:
         return ""
-    text = f"{contrast.gain:+.2f} ({contrast.low:+.2f} to {contrast.high:+.2f})"
-    return f"**{text}**" if contrast.sign else text
+    found = contrast.found
+    text = f"{found.mean:+.2f} ({found.low:+.2f} to {found.high:+.2f})"
+    return f"**{text}**" if found.sign else text
 
 
 def tell_course(family: Family, label: str, found: Standing) -> Iterator[str]:

@@ -8,7 +8,6 @@ Rooms in which the untrained options are efficient already say nothing of learni
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -17,7 +16,7 @@ import numpy as np
 from hrl_escape.comparison.inference import LEVEL, correct_by_holm
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from studies.price.runs import PriceRun
-from studies.statistics import choose_holm_levels, list_subset_means
+from studies.statistics import choose_holm_levels, find_lasting, list_subset_means
 
 __all__ = ["COSTS", "CostRatio", "Growth", "LogRange", "RunCost", "compare_costs", "correct_prices", "find_middle",
            "is_ready", "measure_growth"]
@@ -59,8 +58,7 @@ def _wait_for(least: float) -> Callable[[PriceRun], tuple[float, bool] | None]:
     def read(run: PriceRun) -> tuple[float, bool] | None:
         if not run.curve:
             return None
-        at = next((place for (place, value), (_, after) in itertools.pairwise(run.curve)
-                   if min(value, after) >= least - 1e-9), None)
+        at = find_lasting(run.curve, least)
         return (run.primitives, False) if at is None else (max(at, run.fewest), True)
 
     return read
