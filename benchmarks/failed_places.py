@@ -147,7 +147,7 @@ def answer(question: Question) -> tuple[float, tuple[int, ...] | None, str]:
 
 
 def measure(name: str, config: RoomConfig, rooms: int, count: int, kinds: bool) -> bool:
-    """Print a line on a schematic; says whether the limit is kept and all answers are the same."""
+    """Print a line on a schematic; says whether the limit is kept and all plans are the same."""
     failed: dict[str, list[tuple[float, float]]] = {}
     answered, is_same = 0, True
     for seed in range(rooms):
@@ -164,6 +164,9 @@ def measure(name: str, config: RoomConfig, rooms: int, count: int, kinds: bool) 
                 if plan is None:
                     failed.setdefault(question.kind, []).append((seconds, before))
                     failed.setdefault(f"{question.kind}, {reason}", []).append((seconds, before))
+    if not failed:
+        print(f"{name:24} none failed, {answered} answered", flush=True)
+        return is_same
     every = np.array([pair for kind, pairs in failed.items() if ", " not in kind for pair in pairs])
     median, p95, most = np.quantile(every, [0.5, 0.95, 1.0], axis=0)
     print(f"{name:24} {len(every):4} failed, CPU s: median {median[0]:.4f}, p95 {p95[0]:.3f}, worst {most[0]:.2f}; "

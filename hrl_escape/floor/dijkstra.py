@@ -316,6 +316,21 @@ TILE = 8
 CUT_OFF, JOINED, UNDECIDED = 0, 1, 2
 
 
+@kernel_part
+def _visit(marks, queue, count, state):
+    """Queue a state that is not seen yet; returns how many are queued now, or -1 if it is one that is looked for.
+
+    `marks` are 1 at states that are looked for and 2 at those that were seen.
+    """
+    if marks[state] == 1:
+        return -1
+    if marks[state] == 0:
+        marks[state] = 2
+        queue[count] = state
+        count += 1
+    return count
+
+
 @kernel
 def grow_back(scene, points, fits, turns, rows, low, size, moves, turn_steps, can_turn, headings, allowed, seeds,
               wanted, far, most):
@@ -332,18 +347,16 @@ def grow_back(scene, points, fits, turns, rows, low, size, moves, turn_steps, ca
     heads = np.zeros(cells * classes, dtype=np.int32)  # 1 + the last link found into each (cell, class), 0 for none
     room = (most + TILE * TILE) * ends + 1
     sources, others = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
-    marks = np.zeros(cells * headings, dtype=np.int8)  # 1 where wanted, 2 where seen
+    marks = np.zeros(cells * headings, dtype=np.int8)
     queue = np.empty(cells * headings, dtype=np.int32)
     count, found, taken = 0, 0, 0
     for state in wanted:
         marks[state] = 1
     for state in seeds:
-        if allowed[state // headings] and marks[state] != 2:
-            if marks[state] == 1:
+        if allowed[state // headings]:
+            count = _visit(marks, queue, count, state)
+            if count < 0:
                 return JOINED
-            marks[state] = 2
-            queue[count] = state
-            count += 1
     while taken < count:
         state = np.int64(queue[taken])
         taken += 1
@@ -372,20 +385,16 @@ def grow_back(scene, points, fits, turns, rows, low, size, moves, turn_steps, ca
             before = cell * headings + (heading - turn + headings) % headings
             if marks[before] != 2 and (
                     can_turn.shape[0] == 0 or _is_turn_free(can_turn, cell * classes, classes, heading, turn)):
-                if marks[before] == 1:
+                count = _visit(marks, queue, count, before)
+                if count < 0:
                     return JOINED
-                marks[before] = 2
-                queue[count] = before
-                count += 1
         link = heads[cell * classes + heading % classes]
         while link > 0:
             before = np.int64(sources[link]) * headings + heading
             if marks[before] != 2 and allowed[sources[link]]:
-                if marks[before] == 1:
+                count = _visit(marks, queue, count, before)
+                if count < 0:
                     return JOINED
-                marks[before] = 2
-                queue[count] = before
-                count += 1
             link = others[link]
     return CUT_OFF
 
@@ -395,7 +404,7 @@ def grow_on(scene, points, fits, turns, rows, low, size, moves, turn_steps, can_
             most):
     """Grow the states to which the wanted ones lead; arguments and result as of `grow_back`."""
     classes, translations, cells = moves.shape[0], moves.shape[1], points.shape[0]
-    marks = np.zeros(cells * headings, dtype=np.int8)  # 1 where a seed, 2 where seen
+    marks = np.zeros(cells * headings, dtype=np.int8)
     queue = np.empty(cells * headings, dtype=np.int32)
     is_known, ends = np.zeros(cells, dtype=np.bool_), classes * translations
     landing, link_cost = np.empty(cells * ends, dtype=np.int32), np.empty(cells * ends, dtype=np.int16)
@@ -404,11 +413,9 @@ def grow_on(scene, points, fits, turns, rows, low, size, moves, turn_steps, can_
         if allowed[state // headings]:
             marks[state] = 1
     for state in wanted:
-        if marks[state] == 1:
+        count = _visit(marks, queue, count, state)
+        if count < 0:
             return JOINED
-        marks[state] = 2
-        queue[count] = state
-        count += 1
     while taken < count:
         state = np.int64(queue[taken])
         taken += 1
@@ -433,10 +440,8 @@ def grow_on(scene, points, fits, turns, rows, low, size, moves, turn_steps, can_
                 to = (heading + turn_steps[k] + headings) % headings
                 if can_turn.shape[0] == 0 or _is_turn_free(can_turn, cell * classes, classes, to, turn_steps[k]):
                     after = cell * headings + to
-            if after >= 0 and marks[after] != 2:
-                if marks[after] == 1:
+            if after >= 0:
+                count = _visit(marks, queue, count, after)
+                if count < 0:
                     return JOINED
-                marks[after] = 2
-                queue[count] = after
-                count += 1
     return CUT_OFF

@@ -48,7 +48,7 @@ class Floor(NamedTuple):
 
 
 def find_drive(floor: Floor, start: NDArray[np.float64], ends: NDArray[np.float64], rates: NDArray[np.float64],
-               planner: str, *, seed: int, budget: int) -> NDArray[np.float64] | None:
+               planners: Sequence[str], *, seed: int, budget: int) -> NDArray[np.float64] | None:
     """Find a way from a pose to any of some poses.
 
     Args:
@@ -56,9 +56,9 @@ def find_drive(floor: Floor, start: NDArray[np.float64], ends: NDArray[np.float6
         start: x, y and heading, shape (3,), m and rad.
         ends: likewise, shape (n, 3); a heading that is nan is left open.
         rates: largest speed, acceleration and jerk along x, along y and of turns, shape (3, 3).
-        planner: one of `OMPL_PLANNERS`.
+        planners: of `OMPL_PLANNERS`, tried in turn.
         seed: the same seed gives the same way.
-        budget: places that OMPL may test; a line counts as ten.
+        budget: places that each planner may test; a line counts as ten.
 
     Returns:
         Poses to go through, shape (k, 3), each by a line along its heading or by a turn on the spot from the one
@@ -78,19 +78,20 @@ def find_drive(floor: Floor, start: NDArray[np.float64], ends: NDArray[np.float6
     if not len(rooms):
         return None
     rooms = rooms[np.argsort(np.hypot(*(rooms - begin).T), kind="stable")]
-    try:
-        lines = find_line_path(planner, PathProblem(floor.between, np.array(begin), rooms, seed=seed, optimise=True,
-                                                    budget=budget))
-    except Spent:
-        return None
-    if lines is None:
-        return None
-    way = [(x, y) for x, y in lines.tolist()]
-    drives = [drive for room, there in ways_in.items() for end in there
-              for places in ([*way, room], *steering.find_crossing(start.tolist(), end))
-              if (drive := steering.drive(start.tolist(), places, end))]
-    best = min(drives, key=_get_seconds, default=None)
-    return None if best is None else np.array(best.poses)
+    for planner in planners:
+        try:
+            lines = find_line_path(planner, PathProblem(floor.between, np.array(begin), rooms, seed=seed, optimise=True,
+                                                        budget=budget))
+        except Spent:
+            continue
+        way = [] if lines is None else [(x, y) for x, y in lines.tolist()]
+        drives = [drive for room, there in ways_in.items() if way for end in there
+                  for places in ([*way, room], *steering.find_crossing(start.tolist(), end))
+                  if (drive := steering.drive(start.tolist(), places, end))]
+        best = min(drives, key=_get_seconds, default=None)
+        if best is not None and len(best.poses) > 1:
+            return np.array(best.poses)
+    return None
 
 
 def _get_seconds(drive: _Drive) -> float:

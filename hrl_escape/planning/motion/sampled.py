@@ -159,9 +159,8 @@ class MotionSampler:
         floor = Floor(self._avoid(state, None, shut) if state.touching else between, between,
                       self._avoid(untouched, getattr(goal, "target", None), shut))
         ends = self._list_ends(goal, floor.entering)
-        tries = (find_drive(floor, np.array(start), ends, self._rates[:3], planner, seed=self._seed, budget=WAY_CHECKS)
-                 for planner in dict.fromkeys((self._way_planner, DEFAULT_PLANNER)))
-        return next((drive for drive in tries if drive is not None and len(drive) > 1), None)
+        planners = tuple(dict.fromkeys((self._way_planner, DEFAULT_PLANNER)))
+        return find_drive(floor, np.array(start), ends, self._rates[:3], planners, seed=self._seed, budget=WAY_CHECKS)
 
     def _list_ends(self, goal: Goal | Sequence[_Place], floor: CollisionMap) -> NDArray[np.float64]:
         """Poses (n, 3) of such a base at a goal, or at any of some places; a heading that is nan is left open."""
