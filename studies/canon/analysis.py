@@ -205,8 +205,8 @@ def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence
 def make_line(agent: AgentSpec, candidate: int, room: str, run: GridRun, result: RunResult, efficient: float
               ) -> CanonRun:
     """Line of a finished run."""
-    curves = (result.get_curve(name).tolist() for name in ("primitives", "efficiency"))
-    lasting = find_lasting(zip(*curves, strict=True), efficient)
+    primitives = (evaluation.primitives for evaluation in result.evaluations)
+    lasting = find_lasting(zip(primitives, result.get_curve("efficiency"), strict=True), efficient)
     return CanonRun(
         agent=agent.label, candidate=candidate, room=room, primitives=run.grid.primitives if agent.learns else 0,
         efficiency=round(result.get_final("efficiency"), 4), escapes=round(result.get_final("success_rate"), 4),
