@@ -24,7 +24,8 @@ def make_event_space(rooms: Situations) -> GoalSpace:
     A point has a bit for each touched target, for each fact that a relevant operator makes true, and for the exit.
     """
     facts = [fact for fact in rooms.model.propositions if any(fact in each.add for each in rooms.operators)]
-    targets, leaves = len(rooms.instance.targets), rooms.instance.exit
+    instance = rooms.instance
+    targets, leaves = len(instance.targets), instance.exit
 
     def project(observation: Any) -> NDArray[np.float64]:
         here = rooms.read(observation)
@@ -34,7 +35,8 @@ def make_event_space(rooms: Situations) -> GoalSpace:
 
     count = targets + len(facts) + 1
     goals = np.where(np.eye(count, dtype=np.bool_), 1.0, np.nan)
-    return GoalSpace(project, goals, view=_make_view(rooms), privileges=("landmarks", "state"))
+    names = (*(f"touch({target.name})" for target in instance.targets), *facts, "exit")
+    return GoalSpace(project, goals, view=_make_view(rooms), names=names, privileges=("landmarks", "state"))
 
 
 def make_displacement_space(rooms: Situations) -> GoalSpace:
@@ -54,7 +56,8 @@ def make_displacement_space(rooms: Situations) -> GoalSpace:
 
     angles = 2 * np.pi * np.arange(BEARINGS) / BEARINGS
     goals = np.round(RADIUS * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.float64) + 0.0
-    return GoalSpace(project, goals, is_relative=True, view=_make_view(rooms), privileges=("state",))
+    names = tuple(f"{x:+.0f}, {y:+.0f} moves" for x, y in goals)
+    return GoalSpace(project, goals, is_relative=True, view=_make_view(rooms), names=names, privileges=("state",))
 
 
 def _make_view(rooms: Situations) -> GoalView:

@@ -109,6 +109,8 @@ TUTORIALS = {
     "planned_options": r"plan: (\d+) primitives, return \d+ .*by options: escaped True, return \d+ with noise .* True",
     "smdp_q_learning": r"episode 0: return .*greedy: return 64 by meta-01, then meta-02, then meta-exit",
     "maxq_taxi": r"optimum of the graph 7.93, of all policies 7.93 maxq-q: mean return (7\.[5-9]|8\.[0-3])",
+    "goals": r"primitive 11: on\(button-1\) primitive 21: touch\(button-2\) .* primitive 34: exit "
+             r"left to go: \[3. 0.\] left to go: \[2. 0.\] option-keyboard: first escape after \d+ primitives",
     "own_agent": r"own network: return -1000 untrained, [56]\d at the end variant: .* own agent: .*, [56]\d at the end",
     "generalise": r"learner: [12]\d of 20 escapes, (\d+) primitives .*chance: .*searcher: 20 of 20 .*planner: 20 of 20",
     "plan_arm": r"[1-9]\d postures, joint margin .* places of the arm tested on the way escape: [12]\d primitives",

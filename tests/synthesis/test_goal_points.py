@@ -39,6 +39,8 @@ def test_events_are_reached_where_the_state_says_so_all_along_a_plan(preset):
     space, room = env.structure["goal_space"], env.unwrapped.instance
     count = len(room.targets)
     assert len(space.goals) == 2 * count + 1 and space.privileges == ("landmarks", "state")
+    buttons = [target.name for target in room.targets]
+    assert list(space.names) == [*(f"touch({name})" for name in buttons), *(f"on({name})" for name in buttons), "exit"]
     observation, info = env.reset(seed=0)
     seen = np.zeros(len(space.goals), np.bool_)
     for primitive in RoomPlanner(room).solve(env.unwrapped.get_state()).primitives:
@@ -57,6 +59,7 @@ def test_a_displacement_is_reached_by_as_many_moves_and_told_as_what_is_left():
     env = make_env("paper-two-button", "displacements")
     space = env.structure["goal_space"]
     lengths = np.hypot(*space.goals.T)
+    assert [space.names[goal] for goal in (0, 1, 6)] == ["+4, +0 moves", "+3, +3 moves", "+0, -4 moves"]
     assert len(space.goals) == 8 and space.is_relative and 4 <= lengths.min() <= lengths.max() <= 4.5
     assert len({tuple(goal) for goal in space.goals}) == 8 and np.allclose(space.goals.sum(axis=0), 0)
     observation, _ = env.reset(seed=0)

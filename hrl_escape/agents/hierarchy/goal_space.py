@@ -151,6 +151,7 @@ class GoalSpace:
     find_desired: Callable[[Any], int] | None = None
     """Observation -> number of the goal that the episode asks for; None where its end alone tells."""
     view: GoalView | None = None  # what of an observation tables and networks see; all by default
+    names: tuple[str, ...] = ()  # of the goals, for a person; none by default
     privileges: tuple[str, ...] = ("goals",)  # what the space tells an agent that the observation does not
 
     def __post_init__(self) -> None:
