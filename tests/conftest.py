@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import zlib
@@ -83,18 +84,17 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
-    """Keep all that was loaded by now out of every later collection of garbage, which would walk through it."""
+    """Keep all that was loaded by now out of every later collection of garbage, which would walk through it.
+
+    Pytest's own, when all tests are done, are among them; the interpreter takes all apart at its end.
+    """
+    atexit.register(gc.unfreeze)
     gc.disable()
     try:
         return (yield)
     finally:
         gc.freeze()
         gc.enable()
-
-
-def pytest_unconfigure() -> None:
-    """Let the interpreter take all apart at its end."""
-    gc.unfreeze()
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
