@@ -122,6 +122,9 @@ def serve(address: str, run: int) -> None:
     for name in LIBRARIES:
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
+    target = importlib.import_module("numba.core.registry").cpu_target
+    for tables in (target.typing_context, target.target_context):  # which the first kernel would build in every fork
+        tables.refresh()
     gc.freeze()  # no fork walks through what all of them share, which would copy its pages too
     with contextlib.suppress(FileNotFoundError):
         os.unlink(address)
