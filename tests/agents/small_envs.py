@@ -37,6 +37,12 @@ class Step(NamedTuple):
     consistent: tuple[tuple[int, float], ...] = ()
 
 
+def compute_shares(outcomes: Sequence[Outcome]) -> NDArray[np.float64]:
+    """Cumulative probabilities, by which one number draws an outcome as `Generator.choice` would, much faster."""
+    cumulative = np.cumsum([outcome.probability for outcome in outcomes])
+    return cumulative / cumulative[-1:]
+
+
 class SmdpEnv(gymnasium.Env):
     """Runs an `Smdp`; the observation is the state's number, or a one-hot vector.
 
@@ -63,12 +69,14 @@ class SmdpEnv(gymnasium.Env):
         states = len(smdp)
         self.observation_space = spaces.Box(0, 1, (states,), np.float32) if one_hot else spaces.Discrete(states)
         self.action_space = spaces.Discrete(len(smdp[0]))
+        self._masks = [np.array([len(outcomes) > 0 for outcomes in row], np.int8) for row in smdp]
+        self._shares = [[compute_shares(outcomes) for outcomes in row] for row in smdp]
 
     def observe(self, state: int) -> Any:
         return np.eye(len(self.smdp), dtype=np.float32)[state] if self.one_hot else state
 
     def compute_mask(self, state: int) -> NDArray[np.int8]:
-        return np.array([len(outcomes) > 0 for outcomes in self.smdp[state]], np.int8)
+        return self._masks[state].copy()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
@@ -79,7 +87,7 @@ class SmdpEnv(gymnasium.Env):
     def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         outcomes = self.smdp[self.state][action]
         assert outcomes, f"illegal action {action} in state {self.state}"
-        chosen = outcomes[self.np_random.choice(len(outcomes), p=[outcome.probability for outcome in outcomes])]
+        chosen = outcomes[self._shares[self.state][action].searchsorted(self.np_random.random(), side="right")]
         duration = min(len(chosen.rewards), self.horizon - self.elapsed)
         rewards = chosen.rewards[:duration]
         self.elapsed += duration

@@ -1,5 +1,7 @@
 """Agents by name: prefixes, recipes, settings, strangers; and what every registered agent must do."""
 
+import functools
+import inspect
 import subprocess
 import sys
 from dataclasses import fields
@@ -68,13 +70,14 @@ def test_trap_11_no_agent_ever_takes_an_illegal_action(name):
             assert all(mask[agent.act(observation, mask)] for _ in range(3))
 
 
+read_source = functools.cache(inspect.getsource)
+
+
 @pytest.mark.parametrize("name", list_agents())
 def test_every_setting_has_its_sentence(name):
     """The command line shows it; here it must stand under the field, in its own class or the one that brings it."""
-    import inspect
-
     settings = get_agent_class(name).Settings
-    source = "\n".join(inspect.getsource(c) for c in settings.__mro__ if c.__module__.startswith("hrl_escape"))
+    source = "\n".join(read_source(c) for c in settings.__mro__ if c.__module__.startswith("hrl_escape"))
     lines = source.splitlines()
     for field in fields(settings):
         declared = [i for i, line in enumerate(lines) if line.startswith(f"    {field.name}: ")]

@@ -62,9 +62,11 @@ def solve_bit_flip(env):
 
 def solve_taxi(table):
     """Optimal Q of Taxi from its own transition table."""
+    rows = np.array([[(s, r, not over) for ((_, s, r, over),) in table[n].values()] for n in table])
+    after, rewards, lasting = rows[..., 0].astype(int), rows[..., 1], rows[..., 2]
     values = np.zeros(500)
     for _ in range(2_000):
-        q = np.array([[r + GAMMA * values[s] * (not over) for ((_, s, r, over),) in table[n].values()] for n in table])
+        q = rewards + GAMMA * values[after] * lasting
         values = q.max(axis=1)
     return q
 
