@@ -97,7 +97,7 @@ MUTATIONS = [
     Mutation(
         "10 a mask without a legal action is let through",
         "agents/agent.py",
-        "if not legal.any():",
+        "if not np.count_nonzero(legal):",
         "if False:",
         "agents/test_transition.py::test_trap_10_a_mask_without_a_legal_action_is_refused",
     ),
