@@ -1,7 +1,7 @@
 """HIQL: one value function, a policy over subgoals and a policy that goes there (Park et al. 2023), over options.
 
-Published with subgoals a fixed number of steps ahead. Here the subgoal is the state in which the data's option ended,
-so that the high level learns from decisions and the low level from the primitives inside them.
+Published with subgoals a fixed number of steps ahead. Here the subgoal is the state in which the data's option ended.
+All three learn at every primitive from what was left of the option, since the subgoal is predicted anew at each.
 """
 
 from __future__ import annotations
@@ -22,16 +22,38 @@ from hrl_escape.agents.components.offline import (
     Decisions,
     OfflineAgent,
     Primitives,
-    encode_all,
 )
 from hrl_escape.errors import AgentSettingsError
 
 
+def cut_everywhere(data: Decisions, primitives: Primitives, gamma: float) -> Decisions:
+    """Make a decision of what is left of an option at each of its primitives: that primitive, and the option's end.
+
+    Args:
+        data: whole decisions.
+        primitives: those inside them.
+        gamma: discount a primitive, in (0, 1].
+
+    Returns:
+        One row a primitive; `action` is the primitive, reward, duration and discount are of the rest of the option.
+    """
+    decision = np.cumsum(primitives.begins) - 1
+    left = np.cumsum(data.duration)[decision] - np.arange(len(decision))
+    whole = primitives.as_decisions(gamma, int(primitives.action.max()) + 1)
+    reward, plain = primitives.reward.astype(np.float64), primitives.reward.astype(np.float64)
+    for row in np.flatnonzero(left > 1)[::-1]:
+        reward[row] += gamma * reward[row + 1]
+        plain[row] += plain[row + 1]
+    return whole._replace(reward=reward, summed_reward=plain, duration=left, discount=gamma**left,
+                          next_observation=data.next_observation[decision], terminated=data.terminated[decision],
+                          last=data.last[decision], ended=data.ended[decision])
+
+
 class HIQL(OfflineAgent):
-    """V is the expectile of R + gamma^k (1 - terminated) V(s') over decisions.
+    """V is the expectile of R + gamma^k (1 - terminated) V(s') over what is left of options, k primitives, R earned.
 
     The high policy predicts s', weighted by exp(inverse temperature x (R + gamma^k V(s') - V(s))); the low policy
-    clones the primitives of options given the state in which each ended. It acts by primitives, under the name `hiql`.
+    clones the primitive given s and s'. It acts by primitives, under the name `hiql`.
     """
 
     heads = {"value": "state", "target_value": "state"}
@@ -45,10 +67,8 @@ class HIQL(OfflineAgent):
         """Take decisions and the primitives inside them; `AgentSettingsError` without primitives."""
         if primitives is None:
             raise AgentSettingsError("data", "decisions alone", "a data set with the primitives inside its decisions")
-        super().begin(data)
-        self._low = (encode_all(self._encoder, primitives.observation), torch.from_numpy(primitives.action),
-                     torch.from_numpy(np.cumsum(primitives.begins) - 1))
-        self._goals = encode_all(self._encoder, data.next_observation)
+        super().begin(cut_everywhere(data, primitives, self.settings.gamma))
+        self._durations = np.ones_like(primitives.action)  # a row teaches one primitive
 
     def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
                       generator: torch.Generator) -> dict[str, Network]:
@@ -67,10 +87,8 @@ class HIQL(OfflineAgent):
             advantage = (targets - values) * settings.inverse_temperature / settings.reward_scale
             weights = advantage.exp().clamp(max=MOST_WEIGHT)
         misses = ((networks["high"](batch.observation) - batch.next_observation) ** 2).mean(dim=1)
-        observation, action, decision = self._low
-        rows = torch.from_numpy(self._rng.integers(len(action), size=settings.batch_size))
-        given = torch.cat([observation[rows], self._goals[decision[rows]]], dim=1)
-        cloned = cross_entropy(networks["low"](given), action[rows])
+        given = torch.cat([batch.observation, batch.next_observation], dim=1)
+        cloned = cross_entropy(networks["low"](given), batch.action)
         loss = expectile_loss(targets - values, settings.expectile) + (weights * misses).mean() + cloned
         return loss, {"value": values.mean().item() / settings.reward_scale}
 

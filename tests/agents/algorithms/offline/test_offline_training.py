@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from hrl_escape.agents.algorithms.offline.hiql import cut_everywhere
 from hrl_escape.agents.registry import get_agent_class, list_agents, list_offline_agents
 from hrl_escape.agents.training.train import load_agent, train
 from hrl_escape.data.materialise import load_data
@@ -95,6 +96,36 @@ def test_who_acts_by_primitives_refuses_an_environment_of_options(name):
     data = load_data(make_tape(), observation="objects", rooms="own")
     with pytest.raises(AgentSettingsError, match="and 6 actions, as in the data set"):
         train(name, data.make_env(True, 0.99), data=data, settings=NETWORKS, eval_episodes=0)
+
+
+def test_hiql_learns_what_is_left_of_an_option_at_each_of_its_primitives():
+    """At its first primitive that is the whole decision, further on one primitive less of it."""
+    data = load_data(make_tape(), observation="features")
+    decisions, primitives = data.read_decisions(0.5), data.read_primitives()
+    rest = cut_everywhere(decisions, primitives, 0.5)
+    begins = np.flatnonzero(primitives.begins)
+    for field in ("reward", "summed_reward", "duration", "discount", "next_observation", "terminated", "last"):
+        np.testing.assert_array_equal(getattr(rest, field)[begins], getattr(decisions, field))
+    inside = np.flatnonzero(~primitives.begins)
+    np.testing.assert_array_equal(rest.reward[inside - 1],
+                                  primitives.reward[inside - 1] + 0.5 * rest.reward[inside])
+    np.testing.assert_array_equal(rest.duration[inside - 1], rest.duration[inside] + 1)
+    np.testing.assert_array_equal(rest.next_observation[inside - 1], rest.next_observation[inside])
+    np.testing.assert_array_equal(rest.action, primitives.action)
+
+
+def test_hiql_predicts_the_end_of_an_option_from_within_it_where_it_is_asked_when_it_acts():
+    """Experts of one room: a network that was taught at their decisions alone misses by 0.19 of the spread."""
+    tape = make_tape("expert").select(0)
+    data = load_data(tape, observation="features", rooms="own")
+    settings = {"network": "mlp", "learning_rate": 0.003, "passes": 50}
+    agent = train("hiql", tape.rooms[:1].make_env(observation="features"), data=data, settings=settings,
+                  eval_episodes=0).agent
+    ends, primitives = data.read_decisions(0.99).next_observation, data.read_primitives()
+    inside = np.flatnonzero(~primitives.begins)
+    wanted = ends[np.cumsum(primitives.begins)[inside] - 1]
+    missed = np.stack([agent.networks["high"].compute(seen) for seen in primitives.observation[inside]]) - wanted
+    assert np.mean(missed**2) < 0.05 * ends.var(axis=0).mean()
 
 
 def test_over_rows_of_objects_a_network_is_learned_however_few_states_there_are():
