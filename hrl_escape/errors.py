@@ -364,7 +364,7 @@ class ComparisonError(EscapeError, RuntimeError):
 
 
 class VerificationError(EscapeError, ValueError):
-    """A benchmark's rooms are not what its manifest says: a root differs, or two sets share a room."""
+    """Something is not what was published: a root or a set of a benchmark's rooms, or the content of a tape."""
 
 
 # --- the viewer ------------------------------------------------------------------------

@@ -32,6 +32,7 @@ from hrl_escape.agents.registry import (
 )
 from hrl_escape.agents.training.results import METRICS
 from hrl_escape.cli import main
+from hrl_escape.data.catalogue import RUNGS, TAPE_KINDS, DataSpec, read_published
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.observations.base import list_observations, make_observer
 from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
@@ -210,6 +211,22 @@ class Prices(Table):
         return make_table(("environment", "hierarchy", "flat", "hierarchical", "recursive"), rows)
 
 
+class PublishedTapes(Table):
+    """`{tapes} 1m`: mean return and size of the published data sets of a size, and which are not published."""
+
+    def write(self) -> str:
+        """One row a rung, one column a kind."""
+        published = read_published()
+
+        def tell(spec: DataSpec) -> str:
+            tape = published.get(spec.name)
+            return "not yet" if tape is None else f"{tape.scores['mean_return']:.1f} ({tape.bytes / 1000:.0f} kB)"
+
+        size = self.arguments[0]
+        return make_table(("rung", *TAPE_KINDS), ([f"`{rung}`", *(tell(DataSpec(rung, kind, size))
+                                                                  for kind in TAPE_KINDS)] for rung in RUNGS))
+
+
 class Usage(Table):
     """`{usage} room`: what a command says with `--help`."""
 
@@ -223,6 +240,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in {"knobs": Knobs, "settings": AgentSettings, "metrics": Metrics, "names": Names,
                             "tuning": TunedSettings, "ladder": Ladder, "rungs": Rungs, "layouts": Layouts,
-                            "prices": Prices, "usage": Usage}.items():
+                            "prices": Prices, "tapes": PublishedTapes, "usage": Usage}.items():
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
-from hrl_escape.data.catalogue import TAPE_KINDS
+from hrl_escape.data.catalogue import TAPE_KINDS, DataSpec, PublishedTape
 from hrl_escape.data.tape import Tape
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import Trajectory, draw_room
@@ -42,8 +43,16 @@ def describe(tape: Tape) -> dict[str, Any]:
                       "legal options, and of the best known escapes",
         "engine": f"{about['engine']}, {about['dynamics']}, recorded with hrl_escape {about['package']}",
         "made_by": about["command"],
+        "content": tape.content,
         "digest": tape.digest,
     }
+
+
+def describe_unrecorded(spec: DataSpec, published: PublishedTape) -> dict[str, Any]:
+    """The card of a published tape that is not here, as JSON values."""
+    known = dataclasses.asdict(published)
+    return {"name": spec.name, "behaviour": TAPE_KINDS[spec.kind], "rooms": spec.list_rooms(spec.primitives), **known,
+            "recorded": f"not here: hrl-escape data make {spec.name}"}
 
 
 def draw_card(tape: Tape) -> Figure:

@@ -1,17 +1,20 @@
 """Catalogue of data sets, data only: eight rungs of `ladder-1`, six kinds of behaviour, three sizes.
 
 `lattice-play-v1` has 10^5 primitives and comes with the package, `lattice-play-1m-v1` has 10^6 and
-`lattice-play-10m-v1` 10^7; `hrl-escape data make NAME` records what does not come with it.
+`lattice-play-10m-v1` 10^7; `hrl-escape data make NAME` records what does not come with it. What a recording must be
+stands in a table, `PUBLISHED`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
 from hrl_escape.errors import FileReadError, UnknownNameError
+from hrl_escape.files import read_toml
 
 BENCHMARK = "ladder-1"
 RUNGS = ("pair", "chain", "lattice-5", "lattice", "clutter", "code", "freight", "reach")
@@ -27,6 +30,8 @@ TAPE_SIZES = {"": 100_000, "1m": 1_000_000, "10m": 10_000_000}
 FOLDER = Path("data")
 """Folder that recorded tapes go to, and are looked for in."""
 _SHIPPED = Path(str(files("hrl_escape.data") / "tapes"))
+PUBLISHED = _SHIPPED / "published.toml"
+"""What published tapes are, a line each; written by `python -m benchmarks.tapes`."""
 _FORM = re.compile(rf"(?P<rung>.+)-(?P<kind>{'|'.join(TAPE_KINDS)})(?:-(?P<size>1m|10m))?-v1")
 
 
@@ -51,6 +56,32 @@ class DataSpec:
     def list_rooms(self, primitives: int) -> str:
         """Rooms for so many primitives, the first of the rung's training set: one for every 1,000, at most 250."""
         return f"{BENCHMARK}/{self.rung}/train[:{max(1, min(primitives // 1000, 250))}]"
+
+
+@dataclasses.dataclass(frozen=True)
+class PublishedTape:
+    """What is known of a published tape, recorded here or not.
+
+    Attributes:
+        content: `Tape.content`.
+        bytes: size of its file; another zlib may give another.
+        primitives: in it.
+        decisions: in it.
+        episodes: in it.
+        scores: those of its card, rounded.
+    """
+
+    content: str
+    bytes: int
+    primitives: int
+    decisions: int
+    episodes: int
+    scores: Mapping[str, float]
+
+
+def read_published() -> dict[str, PublishedTape]:
+    """What published tapes are, by name."""
+    return {name: PublishedTape(**fields) for name, fields in read_toml(PUBLISHED, "table of tapes").items()}
 
 
 def list_specs() -> tuple[DataSpec, ...]:

@@ -83,7 +83,15 @@ class Tape:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the arrays and of `about`, 64 hexadecimal digits."""
-        content = hashlib.sha256(json.dumps(self.about, sort_keys=True).encode())
+        return self._hash(self.about)
+
+    @cached_property
+    def content(self) -> str:
+        """SHA-256 of the arrays, the rooms and the actions, whichever version recorded them; 64 hexadecimal digits."""
+        return self._hash({name: self.about[name] for name in ("rooms_id", "actions", "primitive_count")})
+
+    def _hash(self, about: Mapping[str, Any]) -> str:
+        content = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
         for name in FIELDS:
             array = getattr(self, name)
             content.update(f"{name} {array.dtype.str} {array.shape}".encode())

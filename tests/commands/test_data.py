@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from hrl_escape.data.catalogue import TAPE_KINDS
+from hrl_escape.data.catalogue import TAPE_KINDS, TAPE_SIZES, read_published
 from hrl_escape.data.materialise import load_data
 from tests.command_line import assert_refused, call
 
@@ -27,7 +27,9 @@ def test_a_recording_is_listed_shown_drawn_and_made_only_once(capsys, folder):
     assert call(capsys, *MADE)[0] == 0 and path.stat().st_mtime_ns == made
     rows = {row["name"]: row for row in json.loads(call(capsys, "data", "list", "--rung", "pair", "--json")[1])}
     assert rows[NAME]["bytes"] == size and rows["pair-play-v1"]["bytes"] > size
-    assert set(rows) == {f"pair-{kind}-v1" for kind in TAPE_KINDS} | {NAME}
+    published = {name for name in read_published() if name.startswith("pair-")}
+    assert {f"pair-{kind}-v1" for kind in TAPE_KINDS} | {NAME} <= published == set(rows)
+    assert {name for name, row in rows.items() if row["here"]} == {f"pair-{kind}-v1" for kind in TAPE_KINDS} | {NAME}
     assert "legal options, drawn uniformly" in call(capsys, "data", "list")[1]
     card = json.loads(call(capsys, "data", "show", NAME, "--json", "--draw", "card.svg")[1])
     tape = load_data(NAME, observation="features").tape
@@ -36,6 +38,50 @@ def test_a_recording_is_listed_shown_drawn_and_made_only_once(capsys, folder):
     assert card["scores"]["chance"] < card["scores"]["best_known"]
     assert (folder / "card.svg").read_bytes().startswith(b"<?xml")
     assert tape.digest in call(capsys, "data", "show", str(path))[1]
+
+
+def plant(monkeypatch, folder, name, content, decisions):
+    """Let 1,000 primitives be all of a recording, and the table of published tapes tell what it must be."""
+    table = folder / "published.toml"
+    table.write_text(f'{name} = {{content = "{content}", bytes = 5000, primitives = 1000, decisions = {decisions}, '
+                     'episodes = 17, scores = {mean_return = 37.125, escapes = 1.0}}\n')
+    monkeypatch.setitem(TAPE_SIZES, "1m", 1_000)
+    monkeypatch.setattr("hrl_escape.data.catalogue.PUBLISHED", table)
+
+
+def test_a_recording_is_told_to_be_the_published_tape_or_refused_for_what_differs(capsys, folder, monkeypatch):
+    tape = load_data(NAME, observation="features").tape
+    (folder / "data" / f"{NAME}.npz").unlink()
+    plant(monkeypatch, folder, NAME, tape.content, len(tape.option))
+    code, out, _ = call(capsys, "data", "make", NAME)
+    assert code == 0 and out.endswith("it is the published tape\n")
+    plant(monkeypatch, folder, NAME, "0" * 64, len(tape.option) + 1)
+    found = (f"{NAME} is not the published tape: it holds {len(tape.option):,} decisions where that has "
+             f"{len(tape.option) + 1:,}")
+    assert_refused(capsys, ["data", "make", NAME], found)
+    assert_refused(capsys, ["data", "make", NAME], "another version of an engine made it")
+    plant(monkeypatch, folder, "pair-noisy-1m-v1", "0" * 64, 1)
+    assert call(capsys, "data", "make", NAME)[1].endswith("no tape of this name is published\n")
+
+
+def test_a_published_tape_tells_its_size_and_scores_before_it_is_recorded(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    plant(monkeypatch, tmp_path, NAME, "0" * 64, 130)
+    (row,) = json.loads(call(capsys, "data", "list", "--rung", "pair", "--json")[1])[-1:]
+    assert (row["name"], row["here"], row["bytes"], row["mean_return"]) == (NAME, False, 5_000, 37.125)
+    shown = [line for line in call(capsys, "data", "list", "--rung", "pair")[1].splitlines() if NAME in line]
+    assert "5,000" in shown[0] and "37.1" in shown[0] and " no " in shown[0]
+    card = json.loads(call(capsys, "data", "show", NAME, "--json")[1])
+    assert card["decisions"] == 130 and card["scores"]["escapes"] == 1.0 and card["content"] == "0" * 64
+    assert card["recorded"] == f"not here: hrl-escape data make {NAME}"
+    assert_refused(capsys, ["data", "show", NAME, "--draw", "card.png"], "has not been recorded here")
+
+
+@pytest.mark.slow
+def test_a_million_primitives_recorded_anew_are_the_published_tape(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = call(capsys, "data", "make", NAME)
+    assert code == 0 and out.endswith("it is the published tape\n"), err
 
 
 @pytest.mark.parametrize(("level", "rows"), [("decisions", "read"), ("primitives", "read_primitives")])

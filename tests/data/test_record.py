@@ -9,7 +9,7 @@ import pytest
 
 import hrl_escape.data
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
-from hrl_escape.data.catalogue import DataSpec, list_specs, parse_spec
+from hrl_escape.data.catalogue import DataSpec, list_specs, parse_spec, read_published
 from hrl_escape.data.materialise import load_data
 from hrl_escape.data.record import record, train_medium
 from hrl_escape.data.tape import Tape, load_tape, save_tape
@@ -91,6 +91,15 @@ def test_medium_is_half_way_between_what_learns_nothing_and_the_planner(tmp_path
 
 def test_every_data_set_of_the_smallest_size_comes_with_the_package():
     assert {path.stem for path in SHIPPED.glob("*.npz")} == {spec.name for spec in list_specs() if not spec.size}
+
+
+def test_what_comes_with_the_package_is_what_the_table_of_published_tapes_says():
+    published = read_published()
+    for path in sorted(SHIPPED.glob("*.npz")):
+        tape, known = load_tape(path), published[path.stem]
+        assert (tape.content, path.stat().st_size, len(tape.action), len(tape.option), len(tape.room)) == (
+            known.content, known.bytes, known.primitives, known.decisions, known.episodes)
+        assert known.scores == {name: round(tape.about["scores"][name], 3) for name in known.scores}
 
 
 @pytest.mark.parametrize("path", [pytest.param(path, marks=() if path.stem == "chain-expert-v1" else pytest.mark.slow)

@@ -25,6 +25,16 @@ def test_a_tape_comes_back_as_it_was_in_less_than_a_byte_and_a_half_a_primitive(
     assert len((tmp_path / "again.npz").read_bytes()) - 5_000 < 1.5 * len(tape.action)
 
 
+def test_content_stays_from_version_to_version_and_changes_with_one_primitive():
+    tape = make_tape()
+    later = dataclasses.replace(tape, about={**tape.about, "package": "9.9", "command": "another", "scores": {}})
+    assert later.content == tape.content and later.digest != tape.digest
+    action = tape.action.copy()
+    action[-1] = 5 - action[-1]
+    assert dataclasses.replace(tape, action=action).content != tape.content
+    assert dataclasses.replace(tape, about={**tape.about, "rooms_id": "others"}).content != tape.content
+
+
 @given(st.data())
 def test_whatever_happens_to_the_bytes_of_a_tape_is_one_clear_message(tmp_path_factory, data):
     content = bytearray(save_small().read_bytes())

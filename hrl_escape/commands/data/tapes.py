@@ -5,15 +5,26 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.data.catalogue import FOLDER, TAPE_KINDS, find_tape, list_specs, parse_spec
-from hrl_escape.errors import ConfigError, FileReadError
-from hrl_escape.names import make_file_name
+from hrl_escape.data.catalogue import (
+    FOLDER,
+    TAPE_KINDS,
+    PublishedTape,
+    find_tape,
+    list_specs,
+    parse_spec,
+    read_published,
+)
+from hrl_escape.errors import ConfigError, FileReadError, VerificationError
+from hrl_escape.names import join_words, make_file_name
+
+if TYPE_CHECKING:
+    from hrl_escape.data.tape import Tape
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,28 +72,34 @@ class DataListArgs:
 
 
 def run_list(args: DataListArgs) -> None:
-    """List the data sets of the catalogue: what behaved, how much, and whether a tape is there.
+    """List the data sets of the catalogue: what behaved, how much, what it reached, and whether a tape is here.
 
     Examples:
         hrl-escape data list
         hrl-escape data list --rung lattice --json
     """
-    rows = []
+    published = read_published()
+    rows: list[dict[str, Any]] = []
     for spec in list_specs():
         try:
             size: int | None = find_tape(spec.name).stat().st_size
         except FileReadError:
             size = None
-        if args.rung in (None, spec.rung) and (size is not None or not spec.size):
-            what = TAPE_KINDS[spec.kind]
-            rows.append({"name": spec.name, "primitives": spec.primitives, "bytes": size, "what": what})
+        known = published.get(spec.name)
+        if args.rung in (None, spec.rung) and (size is not None or known is not None):
+            scores = {} if known is None else known.scores
+            rows.append({"name": spec.name, "primitives": spec.primitives, "here": size is not None,
+                         "bytes": known.bytes if size is None and known else size,
+                         "mean_return": scores.get("mean_return"), "escapes": scores.get("escapes"),
+                         "what": TAPE_KINDS[spec.kind]})
     if args.json:
         print(json.dumps(rows, indent=2))
         return
-    table = Table("data set", "primitives", "bytes", "behaviour", box=None, pad_edge=False)
+    table = Table("data set", "primitives", "bytes", "here", "return", "escapes", "behaviour", box=None, pad_edge=False)
     for row in rows:
-        stored = "-" if row["bytes"] is None else f"{row['bytes']:,}"
-        table.add_row(str(row["name"]), f"{row['primitives']:,}", stored, str(row["what"]))
+        reached = ("-", "-") if row["mean_return"] is None else (f"{row['mean_return']:.1f}", f"{row['escapes']:.2f}")
+        table.add_row(row["name"], f"{row['primitives']:,}", f"{row['bytes']:,}", "yes" if row["here"] else "no",
+                      *reached, row["what"])
     console = Console(width=120)
     console.print(table)
     console.print("Names with 1m or 10m before v1 hold ten or a hundred times as much; to record one: "
@@ -109,7 +126,8 @@ def run_make(args: MakeArgs) -> None:
     """Record data sets of six kinds of behaviour in the training rooms of a rung, or make one of your own play.
 
     The kinds are play, noisy, expert, medium, stitch and explore. A tape of 10^5 primitives takes some ten seconds to a
-    minute, 20 to 120 kB on disk, and replays to the bit. A recording that was killed goes on where it was.
+    minute, 20 to 120 kB on disk, and replays to the bit. A recording that was killed goes on where it was. A recording
+    of the size that its name says is held against the published tape; one that differs is an error.
 
     Examples:
         hrl-escape data make pair-play-1m-v1
@@ -135,7 +153,26 @@ def run_make(args: MakeArgs) -> None:
     for spec in [parse_spec(name) for name in args.names]:
         path = args.out / f"{spec.name}.npz"
         tape = load_tape(path) if path.is_file() else record(spec, path, primitives=args.primitives)
-        console.print(f"{tape}; {path}, {path.stat().st_size:,} bytes", markup=False)
+        told = "" if args.primitives else "; " + compare_published(tape, read_published().get(spec.name))
+        console.print(f"{tape}; {path}, {path.stat().st_size:,} bytes{told}", markup=False)
+
+
+def compare_published(tape: Tape, published: PublishedTape | None) -> str:
+    """Words for a tape that is the published one, or of which none is published.
+
+    Raises:
+        VerificationError: it is another.
+    """
+    if published is None:
+        return "no tape of this name is published"
+    if tape.content == published.content:
+        return "it is the published tape"
+    counts = {"primitives": len(tape.action), "decisions": len(tape.option), "episodes": len(tape.room)}
+    differ = [f"{count:,} {what} where that has {getattr(published, what):,}" for what, count in counts.items()
+              if count != getattr(published, what)] or ["as much, and different in content"]
+    raise VerificationError(f"{tape.about['name']} is not the published tape: it holds {join_words(differ)} "
+                            f"(content {tape.content[:12]}, published {published.content[:12]}). Another number of "
+                            "primitives or another version of an engine made it")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,13 +194,21 @@ def run_show(args: DataShowArgs) -> None:
         hrl-escape data show pair-play-v1
         hrl-escape data show lattice-expert-v1 --draw card.png
     """
-    from hrl_escape.data.card import describe, save_card  # loads torch and matplotlib
+    from hrl_escape.data.card import describe, describe_unrecorded, save_card  # loads torch and matplotlib
     from hrl_escape.data.tape import load_tape
 
-    tape = load_tape(find_tape(args.name))
-    if args.draw is not None:
-        save_card(args.draw, tape)
-    card = describe(tape)
+    try:
+        path = find_tape(args.name)
+    except FileReadError:
+        known = read_published().get(args.name)
+        if known is None or args.draw is not None:
+            raise
+        card = describe_unrecorded(parse_spec(args.name), known)
+    else:
+        tape = load_tape(path)
+        card = describe(tape)
+        if args.draw is not None:
+            save_card(args.draw, tape)
     if args.json:
         print(json.dumps(card, indent=2))
         return
