@@ -212,7 +212,7 @@ class Prices(Table):
 
 
 class PublishedTapes(Table):
-    """`{tapes} 1m`: mean return and size of the published data sets of a size, and which are not published."""
+    """`{tapes} 1m`: mean return and size of the published data sets of a size; rungs without any are left out."""
 
     def write(self) -> str:
         """One row a rung, one column a kind."""
@@ -220,11 +220,10 @@ class PublishedTapes(Table):
 
         def tell(spec: DataSpec) -> str:
             tape = published.get(spec.name)
-            return "not yet" if tape is None else f"{tape.scores['mean_return']:.1f} ({tape.bytes / 1000:.0f} kB)"
+            return "" if tape is None else f"{tape.scores['mean_return']:.1f} ({tape.bytes / 1000:.0f} kB)"
 
-        size = self.arguments[0]
-        return make_table(("rung", *TAPE_KINDS), ([f"`{rung}`", *(tell(DataSpec(rung, kind, size))
-                                                                  for kind in TAPE_KINDS)] for rung in RUNGS))
+        rows = {rung: [tell(DataSpec(rung, kind, self.arguments[0])) for kind in TAPE_KINDS] for rung in RUNGS}
+        return make_table(("rung", *TAPE_KINDS), ((f"`{rung}`", *row) for rung, row in rows.items() if any(row)))
 
 
 class Usage(Table):
