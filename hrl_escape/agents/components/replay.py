@@ -257,7 +257,7 @@ class StreamReplay(_Ring):
     def take(self, rows: Any) -> Experience:
         """Backups in some rows, int64 (batch,)."""
         rows = torch.as_tensor(rows, device=self._fields.reward.device)
-        return Experience(*(field[rows] for field in self._fields))
+        return Experience(*(field.index_select(0, rows) for field in self._fields))
 
 
 class StreamNStep(Stateful):
