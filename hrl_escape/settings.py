@@ -88,10 +88,15 @@ def list_ranges(settings: Any) -> dict[str, Between]:
 def _find_ranges(settings: Any, path: str) -> Iterator[tuple[str, Between]]:
     for name in _list_names(type(settings)):
         value = getattr(settings, name)
+        if type(value) in _PLAIN:  # nearly all fields, at every construction
+            continue
         if isinstance(value, Between):
             yield path + name, value
         elif dataclasses.is_dataclass(value):
             yield from _find_ranges(value, f"{path}{name}.")
+
+
+_PLAIN = frozenset({int, float, str, bool, tuple, type(None)})
 
 
 @functools.cache
@@ -280,18 +285,23 @@ def read_field_documents(settings: Any) -> dict[str, str]:
     """
     documents: dict[str, str] = {}
     for owner in reversed(settings.__mro__):
-        if "__dataclass_fields__" not in owner.__dict__:
-            continue
-        try:
-            source = inspect.getsource(owner)
-        except (OSError, TypeError):
-            continue
-        (definition,) = ast.parse(textwrap.dedent(source)).body
-        body = definition.body if isinstance(definition, ast.ClassDef) else []
-        for field, below in zip(body, body[1:], strict=False):
-            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr):
-                documents[field.target.id] = " ".join(str(ast.literal_eval(below.value)).split())
+        if "__dataclass_fields__" in owner.__dict__:
+            documents |= _read_own_documents(owner)
     return {field.name: documents[field.name] for field in dataclasses.fields(settings) if field.name in documents}
+
+
+@functools.cache
+def _read_own_documents(owner: type) -> dict[str, str]:
+    """Sentences under the fields that a class itself declares; Python parses the whole module for each class."""
+    try:
+        source = inspect.getsource(owner)
+    except (OSError, TypeError):
+        return {}
+    (definition,) = ast.parse(textwrap.dedent(source)).body
+    body = definition.body if isinstance(definition, ast.ClassDef) else []
+    return {field.target.id: " ".join(str(ast.literal_eval(below.value)).split())
+            for field, below in zip(body, body[1:], strict=False)
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr)}
 
 
 # --- values ----------------------------------------------------------------------------
