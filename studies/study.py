@@ -102,8 +102,7 @@ class Study:
 
 def list_studies() -> dict[str, Study]:
     """All studies of the project, by name."""
-    found = (_load(path.parent) for path in sorted(ROOT.glob(f"*/{DEFINITION}")))
-    return {study.name: study for study in found}
+    return {name: _load(folder) for name, folder in _list_folders().items()}
 
 
 def find_study(name: str) -> Study:
@@ -115,10 +114,15 @@ def find_study(name: str) -> Study:
     """
     if (Path(name) / DEFINITION).is_file():
         return _load(Path(name).resolve())
-    known = list_studies()
+    known = _list_folders()
     if name not in known:
         raise UnknownNameError("study", name, known)
-    return known[name]
+    return _load(known[name])
+
+
+def _list_folders() -> dict[str, Path]:
+    """Folders of the project's studies, by the name that `Study.name` makes of each."""
+    return {path.parent.name.replace("_", "-"): path.parent for path in sorted(ROOT.glob(f"*/{DEFINITION}"))}
 
 
 def _load(folder: Path) -> Study:
