@@ -152,11 +152,8 @@ class FreeSpace:
         self.work.spend(200)
         at = ((np.array([x, y]) - self._low) / self.resolution).astype(int)
         span = 3 + math.ceil((PASSAGE_SLACK + 0.3) / self.resolution)
-        i, j = np.mgrid[at[0] - span : at[0] + span + 1, at[1] - span : at[1] + span + 1]
-        cells = np.stack([i.ravel(), j.ravel()], axis=1)
-        inside = ((cells >= 0) & (cells < self.free.shape)).all(axis=1)
-        cells = cells[inside]
-        cells = cells[self.free[cells[:, 0], cells[:, 1]]]
+        low, high = (at - span).clip(0), (at + span + 1).clip(0)
+        cells = np.argwhere(self.free[low[0] : high[0], low[1] : high[1]]) + low
         moves = self.grid.get_centres(cells) - (x, y)
         lengths = np.hypot(*moves.T)
         near = self._neighbourhood.list_near(x, y, self.radius + lengths.max(initial=0.0))

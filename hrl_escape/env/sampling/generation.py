@@ -311,13 +311,12 @@ def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace, d
     centres = centres[doors.is_at_start(centres)]
     if not len(centres):
         raise Rejected("the body must fit into the room of the starts")
-    area = instance.exit
-    outside = ~((centres[:, 0] >= area.x_min) & (centres[:, 0] <= area.x_max)
-                & (centres[:, 1] >= area.y_min) & (centres[:, 1] <= area.y_max))
+    area, (x, y) = instance.exit, np.ascontiguousarray(centres.T)
+    outside = ~((x >= area.x_min) & (x <= area.x_max) & (y >= area.y_min) & (y <= area.y_max))
     away, apart = np.ones(len(centres), dtype=bool), instance.robot.outer_radius + instance.dynamics.press_margin
     for target in instance.targets:
         around = math.hypot(target.half_x, target.half_y) + apart
-        near = np.flatnonzero((np.abs(centres - (target.x, target.y)) <= around).all(axis=1))
+        near = np.flatnonzero((np.abs(x - target.x) <= around) & (np.abs(y - target.y) <= around))
         away[near] &= compute_distance_many(centres[near], stack_footprints([target.footprint])) > apart
     space.work.spend(len(centres) / 30 * (1 + len(instance.targets) / 4))
     for allowed in (outside & away, away, np.ones_like(away)):
