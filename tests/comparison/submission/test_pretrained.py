@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +19,14 @@ from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, open_driv
 from tests.covering import thin
 
 BOARD = Path(__file__).parents[3] / "docs/board"
+load_once = cache(load_pretrained)
+"""For tests that only look at what they load, or play from its file."""
 AGENTS = [(rung, agent) for rung, agents in list_pretrained().items() for agent in agents]
 
 
 @pytest.mark.parametrize(("rung", "agent"), AGENTS)
 def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent):
-    found = load_pretrained(rung, agent)
+    found = load_once(rung, agent)
     assert all(each.is_equal for each in found.verify(min(3, len(found.submission.cells)), seed=0))
     assert found.result.evaluations[-1].primitives == found.result.primitives == found.card.primitives
     assert found.score.low <= found.score.value <= found.score.high and agent in found.card.training
@@ -66,7 +69,7 @@ def test_there_are_pretrained_agents_they_are_small_and_stand_on_the_board():
     digests = {record.submission.agent_digest for record in read_records(BOARD)}
     sizes = 0
     for rung, agent in AGENTS:
-        found = load_pretrained(rung, agent)
+        found = load_once(rung, agent)
         sizes += found.path.stat().st_size
         benchmark, _, name = rung.partition("/")
         whole = load_benchmark(benchmark)[name].record.test.count == found.submission.entry.rooms
