@@ -4,9 +4,9 @@ The base stands on a planar carriage (it does not tip) whose velocities are cons
 trapezoid profile; joints follow position motors; walls, panels, blocks, the door and the arm
 are solid. A primitive lasts as long as its motion takes at 1 m/s or 90 degrees a second, at least
 0.25 s, and 0.1 s more to settle. A push into something solid stops or slides along it, so a
-displacement is only approximately the nominal one. A target is touched once the presser pushed
-against it with `PRESS_FORCE`, until it has left the press margin. Puzzle, reward and exit are
-those of `Rules`.
+displacement is only approximately the nominal one; a base that wedges itself in, ever deeper, stops.
+A target is touched once the presser pushed against it with `PRESS_FORCE`, until it has left the
+press margin. Puzzle, reward and exit are those of `Rules`.
 
 Everything that Bullet carries from one primitive to the next is written out as numbers
 (`PhysicsState`) at the end of a primitive and written back, with all cached contacts
@@ -22,7 +22,7 @@ import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import pybullet
@@ -56,6 +56,7 @@ _JOINT_EFFORT = 500.0  # N m, if the URDF states none
 _HINGE_FRICTION, _HINGE_CLOSER, _HINGE_LOCK = 2.0, 200.0, 1e4  # N m
 _CLOSING_SPEED = 0.5  # rad/s
 _LOCKED_WITHIN = math.radians(2)
+_WEDGED = 5e-3  # m
 _FRICTION = 0.8  # of blocks and floor
 _POSITION_GAIN = 0.3  # share of a joint's error that its motor corrects in one sub-step
 _AT_REST = 0.01  # m/s and rad/s, below which a block that nothing touches stays where it is
@@ -306,13 +307,15 @@ class PhysicsDynamics:
         """Simulate one sub-step for each rate of a profile, in 1/s; returns the bits of the targets that were pressed.
 
         The base goes a `way` along x and y, m, and about z, rad. `joints` are number, angle and displacement, rad, of
-        each that moves.
+        each that moves. The base stops where it is pressed ever deeper into something, `_WEDGED` deep and more.
         """
         client, scene, pressed, done = self.client, self.scene, 0, 0.0
+        depth, is_wedged = math.inf, False
         self._touches = set()
         for rate in profile:
+            drive = 0.0 if is_wedged else rate
             pybullet.setJointMotorControlArray(scene.robot, scene.drives, pybullet.VELOCITY_CONTROL,
-                                               targetVelocities=[rate * part for part in way],
+                                               targetVelocities=[drive * part for part in way],
                                                forces=self._drive_forces, physicsClientId=client)
             for joint, angle, change in joints:
                 pybullet.setJointMotorControl2(scene.robot, scene.joints[joint], pybullet.POSITION_CONTROL,
@@ -320,8 +323,10 @@ class PhysicsDynamics:
                                                _POSITION_GAIN, 1.0, physicsClientId=client)
             done += rate / RATE
             pybullet.stepSimulation(client)
-            if self._targets:
-                pressed |= self._find_pressed()
+            points = pybullet.getContactPoints(scene.robot, physicsClientId=client)
+            pressed |= self._find_pressed(points)
+            before, depth = depth, max((-point[8] for point in points if point[3] == scene.base_link), default=0.0)
+            is_wedged |= depth > max(_WEDGED, before)
             for body, _ in self.scene.blocks:
                 self._touches |= {(body, point[2]) for point in pybullet.getContactPoints(body, physicsClientId=client)
                                   if point[9] > 0.0}
@@ -337,10 +342,10 @@ class PhysicsDynamics:
                 return moved
             moved |= more
 
-    def _find_pressed(self) -> int:
-        """Bits of the targets that the presser pushes against now."""
-        pressed, scene = 0, self.scene
-        for point in pybullet.getContactPoints(scene.robot, physicsClientId=self.client):
+    def _find_pressed(self, points: Sequence[tuple[Any, ...]]) -> int:
+        """Bits of the targets that the presser pushes against at the robot's contact points."""
+        pressed = 0
+        for point in points:
             target = self._targets.get(point[2])
             if target is not None and point[9] >= PRESS_FORCE and self._is_presser(point[3], point[5]):
                 pressed |= 1 << target

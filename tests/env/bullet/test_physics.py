@@ -127,9 +127,14 @@ def test_nothing_tunnels_and_bodies_hardly_overlap(seed, runs, step):
     check_drive(seed, runs, step)
 
 
-@pytest.mark.xfail(strict=True, reason="a base that drives into a gap too narrow for it is wedged 11 mm into a wall")
-def test_a_wedged_body_hardly_overlaps():
+def test_a_body_wedged_into_a_gap_too_narrow_hardly_overlaps():
     check_drive(198, [(0, 1), (2, 1), (1, 3)], 5.0)
+
+
+def test_a_body_deep_in_a_wall_drives_off(make_room):
+    room = make_room(dataclasses.replace(get_preset("paper-one-button"), puzzle=ButtonsConfig()))
+    room.set_state(room.state._replace(x=9.25 + 0.008, y=3.0))
+    assert room.step(BACK).state.x == pytest.approx(9.258 - 1.0, abs=0.02)
 
 
 def test_a_body_that_runs_into_the_far_wall_of_the_alcove_is_in_the_exit():
