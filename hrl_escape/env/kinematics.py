@@ -373,7 +373,7 @@ class Kinematics(Rules):
 _LARGEST_COUNT = 2**31
 _SOFT_CONTACT = 0.1
 """Share of the body's radius by which physics lets it press into a solid."""
-_SOFT_LIMIT = 0.1
+SOFT_LIMIT = 0.1
 """Angle in rad by which physics lets a joint pass its limit."""
 
 
@@ -409,7 +409,7 @@ def check_fields(rules: Rules, state: RoomState) -> None:
     _check_number("y", state.y, -instance.reach_y, instance.reach_y)
     _check_whole("heading_steps", state.heading_steps, rules.headings)
     _check_number("heading_offset", state.heading_offset, -math.pi, math.pi)
-    _check_joints(rules, state, _SOFT_LIMIT if soft else 1e-6)
+    _check_joints(rules, state, SOFT_LIMIT if soft else 1e-6)
     _check_whole("touching", state.touching, 1 << len(instance.targets))
     _check_whole("primitives", state.primitives, _LARGEST_COUNT)
     _check_whole("noise_key", state.noise_key, 2**64)

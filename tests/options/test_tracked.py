@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.trajectories import drive, list_schematics
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.presets import get_preset
 from hrl_escape.options.option import FunctionOption
@@ -46,6 +47,17 @@ def test_targets_are_pressed_under_physics():
         _, _, _, _, info = env.step(choice)
         assert info["option"]["ended"] == "reached" and info["option"]["pressed"] == (f"button-{choice + 1}",)
     env.close()
+
+
+@pytest.mark.parametrize(("name", "seed"), [
+    ("paper-random", 0),  # two panels side by side, of which one is touched: it is solid, and stands in the way
+    ("clutter, rectangle", 0),  # a way that ends on the edge of the exit ends outside by a rounding
+    ("arm-two-button", 2),  # a hand that slides over the panel it has pressed does not press it again
+    ("arm-two-button", 14),  # a joint that physics left beyond its limit
+])
+def test_every_option_of_an_escape_ends_as_planned_under_physics(name, seed):
+    escaped, faults, _ = drive(list_schematics()[name], seed, "auto")
+    assert escaped and not any(faults)
 
 
 def test_options_of_your_own_choose_velocities():

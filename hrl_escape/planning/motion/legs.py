@@ -28,7 +28,7 @@ from hrl_escape.clock import NO_LIMIT
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Glide, Kinematics, RoomState
+from hrl_escape.env.kinematics import Glide, Kinematics, RoomState, Rules
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
 from hrl_escape.errors import ConfigError, UnsupportedError
@@ -184,6 +184,8 @@ MISSED_BY = 1e-3
 """Distance by which a way misses targets that it must not press, m."""
 DETOUR_CHECKS = 20_000
 """Places that are tested at most for one way round."""
+HINGE_ROOM = 0.1
+"""Distance that the base keeps from a door that swings open, beyond its thickness, along the doorway, m."""
 _LOST = 1e-6  # m and rad by which a motion may be held up
 
 
@@ -236,6 +238,7 @@ class _Legs:
     def __init__(self, plan: Plan, limits: MotionLimits, clearance: float) -> None:
         self._plan, self._room, self._clearance = plan, make_planned_room(plan.instance), clearance
         self._rules = rules = Kinematics(self._room, is_still=True)
+        self._near = Rules(plan.instance)
         self._names = ("x", "y", "heading", *rules.robot.joint_names)
         self._rates = limits.stack(self._names, rules.robot)
         self._radius = plan.instance.robot.outer_radius + CONTACT_SKIN
@@ -250,7 +253,7 @@ class _Legs:
             margins = ROUNDINGS if self._strafes and len(path.points) > 2 else (0.0,)
             for margin in margins:
                 motion = time_path(dataclasses.replace(path, margin=margin), self._rates)
-                played = play(self._rules, motion, states[begin])
+                played = play(self._rules, self._near, motion, states[begin])
                 if played is not None and sorted(c.target for c in played[0]) == list(list_touched(wanted)):
                     return Press(rest(motion) if wanted else motion, played[0])
         targets = ", ".join(self._room.targets[t].name for t in list_touched(wanted)) or "nothing"
@@ -268,7 +271,7 @@ class _Legs:
         reaches = [(t.footprint, self._room.compute_press_reach(t)) for number, t in enumerate(self._room.targets)
                    if self._by_body and not (wanted | start.touching) >> number & 1]
         avoided = _grow(reaches, places[[0, -1]], MISSED_BY)
-        solids = [(solid, self._radius) for solid in self._list_solids(start)]
+        solids = [(solid, self._radius) for solid in self._list_solids(start, wanted)]
         for way in self._keep_clear(places, avoided, solids):
             yield self._make_way(way, begin, end)
         exact = [*avoided, *solids]
@@ -313,12 +316,13 @@ class _Legs:
                                 budget, planner=DEFAULT_PLANNER, seed=0)
         return None if found is None else _shorten(found, discs)
 
-    def _list_solids(self, state: RoomState) -> list[Footprint]:
-        """Solids and shut doors."""
+    def _list_solids(self, state: RoomState, wanted: int) -> list[Footprint]:
+        """Solids and shut doors, and what else is in the way of a base that presses the targets of some bits."""
         room, doors = self._room, list_shut_doors(self._room, state)
-        if room.door is not None and not room.puzzle.is_solved(state.puzzle):
+        is_shut = room.door is not None and not room.puzzle.is_solved(state.puzzle)
+        if is_shut and room.door is not None:
             doors.append(room.door.footprint)
-        return [*self._rules.footprints, *doors]
+        return [*self._rules.footprints, *doors, *list_bodies(room, wanted if self._by_body else 0, is_shut)]
 
     def _make_way(self, places: NDArray[np.float64], begin: int, end: int) -> MotionPath:
         """A way through places along which heading and joints turn evenly."""
@@ -346,11 +350,14 @@ class _Legs:
         return MotionPath(self._names, points, np.ones(len(self._names)), 0.0, self._plan.planner)
 
 
-def play(rules: Kinematics, motion: TimedPath, state: RoomState) -> tuple[tuple[Contact, ...], RoomState] | None:
+def play(rules: Kinematics, near: Rules, motion: TimedPath, state: RoomState
+         ) -> tuple[tuple[Contact, ...], RoomState] | None:
     """Follow a motion by the room's kinematics.
 
     Args:
-        rules: the room's, without noise.
+        rules: of the room that plans are made in, without noise.
+        near: rules of the room itself. What is touched stays touched until it is left by their margin of presses,
+            which under physics is more than takes to begin a touch.
         motion: of base and arm.
         state: where it begins.
 
@@ -362,7 +369,10 @@ def play(rules: Kinematics, motion: TimedPath, state: RoomState) -> tuple[tuple[
         x, y, heading, *angles = at
         turn = math.remainder(heading - rules.get_heading(state), math.tau)
         joints = tuple(a - b for a, b in zip(angles, rules.get_angles(state), strict=True))
+        before = state.touching
         state, _, _, _, pressed = rules.glide(state, Glide(x - state.x, y - state.y, turn, joints, 0.0))
+        if before & ~state.touching:
+            state = state._replace(touching=state.touching | before & near.compute_touching(*state.pose))
         if (math.hypot(x - state.x, y - state.y) > _LOST
                 or abs(math.remainder(heading - rules.get_heading(state), math.tau)) > _LOST):
             return None
@@ -374,6 +384,25 @@ def list_shut_doors(room: RoomInstance, state: RoomState) -> list[Footprint]:
     """Footprints of the inner doors that are shut."""
     shut = get_trait(room.puzzle, Barring).get_shut(state.puzzle) if room.inner_doors else 0
     return [door.footprint for number, door in enumerate(room.inner_doors) if shut >> number & 1]
+
+
+def list_bodies(room: RoomInstance, pushed: int, door_shut: bool) -> list[Footprint]:
+    """What else is in the base's way under physics: panels, and the hinge's end of an open doorway.
+
+    Args:
+        room: the room; none of it is in the way unless it has physics.
+        pushed: bits of the targets that the base may push against.
+        door_shut: whether the exit's door stands shut.
+    """
+    if room.dynamics.kind != "physics":
+        return []
+    bodies = [target.footprint for number, target in enumerate(room.targets) if target.kind == "panel"
+              and not pushed >> number & 1 and target.z - target.half_z < room.robot.body_height]
+    if room.door is not None and not door_shut:
+        door, post = room.door.footprint, room.door.half_y + HINGE_ROOM
+        x, y = (at - way * (door.half_x - post) for at, way in ((door.x, door.cos), (door.y, door.sin)))
+        bodies.append(door._replace(x=x, y=y, half_x=post))
+    return bodies
 
 
 def list_looks(motion: TimedPath) -> tuple[list[float], list[list[float]]]:

@@ -8,6 +8,7 @@ and taken if it presses the target alone.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
@@ -20,7 +21,7 @@ from hrl_escape.clock import NO_LIMIT
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.areas import Area, compute_goal_area, sample_places
@@ -28,7 +29,16 @@ from hrl_escape.planning.arm.joint_lattice import NEVER
 from hrl_escape.planning.arm.reacher import Reacher
 from hrl_escape.planning.goals import Goal, PressGoal, describe_goal, is_reached
 from hrl_escape.planning.motion.drives import Floor, find_drive, list_docks
-from hrl_escape.planning.motion.legs import MISSED_BY, ROUNDINGS, Press, list_shut_doors, play, rest, time_path
+from hrl_escape.planning.motion.legs import (
+    MISSED_BY,
+    ROUNDINGS,
+    Press,
+    list_bodies,
+    list_shut_doors,
+    play,
+    rest,
+    time_path,
+)
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.trajectory import TimedTrajectory, join_presses
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, MotionPath
@@ -46,6 +56,10 @@ STANDS = 12
 IK_SEEDS = 8
 INSIDE = 0.2
 """Distance from the edge of a region at which a way into it ends, m."""
+BACK = (0.005, 0.01, 0.02, 0.05)
+"""Lengths of the line by which a base that physics pressed against a solid first leaves it, m."""
+AROUND = tuple(k * math.tau / 16 for k in range(16))
+"""Directions of that line beside the heading, rad."""
 SQUARE = 0.15
 """Length of the straight line that ends at a target, m."""
 
@@ -72,7 +86,8 @@ class MotionSampler:
                  ) -> None:
         self._limits, self._way_planner, self._seed = limits, way_planner, seed
         self._room, self._floors = make_planned_room(instance), dict[bool, CollisionMap]()
-        self._rules = Kinematics(self._room, is_still=True)
+        self._rules, self._near = Kinematics(self._room, is_still=True), Rules(instance)
+        self._is_physical = self._room.dynamics.kind == "physics"
         self._names = ("x", "y", "heading", *self._rules.robot.joint_names)
         self._rates = limits.stack(self._names, self._rules.robot)
         self._strafes = self._room.robot.drive == "strafing"
@@ -102,7 +117,7 @@ class MotionSampler:
         wanted, pressed, presses, before = getattr(goal, "target", None), [], [], state
         for path in paths:
             motion = time_path(path, self._rates)
-            played = play(self._rules, motion, state)
+            played = play(self._rules, self._near, motion, state)
             if played is None:
                 return None
             contacts, state = played
@@ -134,18 +149,22 @@ class MotionSampler:
         from hrl_escape.planning.paths.navigator import Navigator  # loads OMPL
 
         heading, floor = self._rules.get_heading(state), self._avoid(state, getattr(goal, "target", None), shut)
-        navigator = Navigator(self._room, lambda _: floor)
+        navigator, start = Navigator(self._room, lambda _: floor), (state.x, state.y)
+        begin = self._back_off(start, heading, floor)
         aim = np.array([place.at for place in goal]) if isinstance(goal, Sequence) else self._aim(goal, floor)
-        tries = (navigator.plan((state.x, state.y), aim, planner, seed=self._seed, optimise=True, budget=WAY_CHECKS,
+        tries = (navigator.plan(begin, aim, planner, seed=self._seed, optimise=True, budget=WAY_CHECKS,
                                 clock=NO_LIMIT, door_shut=shut, heading=heading)
                  for planner in dict.fromkeys((self._way_planner, DEFAULT_PLANNER)))
         found = next((way for way in tries if way.status == "exact" and len(way.path) > 1), None)
         if found is None:
             return None
         last = _find_place(goal, found.path[-1]).heading if isinstance(goal, Sequence) else None
-        if len(found.headings):
-            return np.column_stack([found.path, found.headings])
-        path = found.path
+        path, headings = found.path, found.headings
+        if begin != start:
+            path = np.concatenate([[start], path])
+            headings = np.concatenate([headings[:1], headings])
+        if len(headings):
+            return np.column_stack([path, headings])
         if isinstance(goal, PressGoal):
             path = self._press_head_on(path, goal.target, state, floor)
             if np.ptp(path, axis=0).max() < 1e-9:
@@ -160,7 +179,24 @@ class MotionSampler:
                       self._avoid(untouched, getattr(goal, "target", None), shut))
         ends = self._list_ends(goal, floor.entering)
         planners = tuple(dict.fromkeys((self._way_planner, DEFAULT_PLANNER)))
-        return find_drive(floor, np.array(start), ends, self._rates[:3], planners, seed=self._seed, budget=WAY_CHECKS)
+        begin = np.array([*self._back_off((state.x, state.y), start[2], floor.leaving), start[2]])
+        found = find_drive(floor, begin, ends, self._rates[:3], planners, seed=self._seed, budget=WAY_CHECKS)
+        return found if found is None or begin.tolist() == start else np.concatenate([[start], found])
+
+    def _back_off(self, start: tuple[float, float], heading: float, floor: CollisionMap) -> tuple[float, float]:
+        """The nearest place with the clearance that plans need, straight from one that physics left nearer to a solid.
+
+        The place itself where it has that clearance, or where none was found.
+        """
+        (x, y), rotation = start, (math.cos(heading), math.sin(heading))
+        if not self._is_physical or floor.does_fit(x, y, rotation):
+            return start
+        for length, turn in itertools.product(BACK, (0.0, math.pi) if self._needs_room else AROUND):
+            dx, dy = length * math.cos(heading + turn), length * math.sin(heading + turn)
+            if (floor.does_fit(x + dx, y + dy, rotation)
+                    and floor.base.find_free_fraction(x, y, rotation, dx, dy, floor.footprints) == 1.0):
+                return x + dx, y + dy
+        return start
 
     def _list_ends(self, goal: Goal | Sequence[_Place], floor: CollisionMap) -> NDArray[np.float64]:
         """Poses (n, 3) of such a base at a goal, or at any of some places; a heading that is nan is left open."""
@@ -177,7 +213,8 @@ class MotionSampler:
     def _aim(self, goal: Goal, floor: CollisionMap) -> Goal | NDArray[np.float64]:
         """Places well inside a region, where a small error does no harm; the goal itself where there are none."""
         shape, reach = compute_goal_area(goal, self._room)
-        if isinstance(goal, PressGoal) or self._strafes and not self._room.robot.base.turns_anywhere:
+        is_rectangle = self._strafes and not self._room.robot.base.turns_anywhere
+        if isinstance(goal, PressGoal) or is_rectangle and not self._is_physical:
             return goal
         half_x, half_y = (half - min(INSIDE, half / 2.0) for half in (shape.half_x, shape.half_y))
         places = sample_places(Area(shape._replace(half_x=half_x, half_y=half_y), reach / 2.0), floor)
@@ -213,8 +250,12 @@ class MotionSampler:
         return np.concatenate([path[:-1], [back, end]] if has_room else [path, [end]])
 
     def _avoid(self, state: RoomState, wanted: int | None, door_shut: bool) -> CollisionMap:
-        """Clearances, with what must not be touched on the way as solids: other targets of the body, shut doors."""
+        """Clearances, with what must not be touched on the way as solids: other targets of the body, shut doors.
+
+        Under physics also all panels but the wanted one, and the end of an open doorway at the door's hinge.
+        """
         room, grown = self._room, list_shut_doors(self._room, state)
+        grown += list_bodies(room, 0 if wanted is None or self._by_hand else 1 << wanted, door_shut)
         for number, target in enumerate(() if self._by_hand else room.targets):
             if number != wanted and not state.touching >> number & 1:
                 more = max(0.0, room.compute_press_reach(target) - room.robot.outer_radius - CONTACT_SKIN) + MISSED_BY
@@ -241,7 +282,7 @@ class MotionSampler:
             yield [path]
         places = self._list_places(state, goal, find_postures)
         for way in self._list_ways(state, places) if places else ():
-            played = play(self._rules, time_path(way, self._rates), state)
+            played = play(self._rules, self._near, time_path(way, self._rates), state)
             if played is not None and played[0]:
                 yield [way]  # taken if the hand, carried along, presses the target alone
             elif played is not None:
@@ -273,7 +314,7 @@ class MotionSampler:
         """Joint angles (postures, joints) that bring the hand to a target's middle, the nearest first."""
         tolerance = 0.9 * self._reacher.limit
         found = self._reacher.planner.solve_ik(point, state, seeds=IK_SEEDS, tolerance=tolerance,
-                                   only_free=self._room.dynamics.kind == "physics")
+                                   only_free=self._is_physical)
         here = np.array(self._rules.get_angles(state))
         angles = np.array([posture.angles for posture in found]).reshape(-1, len(here))
         return angles[np.argsort(np.abs(angles - here).max(axis=1, initial=0.0), kind="stable")]

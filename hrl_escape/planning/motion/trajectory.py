@@ -18,7 +18,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import EpisodeEnd, RoomState, Rules
+from hrl_escape.env.kinematics import SOFT_LIMIT, EpisodeEnd, RoomState, Rules
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.errors import ConfigError, EscapeError
@@ -204,11 +204,15 @@ def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionL
 
 
 def _check_joints(names: tuple[str, ...], parts: Sequence[Press], robot: Robot | None) -> None:
-    """Check joints' limits, at the knots, as nothing in between is beyond them."""
+    """Check joints' limits, at the knots, as nothing in between is beyond them.
+
+    A motion may begin up to `SOFT_LIMIT` beyond one, where physics left the joint, and go no further.
+    """
     for name, (low, high) in zip(robot.joint_names, robot.limits, strict=True) if robot else ():
         column = names.index(name)
         angles = np.concatenate([motion.positions[:, column] for motion, _ in parts])
-        if angles.min() < low - 1e-9 or angles.max() > high + 1e-9:
+        begin = min(max(float(angles[0]), low - SOFT_LIMIT), high + SOFT_LIMIT)
+        if angles.min() < min(low, begin) - 1e-9 or angles.max() > max(high, begin) + 1e-9:
             raise ConfigError(f"motion.{name}", [float(angles.min()), float(angles.max())],
                               f"angles from {low:g} to {high:g} rad")
 
