@@ -166,7 +166,8 @@ def measure(study: Study, args: Args, store: Store) -> None:
         for room in rooms:
             made += run_room(study, args, store, room, [
                 *((AgentSpec.parse(label), 0) for label in references if label in (args.agents or known)),
-                *((agent, number) for agent, number in chosen if agent.label not in lost)], until)
+                *((agent, number) for agent, number in chosen
+                  if agent.label not in lost and fits(study, agent.label, kind))], until)
     refuse_failures(*made)
 
 
@@ -238,6 +239,11 @@ def choose_candidate(family: Family, label: str, lines: Iterable[CanonRun]) -> t
     return make_candidate(label, tried, min(range(1, len(tried) + 1), key=rate))
 
 
+def fits(study: Study, label: str, kind: str) -> bool:
+    """An agent can be run in rooms of a kind."""
+    return kind not in study.data["unfit"].get(label, {"kinds": ()})["kinds"]
+
+
 def collect_cells(study: Study, lines: Sequence[CanonRun]) -> Cells:
     """Runs in test rooms, with the chosen settings, by kind and agent."""
     chosen: dict[str, int] = {}
@@ -272,20 +278,18 @@ class Contrast(NamedTuple):
     found: Difference  # in efficiency; above 0 the agent is better
 
 
-def compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells, kinds: Sequence[str]
-            ) -> list[Contrast]:
+def compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells) -> list[Contrast]:
     """Contrasts of one family, of couples that have `LEAST_RUNS` rooms in common in every kind.
 
     Args:
-        couples: label of an agent, name of the other, and the other's label in each kind.
+        couples: label of an agent, name of the other, and the other's label in each kind, which are the strata.
         cells: runs.
-        kinds: strata.
     """
     asked = []
     for agent, name, others in couples:
         gains: list[NDArray[np.float64]] = []
-        for kind in kinds:
-            own, theirs = cells.get((kind, agent), {}), cells.get((kind, others[kind]), {})
+        for kind, other in others.items():
+            own, theirs = cells.get((kind, agent), {}), cells.get((kind, other), {})
             gains.append(np.array([round(own[room].efficiency - theirs[room].efficiency, 9)
                                    for room in sorted(own.keys() & theirs.keys())], dtype=np.float64))
         if min(map(len, gains), default=0) >= LEAST_RUNS:
@@ -468,8 +472,8 @@ class Standing:
         cells, families = collect_cells(study, lines), list_families(study)
         found = cls(study, lines, families, cells, (), find_lost(study, cells))
         needed = [*found.followed, *found.references]
-        kinds = [kind for kind in study.data["kinds"]
-                 if all(len(cells.get((kind, agent), ())) >= LEAST_RUNS for agent in needed)]
+        kinds = [kind for kind in study.data["kinds"] if all(
+            len(cells.get((kind, agent), ())) >= LEAST_RUNS for agent in needed if fits(study, agent, kind))]
         return dataclasses.replace(found, kinds=kinds if next(iter(study.data["kinds"])) in kinds else ())
 
     @property
@@ -503,30 +507,35 @@ class Standing:
         return float(np.mean([average(self.cells[kind, agent]) for kind, agent in self.best.items()]))
 
     def average(self, label: str) -> float:
-        """Mean efficiency of an agent over the kinds."""
-        return float(np.mean([average(self.cells[kind, label]) for kind in self.kinds]))
+        """Mean efficiency of an agent over the kinds in which it can be run."""
+        own = [kind for kind in self.kinds if fits(self.study, label, kind)]
+        return float(np.mean([average(self.cells[kind, label]) for kind in own]))
 
 
 def tell_standing(found: Standing) -> dict[str, Any]:
     """Values of the page's template."""
-    data, cells, kinds, words = found.study.data, found.cells, found.kinds, found.words
+    study, cells, kinds, words = found.study, found.cells, found.kinds, found.words
+    data = study.data
     easiest = words[next(iter(words))]
     if not kinds:
         return {"headline": f"Nothing is concluded yet, as the rooms with {easiest} lack runs: of every agent there "
                             f"must be {LEAST_RUNS}.", "kinds": []}
     flat: Mapping[str, str] = data["twins"]
     given = {label: family.given for family in found.families if family.given for label in family.learners}
-    against, told = (compare([(label, "the best searcher", found.best) for label in found.followed
-                              if (label in given) == is_given], cells, kinds) for is_given in (False, True))
+    against, told = (compare([
+        (label, "the best searcher", {kind: each for kind, each in found.best.items() if fits(study, label, kind)})
+        for label in found.followed if (label in given) == is_given], cells) for is_given in (False, True))
     twins = compare([(label, twin, dict.fromkeys(kinds, twin)) for label, twin in flat.items() if label not in given],
-                    cells, kinds)
+                    cells)
     tops = {family.what: max(((label, found.average(label)) for label in own), key=lambda item: item[1])
-            for family in found.families if (own := [label for label in family.learners if label in found.followed])}
+            for family in found.families if (own := [
+                label for label in family.learners
+                if label in found.followed and all(fits(study, label, kind) for kind in kinds)])}
     moves = [label for label in found.learners if not chooses_presses(AgentSpec.parse(label))]
     sentences = [
         tell_families(tops, found.searcher), tell_twins(twins),
-        tell_leads({words[kind]: {label: average(cells[kind, label]) for label in found.followed if label not in given}
-                    for kind in kinds}),
+        tell_leads({words[kind]: {label: average(cells[kind, label]) for label in found.followed
+                                  if label not in given and fits(study, label, kind)} for kind in kinds}),
         tell_lost(len(moves), [label for label in moves if label in found.lost],
                   [label for label in found.learners if label in found.lost and label not in moves], easiest,
                   data["primitives"]),
@@ -549,7 +558,10 @@ def tell_standing(found: Standing) -> dict[str, Any]:
         "twins": [f"`{each.agent}` against `{each.other}`: {tell_difference(each)}" for each in twins],
         "kinds": [f"{words[kind]} (`{kind}`)" for kind in kinds],
         "left_out": [f"{words[kind]} (`{kind}`)" for kind in words if kind not in kinds],
-        "count": min(len(cells[kind, label]) for kind in kinds for label in [*found.followed, *found.references]),
+        "unfit": [f"`{label}` with {join_words(out)}, as {unfit['why']}" for label, unfit in data["unfit"].items()
+                  if (out := [words[kind] for kind in kinds if not fits(study, label, kind)])],
+        "count": min(len(cells[kind, label]) for kind in kinds for label in [*found.followed, *found.references]
+                     if fits(study, label, kind)),
         "searchers": data["searchers"], "budget": data["primitives"], "efficient": data["efficient"],
         "learners": len(found.learners), "episodes": REFERENCE_EPISODES,
         "trials": [words[room.rpartition("/")[0]]
@@ -589,7 +601,7 @@ def tell_course(family: Family, label: str, found: Standing) -> Iterator[str]:
 def draw(found: Standing) -> Figure:
     """A row a learner, by family: a dot a room in the colour of its kind, a diamond the mean over kinds."""
     cells, kinds, families = found.cells, found.kinds, found.families
-    colours = dict(zip(kinds, palette.LINES, strict=False))
+    colours = dict(zip(kinds, [*palette.LINES, palette.MUTED], strict=False))
     rows = [(family, label) for family in families for label in family.learners]
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(8.4, 0.185 * len(rows) + 0.3 * len(families) + 1.0), facecolor=palette.BACKGROUND,

@@ -130,6 +130,21 @@ def test_hierarchies_are_held_against_their_flat_twins():
     assert f"- `{CRITIC}` against `{TABLE}`: **-0.2" in turned, "all stand further down"
 
 
+def test_who_cannot_be_run_in_a_kind_of_rooms_is_measured_in_the_others():
+    reach, unfit = "ladder-1/reach", ["hiro+learned", "hrac+learned"]
+    lines = [run for run in make_lines(change(dict.fromkeys(unfit, 0.5)), (PAIR, reach))
+             if run.kind != reach or run.agent not in unfit]
+    page = tell(lines)
+    assert "over 2 kinds of rooms" in page and "two to four, by hand (`ladder-1/reach`)" in page
+    assert "Not run: `hiro+learned` with two to four, by hand, as displacements move the base alone; its mean" in page
+    assert "`r-maxq+planned` with" not in page, "the kinds that it lacks are not here"
+    assert re.search(r"\| `hiro\+learned` \| 0\.\d\d \|  \| \*\*-0\.2\d \(", page), "against the searcher of one kind"
+    assert "learners of displacements over single moves (" not in page, "no mean over fewer kinds stands in the order"
+    lacking = [run for run in lines if run.kind != reach or run.agent != PPO]
+    assert "not run whole: two to four, by hand" not in page and "two to four, by hand" in tell(lacking)
+    assert "over 1 kind of rooms" in tell(lacking), "who can be run there must be"
+
+
 def test_families_stand_in_order_of_their_best():
     page = read(change({MODEL: 0.9, DAC: 0.6, "hamq+planned": 0.97}))
     (told,) = [line for line in page.splitlines() if line.startswith("- By the best of each family")]
@@ -277,6 +292,14 @@ def test_a_learner_that_never_escaped_from_the_easiest_rooms_is_not_run_in_other
     store.add([*trials, *(make_run(MODEL, 1, f"{PAIR}/test[{room}]", 0.0, 500) for room in range(10))])
     study.analysis.measure(study, args, store)
     assert {line.agent for line in store.load() if line.room.startswith(f"{FIVE}/test[")} == {"planner"}
+
+
+def test_a_learner_is_not_run_where_it_cannot_be(tmp_path: Path):
+    study, args = run(tmp_path, agents=("hiro+learned", "planner"), kinds=("ladder-1/reach",), rooms=1)
+    store = open_store(study, args.docs)
+    store.add([line for line in make_trials() if line.agent == "hiro+learned"])
+    study.analysis.measure(study, args, store)
+    assert {line.agent for line in store.load() if "/test[" in line.room} == {"planner"}
 
 
 def test_agents_and_kinds_that_are_unknown_are_named(tmp_path: Path):
