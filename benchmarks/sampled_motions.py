@@ -2,7 +2,8 @@
 
 Run: `python -m benchmarks.sampled_motions --rooms 4`; exits with 1 if a trajectory is wrong. Every leg of every escape
 is asked for. What was found is checked as in `benchmarks/trajectories.py`, by touches at 1 kHz, limits and gaps to
-solids, and driven in the continuous environment.
+solids, and driven in the continuous environment. Things to grip or push are held against the goal and against all else
+that the puzzle keeps.
 """
 
 from __future__ import annotations
@@ -21,10 +22,19 @@ from benchmarks.trajectories import SLACK, change_robot, list_schematics, list_t
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.presets import get_preset
+from hrl_escape.env.presets import (
+    blocks_world,
+    door_key,
+    foraging,
+    get_preset,
+    key_corridor,
+    multi_room,
+    sokoban,
+    taxi,
+)
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError, GenerationError
-from hrl_escape.planning.goals import Goal, PressGoal
+from hrl_escape.planning.goals import Goal, GripGoal, PressGoal, is_reached
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.sampled import MotionSampler
 from hrl_escape.planning.motion.trajectory import TimedTrajectory, make_trajectory, track
@@ -32,8 +42,12 @@ from hrl_escape.planning.planner import RoomPlanner
 
 DRIVING = {f"{name}, driving rectangle": name for name in ("paper-two-button", "clutter", "ten-button", "paper-random")}
 """Presets of schematics whose robot is a rectangle with a differential drive."""
+CARRYING = {"taxi": taxi, "foraging": foraging, "blocks-world": blocks_world,
+            "blocks-world, hand": lambda: blocks_world(hand=True), "door-key": door_key, "key-corridor": key_corridor,
+            "multi-room": multi_room, "sokoban": sokoban}
+"""Schematics of things to grip, use and push."""
 NAMES = ("paper-two-button", "clutter", "ten-button", "inner-doors", "four-rooms", "arm-two-button", "arm-four-joints",
-         "clutter, differential", "clutter, rectangle", *DRIVING)
+         "clutter, differential", "clutter, rectangle", *DRIVING, *CARRYING)
 
 
 class Leg(NamedTuple):
@@ -48,6 +62,8 @@ class Leg(NamedTuple):
 
 def make_schematic(name: str) -> RoomConfig:
     """A schematic by its name."""
+    if name in CARRYING:
+        return CARRYING[name]()
     if name not in DRIVING:
         return list_schematics()[name]
     return change_robot(get_preset(DRIVING[name]), footprint="rectangle", body_length=1.0, body_width=0.6,
@@ -58,7 +74,8 @@ def list_faults(rules: Kinematics, state: RoomState, goal: Goal, trajectory: Tim
     """Find what is wrong with a trajectory to a goal."""
     _, places, _ = trajectory.sample(1000.0)
     found, wanted = list_touches(rules, state.touching, places), [goal.target] if isinstance(goal, PressGoal) else []
-    faults = [f"presses {found} for {wanted}"] if found != wanted else []
+    carries = isinstance(goal, GripGoal)
+    faults = [f"presses {found} for {wanted}"] if found != wanted and not carries else []
     if (peak := max(measure_peaks(trajectory, trajectory.limits).values())) > 1.0 + SLACK:
         faults.append(f"reaches {peak:.4f} of a limit")
     base, shapes = rules.instance.robot.base, rules.footprints
@@ -68,7 +85,10 @@ def list_faults(rules: Kinematics, state: RoomState, goal: Goal, trajectory: Tim
     env = EscapeRoomContinuousEnv(instance=rules.instance)
     env.reset(options={"state": state})
     driven = track(trajectory, env)
-    if list(driven.pressed) != wanted or driven.distance > 1e-6:
+    changes = sum(before.puzzle != after.puzzle for before, after in itertools.pairwise(driven.states))
+    if carries and (changes != 1 or not is_reached(goal, state, driven.states[-1], rules) or driven.distance > 1e-6):
+        faults.append(f"changes the puzzle {changes} times and is {driven.distance:.2g} m off when driven")
+    elif not carries and (list(driven.pressed) != wanted or driven.distance > 1e-6):
         faults.append(f"presses {driven.pressed} and is {driven.distance:.2g} m off when driven")
     return faults
 

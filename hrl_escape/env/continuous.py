@@ -29,13 +29,18 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
     | velocity to the left, where the base strafes | m/s | `speed` |
     | turn, counter-clockwise | rad/s | `turn_speed` |
     | each joint | rad/s | `joint_speed`, or the URDF's where that is less |
+    | gripper, where the robot has one: above 1/2 it grips, below -1/2 it releases | | 1 |
+    | use, where the robot has it: above 1/2 it uses, unless the gripper acts | | 1 |
 
     In a step the base goes straight, along its heading in the middle of the turn, until its first contact, which is
     exact; then it turns on the spot. Joints stop at their limits. Under physics all of it moves at once in Bullet.
-    A touch counts if it is there at the end of a step.
+    A touch counts if it is there at the end of a step. Then the hand acts, as the primitive of that name would from
+    there; a level that is held asks anew in each step. A thing in the way of the base is pushed, where things can be, as
+    a move from the place of contact to the nearest of the map's four sides would push it; if that does not let the base
+    through, nothing moves.
 
     ## Rewards
-    -1 a second, so -`time_step` a step. Puzzles and the exit pay what they pay there.
+    -1 a second, so -`time_step` a step. Puzzles and the exit pay what they pay there, an act of the hand each time.
 
     ## Episode end
     As in `EscapeRoomEnv`; `truncated` after `time_limit` seconds.
@@ -50,7 +55,8 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
         speed: largest speed of the base along each of its axes, m/s.
         turn_speed: rad/s.
         joint_speed: rad/s.
-        time_limit: s; None for as many seconds as the room's horizon has primitives.
+        time_limit: s; None for as many seconds as the room's horizon has primitives. Those of rooms from cell to cell
+            are moves of 2 m or more: raise the one or `speed`.
 
     Attributes:
         velocities: bounds, time step and time limit.

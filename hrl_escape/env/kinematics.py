@@ -72,13 +72,14 @@ class Transition(NamedTuple):
 
 
 class Glide(NamedTuple):
-    """A short motion of base and arm in continuous coordinates."""
+    """A short motion of base and arm in continuous coordinates, and what the hand does at its end."""
 
     dx: float  # displacement of the base's axis in the room frame, m
     dy: float  # likewise
     turn: float  # of the base, rad
     joints: tuple[float, ...]  # change of each joint's angle, rad
     seconds: float  # time that it takes (physics)
+    grip: int = 0  # 1 to grip at its end, -1 to release, 2 to use
 
 
 class Rules(RobotPoses):
@@ -235,23 +236,27 @@ class Kinematics(Rules):
         """Apply a short motion in place of a primitive; pure, too.
 
         The base goes straight until its first contact, then turns on the spot if nothing is in the way; joints stop at
-        their limits. Noise and slip are those of a primitive; one that slips stays.
+        their limits. What the hand does, it does last. Noise and slip are those of a primitive; one that slips does
+        nothing.
+
+        A thing that stops the base is pushed, where things can be, as a move of one stride from the place of contact
+        to the nearest of the map's four sides would push it, if the base then gets where it goes.
         """
-        scale = 1.0
+        scale, grip = 1.0, motion.grip
         if self._noise or self._slip:
             normal, uniform = compute_noise(state.noise_key, state.primitives)
-            scale = 0.0 if uniform < self._slip else 1.0 + self._noise * normal
+            scale, grip = (0.0, 0) if uniform < self._slip else (1.0 + self._noise * normal, grip)
         x, y, steps, offset = state.x, state.y, state.heading_steps, state.heading_offset
         dx, dy, turn = scale * motion.dx, scale * motion.dy, scale * motion.turn
-        rotation = self.get_rotation(steps, offset)
+        puzzle = state.puzzle
         if dx or dy:
-            fraction = self.compute_free_fraction(x, y, dx, dy, state.puzzle, rotation)
+            fraction, pushed = self.compute_advance(state, dx, dy)
             if fraction >= 1.0 or not self._stays:
-                x, y = x + fraction * dx, y + fraction * dy
+                x, y, puzzle = x + fraction * dx, y + fraction * dy, pushed
         if turn:
             to = self.split_heading(steps * self.turn_step + offset + turn)
             to = to if abs(to[1]) > ROUNDING else (to[0], 0.0)
-            if self.can_turn(state._replace(x=x, y=y), self.get_rotation(*to), turn):
+            if self.can_turn(state._replace(x=x, y=y, puzzle=puzzle), self.get_rotation(*to), turn):
                 steps, offset = to
         joint_steps, joint_offsets = state.joint_steps, state.joint_offsets
         if any(motion.joints):
@@ -260,8 +265,22 @@ class Kinematics(Rules):
                 min(max(angle + scale * change, low), high) for angle, change, (low, high) in pairs)
             joint_offsets = joint_offsets if max(map(abs, joint_offsets)) > ROUNDING else ()
         touching = self.compute_touching(x, y, steps, offset, joint_steps, joint_offsets)
-        return self.judge(state, state._replace(x=x, y=y, heading_steps=steps, heading_offset=offset, touching=touching,
-                                                joint_steps=joint_steps, joint_offsets=joint_offsets))
+        moved = state._replace(x=x, y=y, heading_steps=steps, heading_offset=offset, touching=touching, puzzle=puzzle,
+                               joint_steps=joint_steps, joint_offsets=joint_offsets)
+        return self.judge(state, moved, grip=grip)
+
+    def compute_advance(self, state: RoomState, dx: float, dy: float) -> tuple[float, Hashable]:
+        """Share in [0, 1] of a short displacement that is free, and the puzzle once what is in its way is pushed."""
+        x, y, puzzle = state.x, state.y, state.puzzle
+        rotation = self.get_rotation(state.heading_steps, state.heading_offset)
+        fraction = self.compute_free_fraction(x, y, dx, dy, puzzle, rotation)
+        if fraction < 1.0 and self.inner_doors is not None and isinstance(self._puzzle, Pushing):
+            stride = self.actions.stride
+            side = (math.copysign(stride, dx), 0.0) if abs(dx) >= abs(dy) else (0.0, math.copysign(stride, dy))
+            pushed = self.inner_doors.push(x + fraction * dx, y + fraction * dy, *side, puzzle)
+            if pushed != puzzle and self.compute_free_fraction(x, y, dx, dy, pushed, rotation) >= 1.0:
+                return 1.0, pushed
+        return fraction, puzzle
 
     def _slide(self, state: RoomState, action: int, scale: float, share: float) -> int:
         """Translation that a slipping one becomes, chosen by a uniform number; other primitives do not slip."""

@@ -14,11 +14,13 @@ from gymnasium.utils.env_checker import check_env
 
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
-from hrl_escape.env.presets import get_preset
+from hrl_escape.env.presets import get_preset, sokoban
+from hrl_escape.env.puzzles.taxi import REFUSED, RIDING, Ride
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, ResetNeededError, UnsupportedError
 from hrl_escape.planning.planner import RoomPlanner
 from tests.env.bullet_world import BulletWorld
+from tests.env.gliding import list_velocities
 
 
 def change(preset: str, robot=None, dynamics=None, **settings):
@@ -47,26 +49,21 @@ def test_the_action_space_is_the_robot_s():
 
 
 @pytest.mark.parametrize(("preset", "seed"), [
-    ("paper-random", 1), ("arm-two-button", 0), ("door-free", 0),
-    *(pytest.param(preset, 0, marks=pytest.mark.slow) for preset in ("potions", "lights-out"))])
+    ("paper-random", 1), ("arm-two-button", 0), ("door-free", 0), ("taxi", 0), ("blocks-world", 1), ("door-key", 2),
+    ("sokoban", 3),
+    *(pytest.param(preset, 0, marks=pytest.mark.slow) for preset in ("potions", "lights-out")),
+    *(pytest.param(preset, seed, marks=pytest.mark.slow) for seed in range(4, 12)
+      for preset in ("taxi", "blocks-world", "door-key", "key-corridor", "multi-room", "sokoban"))])
 def test_a_plan_of_primitives_played_as_velocities_reaches_the_same_states(preset, seed):
     config = change("clutter", {"drive": "differential"}) if preset == "door-free" else get_preset(preset)
     planner = RoomPlanner(generate(config, seed))
     plan = planner.solve(planner.rules.make_state(planner.instance.starts[0]))
-    env = EscapeRoomContinuousEnv(instance=plan.instance, turn_speed=4.0, joint_speed=4.0)
+    env = EscapeRoomContinuousEnv(instance=plan.instance, speed=5.0, turn_speed=4.0, joint_speed=4.0)
     env.reset(options={"state": plan.states[0]})
     total, rules, steps = 0.0, planner.rules, 10
     for action, expected in zip(plan.primitives, plan.states[1:], strict=True):
-        primitive = rules.actions.primitives[action]
-        rates = np.zeros(len(env.action_space.high))
-        rates[0] = primitive.forward
-        rates[1] = primitive.left if len(rates) - rules.instance.robot.joints == 3 else 0.0
-        rates[len(rates) - rules.instance.robot.joints - 1] = primitive.turn * rules.turn_step
-        if primitive.joint >= 0:
-            rates[len(rates) - rules.instance.robot.joints + primitive.joint] = (
-                primitive.joint_change * rules.robot.step)
-        for _ in range(steps):
-            _, reward, terminated, _, info = env.step(rates / (steps * env.time_step))
+        for rates in list_velocities(rules, action, steps, env.time_step):
+            _, reward, terminated, _, info = env.step(rates)
             total += reward
             if terminated:
                 break
@@ -79,7 +76,8 @@ def test_a_plan_of_primitives_played_as_velocities_reaches_the_same_states(prese
         assert (state.puzzle, state.touching) == (expected.puzzle, expected.touching)
     assert terminated and info["success"] and action == plan.primitives[-1] and expected == plan.states[-1]
     assert 0.0 <= plan.cost - info["seconds"] < 1.0
-    assert total == pytest.approx(plan.compute_return() + plan.cost - info["seconds"]), "-1 a second, as -1 a primitive"
+    saved = rules.instance.reward.step * (plan.cost - info["seconds"])
+    assert total == pytest.approx(plan.compute_return() - saved), "a second costs what a primitive does"
 
 
 @pytest.mark.parametrize("config", [get_preset("clutter"), change("clutter", RECTANGLE)])
@@ -111,6 +109,68 @@ def test_the_rules_of_a_step():
     for _ in range(20):
         env.step(np.array([0.0, 0.0, 0.0, 0.0, 9.0, 0.0]))
     assert rules.get_angles(env.get_state())[1] == high, "clipped to the bound, and stopped at the joint's limit"
+
+
+def test_the_hand_acts_at_the_end_of_a_step_beyond_half_of_its_level():
+    env = EscapeRoomContinuousEnv("taxi", time_step=0.5)
+    env.reset(seed=0)
+    puzzle, depot = env.instance.puzzle, env.instance.targets[0]
+    beside = env.get_state()._replace(x=depot.x + depot.half_x + 0.25, y=depot.y, heading_steps=0, touching=0,
+                                      puzzle=puzzle.encode(Ride(passenger=0, destination=1)))
+    found = {}
+    for level in (-1.0, 0.0, 0.5, 0.51, 9.0):
+        env.reset(options={"state": beside})
+        reward = env.step(np.array([-0.6, 0.0, 0.0, level]))[1]
+        found[level] = puzzle.decode(env.get_state().puzzle).passenger, pytest.approx(reward)
+    assert found == {-1.0: (0, -0.5 + REFUSED), 0.0: (0, -0.5), 0.5: (0, -0.5), 0.51: (RIDING, -0.5),
+                     9.0: (RIDING, -0.5)}, "it drives onto the pad, then grips"
+    assert env.step(np.array([0.0, 0.0, 0.0, 1.0]))[1] == pytest.approx(-0.5 + REFUSED), "a level held is one grip more"
+
+
+def test_a_gripper_that_grips_does_not_use_and_one_that_slips_does_nothing():
+    env = EscapeRoomContinuousEnv("multi-room", speed=4.0, turn_speed=4.0)
+    env.reset(seed=0)
+    planner = RoomPlanner(env.instance)
+    plan = planner.solve(env.get_state())
+    before = next(state for state, action in zip(plan.states, plan.primitives, strict=False)
+                  if env.rules.actions.primitives[action].name == "use")
+    opened = {}
+    for levels in ((0.0, 1.0), (1.0, 1.0), (-1.0, 1.0), (0.0, -1.0)):
+        env.reset(options={"state": before})
+        env.step(np.array([0.0, 0.0, *levels]))
+        opened[levels] = env.get_state().puzzle != before.puzzle
+    assert opened == {(0.0, 1.0): True, (1.0, 1.0): False, (-1.0, 1.0): False, (0.0, -1.0): False}
+    slipping = EscapeRoomContinuousEnv(change("multi-room", dynamics={"slip": 0.5}))
+    found = set()
+    for key in range(8):
+        slipping.reset(seed=0)
+        slipping.set_state(before._replace(noise_key=key))
+        slipping.step(np.array([0.0, 0.3, 0.0, 1.0]))
+        state = slipping.get_state()
+        found.add((state.heading_offset != 0.0, state.puzzle != before.puzzle))
+    assert found == {(False, False), (True, True)}, "both or none of turn and use"
+
+
+def test_what_stops_the_base_is_pushed_one_cell_to_the_nearest_side():
+    """Cells of 2 m; the body's axis is 1.599 m before the box's middle at contact."""
+
+    def drive(env, steps: int, y: float = 0.0, left: float = 0.0) -> tuple[int, float]:
+        """Cells by which the first box has moved, and metres by which the base has."""
+        env.reset(seed=0)
+        begin = env.get_state()
+        env.set_state(begin._replace(y=begin.y + y))
+        for _ in range(steps):
+            env.step(np.array([1.0, left, 0.0]))
+        state, level = env.get_state(), env.instance.puzzle.level
+        return env.instance.puzzle.decode(state.puzzle)[0] - level.boxes[0], pytest.approx(state.x - begin.x)
+
+    env = EscapeRoomContinuousEnv(sokoban(rows=("     ", "@$  .", "     ")))
+    assert (drive(env, 5), drive(env, 6), drive(env, 25), drive(env, 26)) == ((0, 0.5), (1, 0.6), (1, 2.5), (2, 2.6))
+    assert drive(env, 6, y=0.9) == drive(env, 6, left=0.9) == (1, 0.6)
+    assert drive(env, 20, y=1.2) == (0, 0.6), "the corner of a box, which no move from there would push"
+    assert drive(env, 40, y=1.45) == (0, 4.0), "past it"
+    blocked = EscapeRoomContinuousEnv(sokoban(rows=(" .  ", "@$$ ", "  . ")))
+    assert drive(blocked, 20) == (0, 0.5), "a box before a box"
 
 
 def test_states_are_written_back_exactly_and_copies_go_on():
@@ -150,9 +210,8 @@ def test_wrong_arguments_actions_and_rooms_are_named():
     for wrong in ({"time_step": 0.0}, {"speed": math.inf}, {"time_limit": -1.0}):
         with pytest.raises(ConfigError, match=next(iter(wrong))):
             EscapeRoomContinuousEnv(**wrong)
-    for preset in ("taxi", "sokoban"):
-        with pytest.raises(UnsupportedError, match="EscapeRoom-v1"):
-            EscapeRoomContinuousEnv(preset)
+    with pytest.raises(UnsupportedError, match="grip under dynamics.kind = 'physics'"):
+        EscapeRoomContinuousEnv(change("blocks-world", dynamics={"kind": "physics"}))
     env = EscapeRoomContinuousEnv()
     env.reset(seed=0)
     for wrong in (0, np.zeros(2), np.array([0.0, math.nan, 0.0]), "left"):

@@ -9,9 +9,11 @@ import pytest
 
 from benchmarks.trajectories import drive, list_schematics
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
+from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
 from hrl_escape.options.option import FunctionOption
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.goals import ExitGoal
 
 
 def change(preset: str, **dynamics):
@@ -35,6 +37,28 @@ def test_random_options_escape_and_each_presses_its_own_target(config):
         bonus = 100.0 if terminated else 0.0
         assert reward == pytest.approx(bonus - 0.1 * info["duration"])
         assert info["discount"] == pytest.approx(0.999 ** info["duration"])
+        if terminated:
+            break
+    assert terminated and info["success"] and not truncated
+
+
+@pytest.mark.parametrize(("preset", "slip", "planner"), [
+    ("taxi", 0.1, "auto"), ("foraging", 0.0, "auto"), ("door-key", 0.0, "fields"),
+    pytest.param("key-corridor", 0.0, "auto", marks=pytest.mark.slow),
+    pytest.param("blocks-world", 0.0, "auto", marks=pytest.mark.slow)])
+def test_options_carry_until_the_robot_is_out(preset, slip, planner):
+    """Random ones, each of which does what it is for; in foraging nobody knows where the next worm will be."""
+    env = OptionsEnv(EscapeRoomContinuousEnv(change(preset, slip=slip), time_limit=1e5), planner=planner)
+    primitives = OptionsEnv(EscapeRoomEnv(change(preset, slip=slip)), include_primitives=False)
+    assert env.action_names == primitives.action_names
+    _, info = env.reset(seed=0)
+    rng, room = np.random.default_rng(0), env.unwrapped
+    for _ in range(200):
+        before, choice = room.get_state(), int(rng.choice(np.flatnonzero(info["action_mask"])))
+        _, _, terminated, truncated, info = env.step(choice)
+        option = env.options[choice]
+        assert info["option"]["ended"] == "reached"
+        assert option.goal == ExitGoal() or room.get_state().puzzle != before.puzzle
         if terminated:
             break
     assert terminated and info["success"] and not truncated

@@ -7,6 +7,7 @@ Nothing branches on data, so `torch.compile` fuses it, on any device. The rules 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -28,8 +29,9 @@ from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.kinematics import ROUNDING
 from hrl_escape.env.noise import CHANCE_PURPOSE, NOISE_PURPOSE, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.primitives import list_slips
-from hrl_escape.env.puzzles.base import PUSH
+from hrl_escape.env.puzzles.base import PUSH, USE
 from hrl_escape.env.tensor_geometry import RoomSolids, Shapes, as_flags, compute_distance, store
+from hrl_escape.env.velocities import GRIPPER_LEVEL, count_levels
 
 
 class TensorTransition(NamedTuple):
@@ -156,7 +158,13 @@ def _is_free(layout: Layout, tables: Tables, state: TensorState, action: Tensor,
 
 
 def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
-    """Share in [0, 1] of displacements that is made, float64 (rooms,): until the first contact, or all or nothing.
+    """Share in [0, 1] of displacements that is made, float64 (rooms,): until the first contact, or all or nothing."""
+    free = _find_contact(layout, tables, state, dx, dy)
+    return (free >= 1.0).to(torch.float64) if layout.dynamics.blocked == "stay" else free
+
+
+def _find_contact(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
+    """Share in [0, 1] of displacements until the first contact, float64 (rooms,).
 
     In any direction, as of velocities, a body may graze a solid: all contacts are found in double precision then.
     """
@@ -173,7 +181,7 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
     if layout.has_door:
         doors, is_shut = _find_door(layout, tables, state, base)
         free = torch.where(is_shut, torch.minimum(free, base.compute_first_contact(dx, dy, doors)[0]), free)
-    return (free >= 1.0).to(torch.float64) if layout.dynamics.blocked == "stay" else free
+    return free
 
 
 def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorBase) -> tuple[Shapes, Tensor]:
@@ -302,14 +310,16 @@ def glide(layout: Layout, tables: Tables, state: TensorState, rates: Tensor) -> 
         layout: of the batch; its `velocities` say what the rates mean.
         tables: of the batch.
         state: of the rooms.
-        rates: velocities, float64 (rooms, numbers), clipped to their bounds; what is no number is 0.
+        rates: velocities and levels, float64 (rooms, numbers), clipped to their bounds; what is no number is 0.
     """
     kind = layout.velocities
     assert kind is not None
     bounds = torch.tensor(kind.list_bounds(layout.robot), dtype=rates.dtype, device=rates.device)
     rates = torch.nan_to_num(rates, 0.0)
-    change = (torch.minimum(torch.maximum(rates, -bounds), bounds) * kind.time_step).unbind(1)
-    forward, turn, joints = change[0], change[-1 - layout.robot.joints], change[len(change) - layout.robot.joints :]
+    rates = torch.minimum(torch.maximum(rates, -bounds), bounds)
+    count = len(bounds) - count_levels(layout.robot)
+    change, grip = (rates[:, :count] * kind.time_step).unbind(1), _find_asked(state, rates[:, count:].unbind(1))
+    forward, turn, joints = change[0], change[-1 - layout.robot.joints], change[count - layout.robot.joints :]
     cos, sin = compute_rotation(layout, tables, state)
     middle = compute_heading(layout, tables, state) + turn / 2.0
     cos, sin = torch.where(turn == 0.0, cos, torch.cos(middle)), torch.where(turn == 0.0, sin, torch.sin(middle))
@@ -318,14 +328,39 @@ def glide(layout: Layout, tables: Tables, state: TensorState, rates: Tensor) -> 
     scale = None
     if layout.dynamics.is_random:
         normal, uniform = compute_noise(state.noise_key, state.primitives)
-        scale = torch.where(uniform < layout.dynamics.slip, 0.0, 1.0 + layout.dynamics.noise * normal)
-        dx, dy, turn = scale * dx, scale * dy, scale * turn
-    dx, dy = store(dx), store(dy)
-    free = _find_free_fraction(layout, tables, state, dx, dy)
-    moved = state._replace(x=state.x + free * dx, y=state.y + free * dy)
+        slips = uniform < layout.dynamics.slip
+        scale = torch.where(slips, 0.0, 1.0 + layout.dynamics.noise * normal)
+        dx, dy, turn, grip = scale * dx, scale * dy, scale * turn, torch.where(slips, 0, grip)
+    moved = _advance(layout, tables, state, store(dx), store(dy))
     moved = _take_turn(layout, tables, moved, _turn_smoothly(layout, moved, turn), turn)
     moved = _bend(layout, moved, joints, scale) if joints else moved
-    return _complete_motion(layout, tables, state, moved, torch.zeros_like(state.touching))
+    return _complete_motion(layout, tables, state, moved, grip)
+
+
+def _find_asked(state: TensorState, levels: Sequence[Tensor]) -> Tensor:
+    """What the levels of gripper and use, (rooms,) each, ask the hand to do, as `find_grip` says, int64 (rooms,)."""
+    asked = torch.zeros_like(state.touching)
+    for level in levels[1:]:
+        asked = torch.where(level > GRIPPER_LEVEL, USE, asked)
+    for level in levels[:1]:
+        asked = torch.where(level.abs() > GRIPPER_LEVEL, torch.sign(level).to(asked.dtype), asked)
+    return asked
+
+
+def _advance(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> TensorState:
+    """States after displacements as far as they are free; what is in the way is pushed where that frees all of it."""
+    if not layout.can_push:
+        free = _find_free_fraction(layout, tables, state, dx, dy)
+        return state._replace(x=state.x + free * dx, y=state.y + free * dy)
+    reached, stride = _find_contact(layout, tables, state, dx, dy), torch.full_like(dx, layout.actions.stride)
+    there, is_along = state._replace(x=state.x + reached * dx, y=state.y + reached * dy), dx.abs() >= dy.abs()
+    pushed = _push(layout, tables, there, torch.where(is_along, torch.copysign(stride, dx), 0.0),
+                   torch.where(is_along, 0.0, torch.copysign(stride, dy)))
+    is_free = reached >= 1.0
+    freed = state._replace(puzzle=torch.where(is_free, state.puzzle, pushed.puzzle))
+    moves = is_free | (_find_contact(layout, tables, freed, dx, dy) >= 1.0)
+    return state._replace(x=torch.where(moves, state.x + dx, state.x), y=torch.where(moves, state.y + dy, state.y),
+                          puzzle=torch.where(moves, freed.puzzle, state.puzzle))
 
 
 def _turn_smoothly(layout: Layout, state: TensorState, turn: Tensor) -> TensorState:

@@ -23,7 +23,7 @@ class Contacts(NamedTuple):
             of numbers below p.
         touching: indices of all targets touched at its end, ascending: panels in reach, and pads stood on.
         grip: 1 if the primitive was `grip`, -1 if it was `release`, `USE` if it was `use`, `PUSH` if a move pushes the
-            thing ahead of it, else 0.
+            thing ahead of it, else 0. In a step of velocities it comes after the motion and what that pressed.
         has_moved: the body's axis has moved.
         x: place of the body's axis in the room frame, m.
         y: place of the body's axis in the room frame, m.

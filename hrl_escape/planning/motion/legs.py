@@ -1,8 +1,8 @@
-"""A plan's legs as motions in time that press what the plan presses.
+"""A plan's legs as motions in time that press, grip and push what the plan does.
 
-A plan is cut wherever a touch begins, and once more before a target that is left and touched again. Each piece is the
-first of several ways that does the same in the room's own continuous kinematics: the fewest straight lines, a way
-round found by OMPL, the plan's own moves.
+A plan is cut wherever a touch begins, and once more before a target that is left and touched again; before and after
+every grip and push. Each piece is the first of several ways that does the same in the room's own continuous kinematics:
+the fewest straight lines, a way round found by OMPL, the plan's own moves.
 
 A path of straight lines is timed by Ruckig (Berscheid and Kroeger 2021), under limits of speed, acceleration and jerk.
 On a line all coordinates share one profile. At a corner the velocity goes from the first line's to the second's
@@ -196,23 +196,27 @@ class Contact(NamedTuple):
     target: int  # index of the target
 
 
+class Grip(NamedTuple):
+    """An act of the hand, for which base and arm rest."""
+
+    time: float  # s
+    action: str  # name of the primitive: grip, release or use
+
+
 class Press(NamedTuple):
-    """A piece of a plan in time, with what it presses."""
+    """A piece of a plan in time, with what it presses, and what the hand does."""
 
     motion: TimedPath
     contacts: tuple[Contact, ...]
+    grips: tuple[Grip, ...] = ()
 
 
 def time_legs(plan: Plan, limits: MotionLimits, clearance: float) -> Iterator[Press]:
     """Time a plan, piece after piece.
 
     Raises:
-        UnsupportedError: the plan grips or pushes, or nowhere was a way that presses the same.
+        UnsupportedError: nowhere was a way that presses and pushes the same.
     """
-    grips = any(plan.instance.robot.actions.primitives[action].grip for action in plan.primitives)
-    if grips or isinstance(plan.instance.puzzle, Pushing):
-        raise UnsupportedError(f"plan {plan.name!r} grips, uses or pushes things, which no trajectory does: follow its "
-                               "primitives")
     legs = _Legs(plan, limits, clearance)
     for part in plan.parts:
         for begin, end in itertools.pairwise([part.start, *_list_stops(plan, part.start, part.stop)]):
@@ -224,12 +228,24 @@ def _list_stops(plan: Plan, start: int, stop: int) -> list[int]:
     touched, stops, last = [state.touching for state in plan.states], [], start
     for k in range(start + 1, stop + 1):
         begun = touched[k] & ~touched[k - 1]
-        if begun & touched[last] and k - 1 > last:
+        acts = bool(find_act(plan, k - 1)) or has_pushed(plan.instance, plan.states[k - 1], plan.states[k])
+        if (acts or begun & touched[last]) and k - 1 > last:
             stops.append(k - 1)
-        if begun or k == stop:
+        if acts or begun or k == stop:
             stops.append(k)
             last = k
     return stops
+
+
+def find_act(plan: Plan, index: int) -> str:
+    """Name of a plan's primitive by its index if the hand acts, as in grip, release and use; else empty."""
+    primitive = plan.instance.robot.actions.primitives[plan.primitives[index]]
+    return primitive.name if primitive.grip else ""
+
+
+def has_pushed(room: RoomInstance, before: RoomState, after: RoomState) -> bool:
+    """Return whether a motion between two states has pushed something from cell to cell."""
+    return isinstance(room.puzzle, Pushing) and before.puzzle != after.puzzle
 
 
 class _Legs:
@@ -248,17 +264,22 @@ class _Legs:
     def time_piece(self, begin: int, end: int, name: str) -> Press:
         """Time the first way from one state of the plan to another that does what the plan does."""
         states = self._plan.states
+        if act := find_act(self._plan, begin):
+            return act_at(self._get_pose(states[begin]), act)
         wanted = states[end].touching & ~states[end - 1].touching
         for path in self._list_ways(begin, end, wanted):
             margins = ROUNDINGS if self._strafes and len(path.points) > 2 else (0.0,)
             for margin in margins:
                 motion = time_path(dataclasses.replace(path, margin=margin), self._rates)
                 played = play(self._rules, self._near, motion, states[begin])
-                if played is not None and sorted(c.target for c in played[0]) == list(list_touched(wanted)):
+                if played is None or sorted(c.target for c in played[0]) != list(list_touched(wanted)):
+                    continue
+                if not has_pushed(self._room, states[end], played[1]):
                     return Press(rest(motion) if wanted else motion, played[0])
         targets = ", ".join(self._room.targets[t].name for t in list_touched(wanted)) or "nothing"
         raise UnsupportedError(f"no trajectory was found for the leg {name!r} of {self._plan.name!r} that presses "
-                               f"{targets} and nothing else on its way: follow its primitives instead")
+                               f"{targets} and nothing else on its way, and pushes the same: follow its primitives "
+                               "instead")
 
     # --- ways ----------------------------------------------------------------------------
 
@@ -424,6 +445,11 @@ def rest(motion: TimedPath) -> TimedPath:
     times, positions, velocities = motion
     return TimedPath(np.append(times, times[-1] + PRESS_SECONDS), np.concatenate([positions, positions[-1:]]),
                      np.concatenate([velocities, np.zeros_like(velocities[:1])]))
+
+
+def act_at(pose: NDArray[np.float64], action: str) -> Press:
+    """A rest at a pose (coordinates,), at the beginning of which the hand acts."""
+    return Press(rest(TimedPath(np.zeros(1), pose[None], np.zeros_like(pose)[None])), (), (Grip(0.0, action),))
 
 
 _Discs = list[tuple[Footprint, float]]

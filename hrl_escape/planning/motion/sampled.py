@@ -1,5 +1,7 @@
 """Trajectories by sampling, without a plan of primitives: the base's way by OMPL, a press by Pinocchio and OMPL.
 
+A grip begins as a press does, or on a map at a place before the thing; so does a push, which ends in a straight line.
+
 A disc's way is planned in the plane, a rectangle's in SE(2) or, where it cannot strafe, by `drives.py`, round every
 target that is not to be pressed. A hand is brought to its target by inverse kinematics, from a place of the base where
 that has an answer, and the arm's motion is planned in joint space. What was found is played by the room's kinematics,
@@ -21,18 +23,21 @@ from hrl_escape.clock import NO_LIMIT
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
+from hrl_escape.env.kinematics import Glide, Kinematics, RoomState, Rules
+from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.areas import Area, compute_goal_area, sample_places
 from hrl_escape.planning.arm.joint_lattice import NEVER
 from hrl_escape.planning.arm.reacher import Reacher
-from hrl_escape.planning.goals import Goal, PressGoal, describe_goal, is_reached
+from hrl_escape.planning.goals import Goal, GripGoal, PressGoal, describe_goal, is_reached
 from hrl_escape.planning.motion.drives import Floor, find_drive, list_docks
 from hrl_escape.planning.motion.legs import (
     MISSED_BY,
     ROUNDINGS,
     Press,
+    act_at,
+    has_pushed,
     list_bodies,
     list_shut_doors,
     play,
@@ -43,6 +48,7 @@ from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.trajectory import TimedTrajectory, join_presses
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, MotionPath
 from hrl_escape.planning.plan import make_planned_room
+from hrl_escape.planning.routes import SIDES, list_places
 
 WAY_PLANNER = "InformedRRTstar"
 """Planner of the base's way: asymptotically optimal."""
@@ -72,6 +78,9 @@ class _Place(NamedTuple):
     postures: NDArray[np.float64]
 
 
+_NO_POSTURES = np.zeros((0, 0))
+
+
 class MotionSampler:
     """Plans trajectories to the goals of one room. Not thread-safe.
 
@@ -93,39 +102,87 @@ class MotionSampler:
         self._strafes = self._room.robot.drive == "strafing"
         self._needs_room = not (self._strafes or self._room.robot.base.turns_anywhere)
         self._by_hand = self._room.dynamics.press_with == "hand"
+        self._is_mapped = isinstance(self._room.puzzle, Mapped)  # its targets are floor
 
     def plan(self, state: RoomState, goal: Goal) -> TimedTrajectory:
-        """Plan a trajectory that reaches a goal, and presses no target but its own.
+        """Plan a trajectory that reaches a goal, and presses no target but its own, unless on a map.
 
         Raises:
             PlanningFailed: none was found, which does not prove that there is none.
         """
         name = describe_goal(goal, self._room)
-        if self._by_hand and isinstance(goal, PressGoal):
-            ways = self._list_presses(state, goal)
-        else:
-            ways = ([way] for way in self._list_ways(state, goal))
-        for way in ways:
+        for way in self._list_plans(state, goal):
             presses = self._time(way, state, goal)
             if presses is not None:
                 return join_presses(self._names, presses, self._limits, self._rules.robot, name)
         raise PlanningFailed(PlanningReason.UNREACHABLE_AT_RESOLUTION, name,
                              (state.x, state.y, self._rules.get_heading(state)), 0.0, (self._way_planner,))
 
+    def _list_plans(self, state: RoomState, goal: Goal) -> Iterator[list[MotionPath]]:
+        """Paths of base and arm, one after another, to a goal, or to where a grip or push begins."""
+        if isinstance(goal, GripGoal) and self._is_mapped:
+            yield from self._list_approaches(state, goal)
+        elif isinstance(goal, GripGoal) and state.touching >> goal.target & 1:
+            yield []
+        elif isinstance(goal, (PressGoal, GripGoal)) and self._by_hand:
+            yield from self._list_presses(state, PressGoal(goal.target), isinstance(goal, GripGoal))
+        else:
+            touch = PressGoal(goal.target) if isinstance(goal, GripGoal) else goal
+            yield from ([way] for way in self._list_ways(state, touch))
+
     def _time(self, paths: Sequence[MotionPath], state: RoomState, goal: Goal) -> list[Press] | None:
-        """Time paths one after another; None unless together they reach the goal and press nothing else."""
+        """Time paths one after another; None unless together they reach the goal, and press and push nothing else."""
         wanted, pressed, presses, before = getattr(goal, "target", None), [], [], state
         for path in paths:
             motion = time_path(path, self._rates)
             played = play(self._rules, self._near, motion, state)
-            if played is None:
+            if played is None or has_pushed(self._room, state, played[1]):
                 return None
             contacts, state = played
             pressed += [contact.target for contact in contacts]
             presses.append(Press(rest(motion) if contacts else motion, contacts))
-        if wanted is None:
-            return presses if not pressed and is_reached(goal, before, state, self._rules) else None
-        return presses if pressed == [wanted] else None
+        if isinstance(goal, GripGoal):
+            last = self._act(state, goal) if self._is_mapped or {*pressed} <= {wanted} else None
+            return None if last is None else [*presses, last]
+        if wanted is not None:
+            return presses if pressed == [wanted] else None
+        is_alone = self._is_mapped or not pressed
+        return presses if is_alone and is_reached(goal, before, state, self._rules) else None
+
+    # --- grips and pushes ----------------------------------------------------------------
+
+    def _list_approaches(self, state: RoomState, goal: GripGoal) -> Iterator[list[MotionPath]]:
+        """Ways of the base to a place on the map from which the hand reaches a goal, or the base pushes it there."""
+        x, y, heading, *angles = self._get_pose(state)
+        for places in list_places(goal, state, self._rules):
+            for place in places:
+                if math.hypot(place.x - x, place.y - y) <= place.tolerance:
+                    turn = 0.0 if place.heading is None else math.remainder(place.heading - heading, math.tau)
+                    yield [self._make_path(np.array([(x, y, heading, *angles), (x, y, heading + turn, *angles)]))]
+            ends = [_Place((place.x, place.y), heading if place.heading is None else place.heading, _NO_POSTURES)
+                    for place in places]
+            yield from ([way] for way in self._list_ways(state, ends))
+
+    def _act(self, state: RoomState, goal: GripGoal) -> Press | None:
+        """What reaches a goal from its place: an act of the hand at rest, or a straight push; None where it fails."""
+        pose, actions, side = self._get_pose(state), self._rules.actions, goal.action.partition("push-")[2]
+        if not side:
+            hold = Glide(0.0, 0.0, 0.0, (0.0,) * self._room.robot.joints, 0.0,
+                         actions.primitives[actions.find(goal.action)].grip)
+            done, press = self._rules.glide(state, hold).state, act_at(pose, goal.action)
+            return press if is_reached(goal, state, done, self._rules) else None
+        line = np.stack([pose, pose])
+        line[1, :2] += actions.stride * np.array(SIDES[side][:2])
+        motion = time_path(self._make_path(line), self._rates)
+        played = play(self._rules, self._near, motion, state)
+        is_done = played is not None and is_reached(goal, state, played[1], self._rules)
+        return Press(motion, played[0]) if played is not None and is_done else None
+
+    def _get_pose(self, state: RoomState) -> NDArray[np.float64]:
+        return np.array([state.x, state.y, self._rules.get_heading(state), *self._rules.get_angles(state)])
+
+    def _make_path(self, points: NDArray[np.float64], margin: float = 0.0) -> MotionPath:
+        return MotionPath(self._names, points, np.ones(len(self._names)), margin, self._way_planner)
 
     # --- the base ------------------------------------------------------------------------
 
@@ -134,7 +191,7 @@ class MotionSampler:
         points = self._find_way(state, goal)
         if points is not None:
             for margin in ROUNDINGS if self._strafes and len(points) > 2 else (0.0,):
-                yield MotionPath(self._names, points, np.ones(len(self._names)), margin, self._way_planner)
+                yield self._make_path(points, margin)
 
     def _find_way(self, state: RoomState, goal: Goal | Sequence[_Place]) -> NDArray[np.float64] | None:
         """Poses (n, coordinates) that OMPL finds for the base, the arm at rest; None where it finds none."""
@@ -256,7 +313,7 @@ class MotionSampler:
         """
         room, grown = self._room, list_shut_doors(self._room, state)
         grown += list_bodies(room, 0 if wanted is None or self._by_hand else 1 << wanted, door_shut)
-        for number, target in enumerate(() if self._by_hand else room.targets):
+        for number, target in enumerate(() if self._by_hand or self._is_mapped else room.targets):
             if number != wanted and not state.touching >> number & 1:
                 more = max(0.0, room.compute_press_reach(target) - room.robot.outer_radius - CONTACT_SKIN) + MISSED_BY
                 shape = target.footprint
@@ -271,7 +328,7 @@ class MotionSampler:
     def _reacher(self) -> Reacher:
         return Reacher(self._room)
 
-    def _list_presses(self, state: RoomState, goal: PressGoal) -> Iterator[list[MotionPath]]:
+    def _list_presses(self, state: RoomState, goal: PressGoal, grips: bool) -> Iterator[list[MotionPath]]:
         """The arm's motion from where the base stands, then ways to places from which the hand gets to a target."""
         target = self._room.targets[goal.target]
 
@@ -283,9 +340,11 @@ class MotionSampler:
         places = self._list_places(state, goal, find_postures)
         for way in self._list_ways(state, places) if places else ():
             played = play(self._rules, self._near, time_path(way, self._rates), state)
-            if played is not None and played[0]:
-                yield [way]  # taken if the hand, carried along, presses the target alone
-            elif played is not None:
+            if played is None or {contact.target for contact in played[0]} - {goal.target}:
+                continue
+            if played[0]:
+                yield [way]  # the hand, carried along, presses the target; to grip, it may have to come back to it
+            if not played[0] or grips:
                 for path in self._move_arm(played[1], _find_place(places, way.points[-1, :2]).postures):
                     yield [way, path]
 
@@ -332,8 +391,7 @@ class MotionSampler:
         if self._room.dynamics.kind == "kinematic":
             found += [np.stack([here, posture]) for posture in postures]
         for points in found:
-            yield MotionPath(self._names, np.column_stack([np.tile(base, (len(points), 1)), points]),
-                             np.ones(len(self._names)), 0.0, self._way_planner)
+            yield self._make_path(np.column_stack([np.tile(base, (len(points), 1)), points]))
 
 
 def _find_place(places: Sequence[_Place], at: NDArray[np.float64]) -> _Place:

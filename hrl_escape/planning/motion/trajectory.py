@@ -18,12 +18,13 @@ from scipy.interpolate import CubicHermiteSpline
 
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import SOFT_LIMIT, EpisodeEnd, RoomState, Rules
+from hrl_escape.env.kinematics import SOFT_LIMIT, EpisodeEnd, Kinematics, RoomState, Rules
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.robot import Robot, make_robot
+from hrl_escape.env.velocities import list_levels
 from hrl_escape.errors import ConfigError, EscapeError
 from hrl_escape.files import write_json, write_text
-from hrl_escape.planning.motion.legs import Contact, Press, time_legs, time_path
+from hrl_escape.planning.motion.legs import Contact, Grip, Press, time_legs, time_path
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.plan import Plan
@@ -43,6 +44,7 @@ class TimedTrajectory:
         velocities: at the knots, shape (n, coordinates), m/s and rad/s.
         limits: that it keeps.
         contacts: when each touch of a target begins, in order; none for a path of the arm.
+        grips: when the hand grips, releases or uses, in order.
     """
 
     names: tuple[str, ...]
@@ -51,6 +53,7 @@ class TimedTrajectory:
     velocities: NDArray[np.float64]
     limits: MotionLimits
     contacts: tuple[Contact, ...] = ()
+    grips: tuple[Grip, ...] = ()
 
     @property
     def duration(self) -> float:
@@ -80,7 +83,8 @@ class TimedTrajectory:
         """Return plain values for JSON."""
         return {"names": list(self.names), "times": self.times.tolist(), "positions": self.positions.tolist(),
                 "velocities": self.velocities.tolist(), "limits": dataclasses.asdict(self.limits),
-                "contacts": [contact._asdict() for contact in self.contacts]}
+                "contacts": [contact._asdict() for contact in self.contacts],
+                "grips": [grip._asdict() for grip in self.grips]}
 
     def to_ros(self, rate: float = 50.0) -> dict[str, Any]:
         """Return the fields of a ROS `moveit_msgs/RobotTrajectory`, sampled at a rate in Hz.
@@ -123,7 +127,7 @@ class TimedTrajectory:
             raise ConfigError("path", str(path), "a name that ends in .json or .csv")
 
     def draw(self, instance: RoomInstance, path: str | Path | None = None) -> Any:
-        """Draw the base's way on the room's map, with dots where touches begin.
+        """Draw the base's way on the room's map, with dots where touches begin and where the hand acts.
 
         Args:
             instance: the room.
@@ -139,7 +143,7 @@ class TimedTrajectory:
             raise ConfigError("names", self.names, "a trajectory that moves the base: x, y, ...")
         points = self.sample(50.0)[1][:, :2]
         figure = make_map(instance, None, [Trajectory(points, f"{self.duration:.1f} s")])
-        presses = self.evaluate([contact.time for contact in self.contacts])
+        presses = self.evaluate([event.time for event in (*self.contacts, *self.grips)])
         figure.axes[0].plot(*presses[:, :2].T, "o", color="black", markersize=5, zorder=5)
         if path is not None:
             save_figure(path, figure)
@@ -150,8 +154,9 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
                     ) -> TimedTrajectory:
     """Make a trajectory of a plan, or of a path of `ArmPlanner`.
 
-    That of a plan presses the plan's targets in the plan's order and no other, and touches no solid, in the room's own
-    continuous kinematics; it rests after each press. Corners are rounded as far as that stays so.
+    That of a plan presses the plan's targets in the plan's order and no other, grips and pushes what the plan does, and
+    touches no solid, in the room's own continuous kinematics; it rests after each press, and at each grip. Corners are
+    rounded as far as that stays so.
 
     Args:
         motion: the plan or the path.
@@ -160,7 +165,7 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
 
     Raises:
         ConfigError: nothing moves, a joint would pass its limits, or its effort does not hold the arm.
-        UnsupportedError: no trajectory was found that presses what the plan presses, or the plan grips or pushes.
+        UnsupportedError: no trajectory was found that presses and pushes what the plan does.
     """
     limits = limits or MotionLimits()
     if isinstance(motion, Plan):
@@ -188,18 +193,19 @@ def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionL
         ConfigError: see `make_trajectory`.
     """
     _check_joints(names, parts, robot)
-    contacts, begin = [], 0.0
+    contacts, grips, begin = [], [], 0.0
     times, knots, speeds = [np.zeros(1)], [parts[0].motion.positions[:1]], [parts[0].motion.velocities[:1]]
-    for (part_times, positions, velocities), begun in parts:
+    for (part_times, positions, velocities), begun, acts in parts:
         times.append(part_times[1:] + begin)
         knots.append(positions[1:])
         speeds.append(velocities[1:])
         contacts += [Contact(begin + contact.time, contact.target) for contact in begun]
+        grips += [Grip(begin + grip.time, grip.action) for grip in acts]
         begin += float(part_times[-1])
     if len(times[-1]) < 1 and sum(map(len, times)) < 2:
         raise ConfigError("motion", name, "a motion that moves something")
     trajectory = TimedTrajectory(names, np.concatenate(times), _unwind(names, knots), np.concatenate(speeds), limits,
-                                 tuple(contacts))
+                                 tuple(contacts), tuple(grips))
     return _keep_efforts(trajectory, robot) if robot and robot.joint_names else trajectory
 
 
@@ -210,7 +216,7 @@ def _check_joints(names: tuple[str, ...], parts: Sequence[Press], robot: Robot |
     """
     for name, (low, high) in zip(robot.joint_names, robot.limits, strict=True) if robot else ():
         column = names.index(name)
-        angles = np.concatenate([motion.positions[:, column] for motion, _ in parts])
+        angles = np.concatenate([motion.positions[:, column] for motion, *_ in parts])
         begin = min(max(float(angles[0]), low - SOFT_LIMIT), high + SOFT_LIMIT)
         if angles.min() < min(low, begin) - 1e-9 or angles.max() > max(high, begin) + 1e-9:
             raise ConfigError(f"motion.{name}", [float(angles.min()), float(angles.max())],
@@ -238,7 +244,8 @@ def _keep_efforts(trajectory: TimedTrajectory, robot: Robot) -> TimedTrajectory:
     with np.errstate(divide="ignore", invalid="ignore"):
         slower = math.sqrt(max(1.0, float(np.nan_to_num(np.abs(moved) / spare, posinf=1.0).max(initial=1.0))))
     return dataclasses.replace(trajectory, times=trajectory.times * slower, velocities=trajectory.velocities / slower,
-                               contacts=tuple(Contact(c.time * slower, c.target) for c in trajectory.contacts))
+                               contacts=tuple(Contact(c.time * slower, c.target) for c in trajectory.contacts),
+                               grips=tuple(Grip(grip.time * slower, grip.action) for grip in trajectory.grips))
 
 
 def _unwind(names: Sequence[str], knots: list[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -273,15 +280,18 @@ LONGEST_WAIT = 2.0
 """Longest wait for a press, s."""
 APPROACH = 0.05
 """Time before a touch whose direction is that of the push, s."""
+SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
+"""Shares of a step by which a trajectory's clock goes on, the first that nothing blocks."""
 ASTRAY = 1e-3
 """Distance from its first place, m or rad, at which a trajectory can still be begun."""
 
 
 class Tracker:
-    """Chooses the velocities of each step.
+    """Chooses the velocities of each step, and the levels of the gripper.
 
     Each step leads from the state reached to where the trajectory is a step later. Its clock stands still while a
-    target that it has come to is not yet pressed, and the robot pushes on.
+    target that it has come to is not yet pressed, and the robot pushes on; and for a step in which the hand acts. It
+    runs slower where the line between two steps meets a solid, in rooms whose blocked moves stay.
 
     Args:
         trajectory: of base and arm.
@@ -307,6 +317,7 @@ class Tracker:
         self._at = self._wanted = trajectory.positions[0]
         self._state, self._now, self._waited = state, 0.0, 0.0
         self._due, self._push = list(trajectory.contacts), np.zeros(len(names))
+        self._acts = list(trajectory.grips)
         self.pressed: list[int] = []
         self.see(state)
         if self.error.max() > ASTRAY:
@@ -316,7 +327,7 @@ class Tracker:
     @property
     def is_done(self) -> bool:
         """True at the trajectory's end."""
-        return self._now >= self._trajectory.duration - 1e-9
+        return self._now >= self._trajectory.duration - 1e-9 and not self._acts
 
     def see(self, state: RoomState) -> None:
         """Take in the state that the last step led to."""
@@ -329,22 +340,37 @@ class Tracker:
         self.error = np.zeros(len(self._at)) if self._push.any() else np.abs(self._at - self._wanted)
 
     def choose(self) -> NDArray[np.float64]:
-        """Choose the velocities of the next step, as the environment takes them."""
-        self._push = np.zeros(len(self._at))
+        """Choose the action of the next step, as the environment takes it."""
+        self._push, grip = np.zeros(len(self._at)), 0
         if self._due and self._due[0].time < self._now and self._waited < LONGEST_WAIT:
             self._waited += self._step
             touch = self._due[0].time
             way = self._trajectory.evaluate(touch) - self._trajectory.evaluate(touch - APPROACH)
             self._push = way * SHOVE / max(float(np.abs(way).max()), 1e-9)
+        elif self._acts and self._acts[0].time <= self._now:
+            actions = self._rules.actions
+            grip = actions.primitives[actions.find(self._acts.pop(0).action)].grip
         else:
             self._due, self._waited = self._due[1:] if self._waited else self._due, 0.0
-            self._now = min(self._now + self._step, self._trajectory.duration)
+            self._now = self._find_next()
         self._wanted = self._trajectory.evaluate(self._now)
         rates = (self._wanted + self._push - self._at) / self._step
         middle = self._at[2] + rates[2] * self._step / 2.0
         cos, sin = math.cos(middle), math.sin(middle)
-        sides = [-sin * rates[0] + cos * rates[1]] if self._rules.instance.robot.drive == "strafing" else []
-        return np.array([cos * rates[0] + sin * rates[1], *sides, *rates[2:]])
+        robot = self._rules.instance.robot
+        sides = [-sin * rates[0] + cos * rates[1]] if robot.drive == "strafing" else []
+        return np.array([cos * rates[0] + sin * rates[1], *sides, *rates[2:], *list_levels(robot, grip)])
+
+
+    def _find_next(self) -> float:
+        """The moment of the trajectory to which the next step leads, not beyond the next act of the hand."""
+        last, rules = min([self._trajectory.duration, *(act.time for act in self._acts[:1])]), self._rules
+        after = [min(self._now + share * self._step, last) for share in SHARES]
+        if isinstance(rules, Kinematics) and rules.instance.dynamics.blocked == "stay":
+            ways = ((moment, (self._trajectory.evaluate(moment) - self._at)[:2].tolist()) for moment in after)
+            free = (moment for moment, way in ways if rules.compute_advance(self._state, *way)[0] >= 1.0)
+            return next(free, after[0])
+        return after[0]
 
 
 class Tracking(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import gymnasium
 import numpy as np
@@ -10,12 +11,16 @@ import pytest
 import torch
 
 from benchmarks.conformance import compare
+from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.continuous_vector_env import EscapeRoomContinuousVectorEnv
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.velocities import Velocities
 from hrl_escape.errors import BatchError, ConfigError, ResetNeededError, UnsupportedError
+from hrl_escape.planning.planner import RoomPlanner
 from tests.covering import thin
+from tests.env.gliding import list_velocities
 from tests.env.rooms import all_schematics
 
 FAST = Velocities(0.25, speed=4.0, turn_speed=3.0, joint_speed=3.0)
@@ -23,13 +28,14 @@ ID = "hrl_escape/EscapeRoomContinuous-v1"
 
 
 def list_families():
-    """Kinematic rooms without grips and pushes; rectangles, a differential drive, noise and blocked moves that stay."""
-    found = {name: config for name, config in all_schematics().items()
-             if config.dynamics.kind == "kinematic" and not config.robot.actions.gripper and name != "sokoban"}
+    """All kinematic rooms; rectangles, a differential drive, noise and blocked moves that stay."""
+    found = {name: config for name, config in all_schematics().items() if config.dynamics.kind == "kinematic"}
     rectangle = {"footprint": "rectangle", "body_length": 1.0, "body_width": 0.6}
     for name, robot, dynamics in (("clutter", rectangle, {}), ("clutter", {"drive": "differential"}, {}),
                                   ("door", rectangle, {}), ("paper-two-button", rectangle, {"noise": 0.2, "slip": 0.1}),
-                                  ("arm-two-button", {}, {"noise": 0.2, "slip": 0.1, "blocked": "stay"})):
+                                  ("arm-two-button", {}, {"noise": 0.2, "slip": 0.1, "blocked": "stay"}),
+                                  ("door-key", {}, {"noise": 0.2, "slip": 0.2, "blocked": "contact"}),
+                                  ("taxi", {}, {"blocked": "contact"})):
         config = found[name]
         found[f"{name}, {' '.join(map(str, (*robot.values(), *dynamics)))}"] = dataclasses.replace(
             config, robot=dataclasses.replace(config.robot, **robot),
@@ -40,13 +46,43 @@ def list_families():
 FAMILIES = list_families()
 
 
-@pytest.mark.parametrize("name", [*thin([name for name in sorted(FAMILIES) if "rectangle" not in name], 3),
-                                  *(name for name in sorted(FAMILIES) if "rectangle" in name)])
+CARRYING = [name for name, config in sorted(FAMILIES.items()) if config.robot.gripper or name == "sokoban"]
+PRESSING = sorted(FAMILIES.keys() - CARRYING)
+
+
+@pytest.mark.parametrize("name", [*thin([name for name in PRESSING if "rectangle" not in name], 3),
+                                  *(name for name in PRESSING if "rectangle" in name), *CARRYING])
 def test_velocities_move_the_batch_as_the_scalar_rules(name):
     found = compare([generate(FAMILIES[name], 0)], 300, copies=10, velocities=FAST)
     assert not found.disagreements, found.disagreements[0]
     assert found.primitives >= 300 and found.close_calls <= 1
     assert found.worst < 1e-9
+
+
+@pytest.mark.parametrize(("preset", "seed"), [("taxi", 0), ("blocks-world", 1), ("door-key", 2), ("sokoban", 3)])
+def test_a_plan_that_grips_or_pushes_played_as_velocities_leads_to_the_same_states(preset, seed):
+    planner, velocities = RoomPlanner(generate(get_preset(preset), seed)), Velocities(speed=5.0, turn_speed=4.0)
+    rules, changes = planner.rules, 0
+    plan = planner.solve(rules.make_state(planner.instance.starts[0]))
+    batch = TensorRoom(Rooms(1, instance=plan.instance), autoreset="disabled", velocities=velocities)
+    batch.reset(torch.zeros(1, dtype=torch.int64))
+    batch.set_room_state(0, plan.states[0])
+    state = plan.states[0]
+    for action in plan.primitives:
+        for rates in list_velocities(rules, action, 7, velocities.time_step):  # none ends on the edge of a pad
+            done = velocities.judge(rules.glide(state, velocities.make_glide(rules, state, tuple(rates.tolist()))),
+                                    plan.instance)
+            outcome, before, state = batch.step(torch.from_numpy(rates)[None]), state, done.state
+            found = batch.get_room_state(0)
+            assert max(abs(found.x - state.x), abs(found.y - state.y)) < 1e-9
+            assert abs(math.remainder(rules.get_heading(found) - rules.get_heading(state), math.tau)) < 1e-9
+            assert (found.puzzle, found.touching) == (state.puzzle, state.touching)
+            assert float(outcome.reward) == pytest.approx(done.reward)
+            assert (bool(outcome.terminated), bool(outcome.info.success)) == (done.terminated, done.terminated)
+            changes += state.puzzle != before.puzzle
+            if done.terminated:
+                break
+    assert done.terminated and changes >= len(plan.parts) - 1
 
 
 @pytest.mark.slow
@@ -121,8 +157,6 @@ def test_compiled_velocities_do_what_eager_ones_do():
 
 
 def test_wrong_rooms_actions_and_settings_are_named():
-    with pytest.raises(UnsupportedError, match="grip or push"):
-        EscapeRoomContinuousVectorEnv(2, "taxi")
     physics = dataclasses.replace(get_preset("paper-two-button"), dynamics=dataclasses.replace(
         get_preset("paper-two-button").dynamics, kind="physics"))
     with pytest.raises(UnsupportedError, match="physics"):

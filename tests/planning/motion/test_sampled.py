@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -11,12 +12,13 @@ import pytest
 from benchmarks.sampled_motions import make_schematic, measure
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.geometry import compute_distance, make_footprint
-from hrl_escape.env.presets import get_preset
+from hrl_escape.env.kinematics import EpisodeEnd
+from hrl_escape.env.presets import blocks_world, get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import PlanningFailed
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.goals import ExitGoal, PressGoal
+from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal, is_reached
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.sampled import MotionSampler
 from hrl_escape.planning.motion.trajectory import track
@@ -66,6 +68,42 @@ def test_a_sampled_motion_is_tracked_to_the_press():
     env.reset(options={"state": state})
     tracking = track(sampler.plan(state, PressGoal(1)), env)
     assert tracking.pressed == (1,) and tracking.distance < 1e-6
+
+
+@pytest.mark.parametrize(("config", "seed"), [
+    (get_preset("taxi"), 0), (blocks_world(hand=True), 0), (get_preset("key-corridor"), 2), (get_preset("sokoban"), 3),
+    *(pytest.param(config, seed, marks=pytest.mark.slow) for seed in range(4, 10)
+      for config in (get_preset("taxi"), blocks_world(), blocks_world(hand=True), get_preset("door-key"),
+                     get_preset("multi-room"), get_preset("key-corridor"), get_preset("sokoban")))],
+    ids=lambda value: getattr(value, "name", value))
+def test_sampled_motions_carry_and_push_until_the_robot_is_out(config, seed):
+    planner, sampler, state = make(config, seed)
+    env = EscapeRoomContinuousEnv(instance=planner.instance, time_limit=1e4)
+    env.reset(options={"state": state})
+    for part in planner.solve(state).parts:
+        before, trajectory = env.get_state(), sampler.plan(env.get_state(), part.goal)
+        tracking = track(trajectory, env)
+        acts = isinstance(part.goal, GripGoal) and not part.goal.action.startswith("push-")
+        assert [grip.action for grip in trajectory.grips] == ([part.goal.action] if acts else [])
+        changes = sum(a.puzzle != b.puzzle for a, b in itertools.pairwise(tracking.states))
+        assert is_reached(part.goal, before, env.get_state(), planner.rules)
+        assert changes == isinstance(part.goal, GripGoal), "nothing else is gripped or pushed"
+        assert tracking.distance < 1e-6
+    assert tracking.end is EpisodeEnd.ESCAPED
+
+
+def test_a_hand_that_touches_already_grips_where_it_is_and_leaves_other_places_alone():
+    planner, sampler, state = make(get_preset("blocks-world"), 1)
+    goal = planner.solve(state).parts[0].goal
+    there = planner.plan(state, PressGoal(goal.target)).states[-1]
+    trajectory = sampler.plan(there, goal)
+    assert np.ptp(trajectory.positions, axis=0).max() == 0.0 and [grip.time for grip in trajectory.grips] == [0.0]
+    assert [contact.target for contact in sampler.plan(state, goal).contacts] == [goal.target]
+    env = EscapeRoomContinuousEnv(instance=planner.instance)
+    env.reset(options={"state": there})
+    track(trajectory, env)
+    with pytest.raises(PlanningFailed, match="grip"):  # the hand is full
+        sampler.plan(env.get_state(), goal)
 
 
 def test_what_no_way_leads_to_is_a_failure_by_name():

@@ -13,7 +13,9 @@ import pytest
 
 from benchmarks.trajectories import check, list_faults, list_presses, list_schematics, measure_peaks, solve
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
+from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
+from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
@@ -21,7 +23,7 @@ from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.motion.legs import PRESS_SECONDS
 from hrl_escape.planning.motion.limits import MotionLimits, compute_duration, compute_rest_to_rest
-from hrl_escape.planning.motion.trajectory import make_trajectory
+from hrl_escape.planning.motion.trajectory import make_trajectory, track
 from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.planner import RoomPlanner
 
@@ -108,9 +110,26 @@ def test_the_base_rests_after_each_press():
         assert any(0.0 <= time - contact.time < 1.0 for time in slow)
 
 
-def test_plans_that_grip_are_refused():
-    with pytest.raises(UnsupportedError, match="grips"):
-        make_trajectory(make_plan("taxi", 0))
+@pytest.mark.parametrize(("preset", "seed"), [
+    ("taxi", 0), ("blocks-world", 1), ("door-key", 2), ("sokoban", 3),
+    *(pytest.param(preset, seed, marks=pytest.mark.slow) for seed in range(4, 12)
+      for preset in ("taxi", "blocks-world", "door-key", "key-corridor", "multi-room", "sokoban"))])
+def test_plans_that_grip_or_push_are_driven_to_their_ends(preset, seed):
+    plan = make_plan(preset, seed)
+    trajectory, actions = make_trajectory(plan), plan.instance.robot.actions.primitives
+    assert [grip.action for grip in trajectory.grips] == [
+        actions[action].name for action in plan.primitives if actions[action].grip]
+    rests = [trajectory.evaluate([grip.time, grip.time + 0.9 * PRESS_SECONDS], 1) for grip in trajectory.grips]
+    assert np.abs([0.0, *np.ravel(rests)]).max() < 1e-9, "it rests there"
+    assert max(measure_peaks(trajectory, LIMITS).values()) <= 1.0 + 1e-6
+    for time_step in (0.05, 0.4):  # the second passes over whole rests
+        env = EscapeRoomContinuousEnv(instance=plan.instance, time_step=time_step, time_limit=1e4)
+        env.reset(options={"state": plan.states[0]})
+        tracking = track(trajectory, env)
+        puzzles = [key for key, _ in itertools.groupby(state.puzzle for state in tracking.states)]
+        planned = [key for key, _ in itertools.groupby(state.puzzle for state in plan.states)]
+        assert tracking.end is EpisodeEnd.ESCAPED and puzzles == planned
+    assert json.loads(json.dumps(trajectory.to_dict()))["grips"] == [grip._asdict() for grip in trajectory.grips]
 
 
 # --- limits ----------------------------------------------------------------------------------
