@@ -89,6 +89,8 @@ def test_sampled_motions_carry_and_push_until_the_robot_is_out(config, seed):
         assert is_reached(part.goal, before, env.get_state(), planner.rules)
         assert changes == isinstance(part.goal, GripGoal), "nothing else is gripped or pushed"
         assert tracking.distance < 1e-6
+        if tracking.end.is_over:  # the last place may be within the exit
+            break
     assert tracking.end is EpisodeEnd.ESCAPED
 
 
