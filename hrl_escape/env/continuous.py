@@ -35,9 +35,9 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
     In a step the base goes straight, along its heading in the middle of the turn, until its first contact, which is
     exact; then it turns on the spot. Joints stop at their limits. Under physics all of it moves at once in Bullet.
     A touch counts if it is there at the end of a step. Then the hand acts, as the primitive of that name would from
-    there; a level that is held asks anew in each step. A thing in the way of the base is pushed, where things can be, as
-    a move from the place of contact to the nearest of the map's four sides would push it; if that does not let the base
-    through, nothing moves.
+    there; a level that is held asks anew in each step. A thing in the way of the base is pushed, where things can be,
+    as a move from the place of contact to the nearest of the map's four sides would push it; if that does not let the
+    base through, nothing moves.
 
     ## Rewards
     -1 a second, so -`time_step` a step. Puzzles and the exit pay what they pay there, an act of the hand each time.
