@@ -85,6 +85,9 @@ def list_ranges(settings: Any) -> dict[str, Between]:
     return dict(_find_ranges(settings, ""))
 
 
+_PLAIN = frozenset({int, float, str, bool, tuple, type(None)})
+
+
 def _find_ranges(settings: Any, path: str) -> Iterator[tuple[str, Between]]:
     for name in _list_names(type(settings)):
         value = getattr(settings, name)
@@ -94,9 +97,6 @@ def _find_ranges(settings: Any, path: str) -> Iterator[tuple[str, Between]]:
             yield path + name, value
         elif dataclasses.is_dataclass(value):
             yield from _find_ranges(value, f"{path}{name}.")
-
-
-_PLAIN = frozenset({int, float, str, bool, tuple, type(None)})
 
 
 @functools.cache

@@ -65,7 +65,7 @@ class Study:
     @property
     def name(self) -> str:
         """The folder's, with hyphens; that of the command."""
-        return self.folder.name.replace("_", "-")
+        return _name(self.folder)
 
     @property
     def page(self) -> str:
@@ -121,8 +121,12 @@ def find_study(name: str) -> Study:
 
 
 def _list_folders() -> dict[str, Path]:
-    """Folders of the project's studies, by the name that `Study.name` makes of each."""
-    return {path.parent.name.replace("_", "-"): path.parent for path in sorted(ROOT.glob(f"*/{DEFINITION}"))}
+    """Folders of the project's studies, by name."""
+    return {_name(path.parent): path.parent for path in sorted(ROOT.glob(f"*/{DEFINITION}"))}
+
+
+def _name(folder: Path) -> str:
+    return folder.name.replace("_", "-")
 
 
 def _load(folder: Path) -> Study:

@@ -20,9 +20,9 @@ events, displacements = synthesise(room, "events", "learned"), synthesise(room, 
 print("events:", *events.names, sep="\n  ")
 print("displacements:", *displacements.names, sep="\n  ")
 
-# Events are absolute: the same goal wherever the robot is. Along the planner's way out each comes about once, in the
-# order that the puzzle asks for. That order is what a learner has to find: its goals tell it what can happen here, not
-# when.
+# Events are absolute: the same goal wherever the robot is. Here is when each comes about for the first time on the
+# planner's way out, in the order that the puzzle asks for. That order is what a learner has to find: its goals tell it
+# what can happen here, not when.
 
 plan = RoomPlanner(room).solve(here)
 env = HierarchyEnv(flat_room, kind="events", leaves="learned")

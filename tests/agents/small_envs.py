@@ -39,7 +39,9 @@ class Step(NamedTuple):
 
 def compute_shares(outcomes: Sequence[Outcome]) -> NDArray[np.float64]:
     """Cumulative probabilities, by which one number draws an outcome as `Generator.choice` would, much faster."""
-    cumulative = np.cumsum([outcome.probability for outcome in outcomes])
+    shares = np.array([outcome.probability for outcome in outcomes])
+    assert not outcomes or (shares >= 0).all() and abs(shares.sum() - 1) < 1e-8, f"no probabilities: {shares}"
+    cumulative = np.cumsum(shares)
     return cumulative / cumulative[-1:]
 
 

@@ -15,7 +15,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
-from hrl_escape.errors import UnsupportedError
+from hrl_escape.errors import AgentSettingsError, UnsupportedError
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.synthesis import HierarchyEnv, HierarchyVectorEnv, synthesise
 from hrl_escape.synthesis.kinds import find_kind, list_privileges
@@ -115,6 +115,14 @@ def test_with_events_of_the_room_skills_over_moves_find_the_way_out(config):
     flat = train("option-keyboard", EscapeRoomEnv(config), **budget)
     assert any(each.success_rate == 1.0 for each in given.evaluations)
     assert not any(each.success_rate for each in flat.evaluations)
+
+
+def test_goals_and_their_names_are_as_many():
+    space = synthesise(generate(TINY, 0), "events", "learned")
+    with pytest.raises(AgentSettingsError, match=r"4 names.*one for each of 5 goals"):
+        dataclasses.replace(space, names=space.names[:-1])
+    with pytest.raises(AgentSettingsError, match="at least one goal"):
+        dataclasses.replace(space, goals=np.zeros((0, 5)))
 
 
 def test_a_folder_brings_back_an_agent_with_its_goals(tmp_path):

@@ -158,6 +158,9 @@ class GoalSpace:
         if self.goals.ndim != 2 or not len(self.goals):
             raise AgentSettingsError("GoalSpace.goals", f"an array of shape {self.goals.shape}",
                                      "(count, dimensions), at least one goal")
+        if self.names and len(self.names) != len(self.goals):
+            raise AgentSettingsError("GoalSpace.names", f"{len(self.names)} names", f"one for each of "
+                                     f"{len(self.goals)} goals, or none")
 
     def locate(self, goal: GoalPoint, observation: Any) -> GoalPoint:
         """Point that a goal named at an observation means."""
