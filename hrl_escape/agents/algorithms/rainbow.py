@@ -1,4 +1,4 @@
-"""Rainbow: `dqn` with distributions of returns, dueling streams, priorities and noisy weights; each is a setting.
+"""Rainbow: `dqn` with distributions of returns, dueling streams, priorities and, if asked for, noisy weights.
 
 Hessel et al. (2018), on SMDP backups. Its parts are those of Bellemare, Dabney and Munos (2017), Wang et al. (2016),
 Schaul et al. (2016) and Fortunato et al. (2018); double estimation and backups of n decisions are `dqn`'s own. With all
@@ -36,11 +36,15 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True)
 class RainbowSettings(DQNSettings):
-    """The parts that `dqn` does not have. Defaults are those of the paper but for the support, and for `importance`."""
+    """The parts that `dqn` does not have.
 
-    noise: Annotated[float, Range(0)] = 0.5
+    Defaults are those of the paper but for the support, `importance` and the noise, which costs networks of this size
+    more than it explores (`benchmarks/README.md`).
+    """
+
+    noise: Annotated[float, Range(0)] = 0.0
     """sigma_0 of the noise in the weights, drawn for each decision in place of epsilon: its standard deviation at the
-    beginning, times the square root of a layer's inputs. 0 has no noise, and explores as `dqn` does."""
+    beginning, times the square root of a layer's inputs; 0.5 in the paper. 0 has none, and explores as `dqn` does."""
     dueling: bool = True
     """Separate streams for the state and for the advantages of actions."""
     atoms: Annotated[int, Range(1)] = 51

@@ -36,7 +36,7 @@ SMALL = {
         "replay_capacity": 60,
     },
     "rainbow": {"hidden": (8,), "batch_size": 8, "warmup": 20, "updates_per_step": 0.05, "replay_capacity": 60,
-                "atoms": 11},
+                "atoms": 11, "noise": 0.5},
     "sarsa": {"hidden": (8,), "batch_size": 8, "warmup": 20, "updates_per_step": 0.05, "replay_capacity": 60},
     "ddpg": {"hidden": (8,), "batch_size": 8, "warmup": 20, "actor_warmup": 40, "updates_per_step": 0.05},
     **dict.fromkeys(("ppo", "dac", "diayn"), {"hidden": (8,), "rollout": 16, "batch_size": 8, "epochs": 2}),
