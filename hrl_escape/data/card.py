@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,8 @@ from hrl_escape.figures import STYLE, save_figure
 
 DRAWN = 4
 """Episodes in the picture."""
+REFERENCES = ("chance and best_known are mean returns in the first test rooms (reference_rooms): of random legal "
+              "options, and of the best known escapes")
 
 
 def describe(tape: Tape) -> dict[str, Any]:
@@ -39,8 +40,7 @@ def describe(tape: Tape) -> dict[str, Any]:
         "duration": f"{durations.mean():.1f} primitives a decision, at most {durations.max()}",
         "endings": {name: int(count) for name, count in zip(OPTION_ENDINGS, counts, strict=True) if count},
         "scores": {name: round(value, 3) for name, value in about["scores"].items()},
-        "references": "chance and best_known are mean returns in the first test rooms (reference_rooms): of random "
-                      "legal options, and of the best known escapes",
+        "references": REFERENCES,
         "engine": f"{about['engine']}, {about['dynamics']}, recorded with hrl_escape {about['package']}",
         "made_by": about["command"],
         "content": tape.content,
@@ -49,10 +49,24 @@ def describe(tape: Tape) -> dict[str, Any]:
 
 
 def describe_unrecorded(spec: DataSpec, published: PublishedTape) -> dict[str, Any]:
-    """The card of a published tape that is not here, as JSON values."""
-    known = dataclasses.asdict(published)
-    return {"name": spec.name, "behaviour": TAPE_KINDS[spec.kind], "rooms": spec.list_rooms(spec.primitives), **known,
-            "recorded": f"not here: hrl-escape data make {spec.name}"}
+    """The card of a published tape that is not here, as JSON values; None for what only the tape tells."""
+    return {
+        "name": spec.name,
+        "behaviour": TAPE_KINDS[spec.kind],
+        "rooms": spec.list_rooms(spec.primitives),
+        "actions": None,
+        "primitives": published.primitives,
+        "decisions": published.decisions,
+        "episodes": published.episodes,
+        "duration": None,
+        "endings": None,
+        "scores": dict(published.scores),
+        "references": REFERENCES,
+        "engine": None,
+        "made_by": f"hrl-escape data make {spec.name}",
+        "content": published.content,
+        "digest": None,
+    }
 
 
 def draw_card(tape: Tape) -> Figure:

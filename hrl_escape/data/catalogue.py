@@ -1,8 +1,8 @@
 """Catalogue of data sets, data only: eight rungs of `ladder-1`, six kinds of behaviour, three sizes.
 
 `lattice-play-v1` has 10^5 primitives and comes with the package, `lattice-play-1m-v1` has 10^6 and
-`lattice-play-10m-v1` 10^7; `hrl-escape data make NAME` records what does not come with it. What a recording must be
-stands in a table, `PUBLISHED`.
+`lattice-play-10m-v1` 10^7; `hrl-escape data make NAME` records what does not come with it. What recordings published so
+far hold stands in a table, `PUBLISHED`, and who records one of them anew is told whether it is the same.
 """
 
 from __future__ import annotations

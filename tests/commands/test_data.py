@@ -1,12 +1,14 @@
 """`hrl-escape data`: record, list, show and export a data set, as a user would."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hrl_escape.data.catalogue import TAPE_KINDS, TAPE_SIZES, read_published
 from hrl_escape.data.materialise import load_data
+from hrl_escape.data.record import train_medium
 from tests.command_line import assert_refused, call
 
 NAME, MADE = "pair-play-1m-v1", ("data", "make", "pair-play-1m-v1", "--primitives", "1000")
@@ -30,7 +32,12 @@ def test_a_recording_is_listed_shown_drawn_and_made_only_once(capsys, folder):
     published = {name for name in read_published() if name.startswith("pair-")}
     assert {f"pair-{kind}-v1" for kind in TAPE_KINDS} | {NAME} <= published == set(rows)
     assert {name for name, row in rows.items() if row["here"]} == {f"pair-{kind}-v1" for kind in TAPE_KINDS} | {NAME}
-    assert "legal options, drawn uniformly" in call(capsys, "data", "list")[1]
+    scores = load_data(NAME, observation="features").tape.about["scores"]  # a trial's own, not the published
+    assert (rows[NAME]["mean_return"], rows[NAME]["escapes"]) == (scores["mean_return"], scores["escapes"])
+    assert 1_000 <= rows[NAME]["primitives"] < 2_000 and rows["pair-play-v1"]["primitives"] == 100_530
+    listed = call(capsys, "data", "list")[1].splitlines()
+    assert "play: legal options, drawn uniformly" in listed and sum("-v1 " in line for line in listed) == len(
+        json.loads(call(capsys, "data", "list", "--json")[1])) == len(listed) - len(TAPE_KINDS) - 2
     card = json.loads(call(capsys, "data", "show", NAME, "--json", "--draw", "card.svg")[1])
     tape = load_data(NAME, observation="features").tape
     assert card["primitives"] == len(tape.action) >= 1_000 and card["decisions"] == len(tape.option)
@@ -60,8 +67,30 @@ def test_a_recording_is_told_to_be_the_published_tape_or_refused_for_what_differ
              f"{len(tape.option) + 1:,}")
     assert_refused(capsys, ["data", "make", NAME], found)
     assert_refused(capsys, ["data", "make", NAME], "another version of an engine made it")
+    there, other = Path("data") / f"{NAME}.npz", Path("data") / f"{NAME}.other.npz"
+    assert_refused(capsys, ["data", "make", NAME], f"{there}: {found}")  # one that lies there already
+    there.unlink()
+    assert_refused(capsys, ["data", "make", NAME], f"{other}: {found}")
+    assert_refused(capsys, ["data", "make", NAME], "Give its path to use it all the same")
+    assert other.is_file() and not there.exists()  # it does not bear the published name
+    assert load_data(other, observation="features").tape.content == tape.content
+    code, out, err = call(capsys, "data", "make", NAME, "pair-expert-1m-v1")
+    assert code == 2 and out.startswith("<Tape pair-expert-1m-v1") and found in err
     plant(monkeypatch, folder, "pair-noisy-1m-v1", "0" * 64, 1)
     assert call(capsys, "data", "make", NAME)[1].endswith("no tape of this name is published\n")
+
+
+def test_a_recording_of_medium_may_differ_and_says_so_but_a_trial_is_refused(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(train_medium.__globals__, "MEDIUM_PRIMITIVES", 40)
+    name = "pair-medium-1m-v1"
+    plant(monkeypatch, tmp_path, name, "0" * 64, 1)
+    for _ in ("recorded", "found"):
+        code, out, _ = call(capsys, "data", "make", name)
+        assert code == 0 and "it is not the published tape: it holds" in out and "train another network" in out
+    assert (tmp_path / "data" / f"{name}.npz").is_file()
+    monkeypatch.setitem(TAPE_SIZES, "1m", 3_000)
+    assert_refused(capsys, ["data", "make", name], "Another number of primitives")
 
 
 def test_a_published_tape_tells_its_size_and_scores_before_it_is_recorded(capsys, tmp_path, monkeypatch):
@@ -74,6 +103,9 @@ def test_a_published_tape_tells_its_size_and_scores_before_it_is_recorded(capsys
     card = json.loads(call(capsys, "data", "show", NAME, "--json")[1])
     assert card["decisions"] == 130 and card["scores"]["escapes"] == 1.0 and card["content"] == "0" * 64
     assert card["recorded"] == f"not here: hrl-escape data make {NAME}"
+    here = json.loads(call(capsys, "data", "show", "pair-play-v1", "--json")[1])
+    assert list(card) == list(here) and card["digest"] is card["endings"] is None
+    assert "digest" not in call(capsys, "data", "show", NAME)[1]
     assert_refused(capsys, ["data", "show", NAME, "--draw", "card.png"], "has not been recorded here")
 
 

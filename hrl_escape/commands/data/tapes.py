@@ -5,26 +5,15 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.data.catalogue import (
-    FOLDER,
-    TAPE_KINDS,
-    PublishedTape,
-    find_tape,
-    list_specs,
-    parse_spec,
-    read_published,
-)
+from hrl_escape.data.catalogue import FOLDER, TAPE_KINDS, find_tape, list_specs, parse_spec, read_published
 from hrl_escape.errors import ConfigError, FileReadError, VerificationError
-from hrl_escape.names import join_words, make_file_name
-
-if TYPE_CHECKING:
-    from hrl_escape.data.tape import Tape
+from hrl_escape.names import make_file_name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,36 +63,45 @@ class DataListArgs:
 def run_list(args: DataListArgs) -> None:
     """List the data sets of the catalogue: what behaved, how much, what it reached, and whether a tape is here.
 
+    Of a tape that is here it tells what that holds, of another what is published.
+
     Examples:
         hrl-escape data list
         hrl-escape data list --rung lattice --json
     """
+    from hrl_escape.data.tape import load_tape
+
     published = read_published()
     rows: list[dict[str, Any]] = []
     for spec in list_specs():
+        if args.rung not in (None, spec.rung):
+            continue
         try:
-            size: int | None = find_tape(spec.name).stat().st_size
+            path = find_tape(spec.name)
         except FileReadError:
-            size = None
-        known = published.get(spec.name)
-        if args.rung in (None, spec.rung) and (size is not None or known is not None):
-            scores = {} if known is None else known.scores
-            rows.append({"name": spec.name, "primitives": spec.primitives, "here": size is not None,
-                         "bytes": known.bytes if size is None and known else size,
-                         "mean_return": scores.get("mean_return"), "escapes": scores.get("escapes"),
-                         "what": TAPE_KINDS[spec.kind]})
+            if (known := published.get(spec.name)) is None:
+                continue
+            here, size, primitives, scores = False, known.bytes, known.primitives, known.scores
+        else:
+            tape = load_tape(path)
+            here, size, primitives, scores = True, path.stat().st_size, len(tape.action), tape.about["scores"]
+        rows.append({"name": spec.name, "primitives": primitives, "here": here, "bytes": size,
+                     "mean_return": scores.get("mean_return"), "escapes": scores.get("escapes"),
+                     "what": TAPE_KINDS[spec.kind]})
     if args.json:
         print(json.dumps(rows, indent=2))
         return
-    table = Table("data set", "primitives", "bytes", "here", "return", "escapes", "behaviour", box=None, pad_edge=False)
+    table = Table("data set", "primitives", "bytes", "here", "return", "escapes", box=None, pad_edge=False)
     for row in rows:
         reached = ("-", "-") if row["mean_return"] is None else (f"{row['mean_return']:.1f}", f"{row['escapes']:.2f}")
         table.add_row(row["name"], f"{row['primitives']:,}", f"{row['bytes']:,}", "yes" if row["here"] else "no",
-                      *reached, row["what"])
-    console = Console(width=120)
+                      *reached)
+    console = Console(width=120, highlight=False)
     console.print(table)
+    for kind, what in TAPE_KINDS.items():
+        console.print(f"{kind}: {what}", markup=False)
     console.print("Names with 1m or 10m before v1 hold ten or a hundred times as much; to record one: "
-                  "hrl-escape data make NAME", highlight=False)
+                  "hrl-escape data make NAME")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,14 +125,15 @@ def run_make(args: MakeArgs) -> None:
 
     The kinds are play, noisy, expert, medium, stitch and explore. A tape of 10^5 primitives takes some ten seconds to a
     minute, 20 to 120 kB on disk, and replays to the bit. A recording that was killed goes on where it was. A recording
-    of the size that its name says is held against the published tape; one that differs is an error.
+    of the size that its name says is held against the published tape: one that differs is kept as NAME.other.npz, and
+    is an error, but for medium, whose network another processor or version of torch may train otherwise.
 
     Examples:
         hrl-escape data make pair-play-1m-v1
         hrl-escape data make lattice-play-v1 lattice-expert-v1 --out data
         hrl-escape data make mine --rooms paper-two-button#0 --played episodes/*.json
     """
-    from hrl_escape.data.record import make_played_tape, record  # loads torch
+    from hrl_escape.data.record import compare_published, make_played_tape, record  # loads torch
     from hrl_escape.data.tape import load_tape, save_tape
 
     console = Console(soft_wrap=True, highlight=False)
@@ -150,29 +149,18 @@ def run_make(args: MakeArgs) -> None:
         raise ConfigError("names", "none", "at least one data set of `hrl-escape data list`")
     if args.primitives is not None and args.primitives < 1:
         raise ConfigError("--primitives", args.primitives, "at least 1")
+    refused: list[str] = []
     for spec in [parse_spec(name) for name in args.names]:
         path = args.out / f"{spec.name}.npz"
-        tape = load_tape(path) if path.is_file() else record(spec, path, primitives=args.primitives)
-        told = "" if args.primitives else "; " + compare_published(tape, read_published().get(spec.name))
-        console.print(f"{tape}; {path}, {path.stat().st_size:,} bytes{told}", markup=False)
-
-
-def compare_published(tape: Tape, published: PublishedTape | None) -> str:
-    """Words for a tape that is the published one, or of which none is published.
-
-    Raises:
-        VerificationError: it is another.
-    """
-    if published is None:
-        return "no tape of this name is published"
-    if tape.content == published.content:
-        return "it is the published tape"
-    counts = {"primitives": len(tape.action), "decisions": len(tape.option), "episodes": len(tape.room)}
-    differ = [f"{count:,} {what} where that has {getattr(published, what):,}" for what, count in counts.items()
-              if count != getattr(published, what)] or ["as much, and different in content"]
-    raise VerificationError(f"{tape.about['name']} is not the published tape: it holds {join_words(differ)} "
-                            f"(content {tape.content[:12]}, published {published.content[:12]}). Another number of "
-                            "primitives or another version of an engine made it")
+        try:
+            tape = load_tape(path) if path.is_file() else record(spec, path, primitives=args.primitives)
+            told = "" if args.primitives else "; " + compare_published(spec, tape, path)
+        except VerificationError as error:
+            refused.append(str(error))
+        else:
+            console.print(f"{tape}; {path}, {path.stat().st_size:,} bytes{told}", markup=False)
+    if refused:
+        raise VerificationError("; ".join(refused))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -203,10 +191,11 @@ def run_show(args: DataShowArgs) -> None:
         known = read_published().get(args.name)
         if known is None or args.draw is not None:
             raise
-        card = describe_unrecorded(parse_spec(args.name), known)
+        card = {**describe_unrecorded(parse_spec(args.name), known), "bytes": known.bytes,
+                "recorded": f"not here: hrl-escape data make {args.name}"}
     else:
         tape = load_tape(path)
-        card = describe(tape)
+        card = {**describe(tape), "bytes": path.stat().st_size, "recorded": str(path)}
         if args.draw is not None:
             save_card(args.draw, tape)
     if args.json:
@@ -214,7 +203,8 @@ def run_show(args: DataShowArgs) -> None:
         return
     console = Console(soft_wrap=True, highlight=False)
     for name, value in card.items():
-        console.print(f"[bold]{name.replace('_', ' ')}[/bold]", end=": ")
-        console.print(str(value), markup=False)
+        if value is not None:
+            console.print(f"[bold]{name.replace('_', ' ')}[/bold]", end=": ")
+            console.print(str(value), markup=False)
     if args.draw is not None:
         console.print(f"wrote {args.draw}", markup=False)
