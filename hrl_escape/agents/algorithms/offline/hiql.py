@@ -26,21 +26,23 @@ from hrl_escape.agents.components.offline import (
 from hrl_escape.errors import AgentSettingsError
 
 
-def cut_everywhere(data: Decisions, primitives: Primitives, gamma: float) -> Decisions:
+def cut_everywhere(data: Decisions, primitives: Primitives, gamma: float, actions: int) -> Decisions:
     """Make a decision of what is left of an option at each of its primitives: that primitive, and the option's end.
 
     Args:
         data: whole decisions.
         primitives: those inside them.
         gamma: discount a primitive, in (0, 1].
+        actions: number of primitives to choose among.
 
     Returns:
         One row a primitive; `action` is the primitive, reward, duration and discount are of the rest of the option.
     """
     decision = np.cumsum(primitives.begins) - 1
     left = np.cumsum(data.duration)[decision] - np.arange(len(decision))
-    whole = primitives.as_decisions(gamma, int(primitives.action.max()) + 1)
-    reward, plain = primitives.reward.astype(np.float64), primitives.reward.astype(np.float64)
+    whole = primitives.as_decisions(gamma, actions)
+    reward = primitives.reward.astype(np.float64)
+    plain = reward.copy()
     for row in np.flatnonzero(left > 1)[::-1]:
         reward[row] += gamma * reward[row + 1]
         plain[row] += plain[row + 1]
@@ -53,7 +55,8 @@ class HIQL(OfflineAgent):
     """V is the expectile of R + gamma^k (1 - terminated) V(s') over what is left of options, k primitives, R earned.
 
     The high policy predicts s', weighted by exp(inverse temperature x (R + gamma^k V(s') - V(s))); the low policy
-    clones the primitive given s and s'. It acts by primitives, under the name `hiql`.
+    clones the primitive given s and s'. It acts by primitives, under the name `hiql`; each row of a minibatch teaches
+    one primitive, so that `decisions` in its log are primitives too.
     """
 
     heads = {"value": "state", "target_value": "state"}
@@ -67,8 +70,8 @@ class HIQL(OfflineAgent):
         """Take decisions and the primitives inside them; `AgentSettingsError` without primitives."""
         if primitives is None:
             raise AgentSettingsError("data", "decisions alone", "a data set with the primitives inside its decisions")
-        super().begin(cut_everywhere(data, primitives, self.settings.gamma))
-        self._durations = np.ones_like(primitives.action)  # a row teaches one primitive
+        rest = cut_everywhere(data, primitives, self.settings.gamma, self._actions)
+        super().begin(rest._replace(duration=np.ones_like(rest.duration)))  # a row teaches one primitive
 
     def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
                       generator: torch.Generator) -> dict[str, Network]:

@@ -102,7 +102,7 @@ def test_hiql_learns_what_is_left_of_an_option_at_each_of_its_primitives():
     """At its first primitive that is the whole decision, further on one primitive less of it."""
     data = load_data(make_tape(), observation="features")
     decisions, primitives = data.read_decisions(0.5), data.read_primitives()
-    rest = cut_everywhere(decisions, primitives, 0.5)
+    rest = cut_everywhere(decisions, primitives, 0.5, 9)
     begins = np.flatnonzero(primitives.begins)
     for field in ("reward", "summed_reward", "duration", "discount", "next_observation", "terminated", "last"):
         np.testing.assert_array_equal(getattr(rest, field)[begins], getattr(decisions, field))
@@ -112,6 +112,7 @@ def test_hiql_learns_what_is_left_of_an_option_at_each_of_its_primitives():
     np.testing.assert_array_equal(rest.duration[inside - 1], rest.duration[inside] + 1)
     np.testing.assert_array_equal(rest.next_observation[inside - 1], rest.next_observation[inside])
     np.testing.assert_array_equal(rest.action, primitives.action)
+    assert rest.mask.shape == rest.next_mask.shape == (len(primitives.action), 9)
 
 
 def test_hiql_predicts_the_end_of_an_option_from_within_it_where_it_is_asked_when_it_acts():
@@ -119,8 +120,10 @@ def test_hiql_predicts_the_end_of_an_option_from_within_it_where_it_is_asked_whe
     tape = make_tape("expert").select(0)
     data = load_data(tape, observation="features", rooms="own")
     settings = {"network": "mlp", "learning_rate": 0.003, "passes": 50}
-    agent = train("hiql", tape.rooms[:1].make_env(observation="features"), data=data, settings=settings,
-                  eval_episodes=0).agent
+    result = train("hiql", tape.rooms[:1].make_env(observation="features"), data=data, settings=settings,
+                   eval_episodes=0)
+    agent = result.agent
+    assert result.decisions == result.primitives  # each row teaches one
     ends, primitives = data.read_decisions(0.99).next_observation, data.read_primitives()
     inside = np.flatnonzero(~primitives.begins)
     wanted = ends[np.cumsum(primitives.begins)[inside] - 1]
