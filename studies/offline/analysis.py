@@ -26,7 +26,7 @@ from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.materialise import load_data
 from hrl_escape.data.tape import load_tape
 from hrl_escape.env.drawing import palette
-from hrl_escape.errors import ComparisonError
+from hrl_escape.errors import ComparisonError, ConfigError
 from hrl_escape.names import join_words
 from hrl_escape.options.options_env import OptionsEnv
 from studies.figures import FIGURE_STYLE, finish_axes
@@ -160,10 +160,17 @@ def run_searcher(searcher: str, rung: str, run: int, episodes: int) -> OfflineRe
 
 
 def measure(study: Study, args: Args, store: Store) -> None:
-    """Run what is missing: room by room, then seed by seed in unseen rooms."""
+    """Run what is missing: room by room, then seed by seed in unseen rooms.
+
+    Raises:
+        ConfigError: the rooms would reach those that settings were chosen in; nothing is run.
+    """
     data, console = study.data, Console(stderr=True, highlight=False)
+    runs, tuned = args.runs or data["runs"], data["tuned_rooms"][0]
+    if runs > tuned:
+        raise ConfigError("runs", runs, f"at most {tuned}, since settings were chosen in the rooms from {tuned} on")
     known = {line.place for line in store.load()}
-    for run in range(args.runs or data["runs"]):
+    for run in range(runs):
         cells = [(BEHAVIOUR, WHOLE), *((agent, kind) for kind in data["kinds"] for agent in data["learners"])]
         missing = [(agent, kind) for agent, kind in cells if (agent, kind, run) not in known]
         store.add([run_once(agent, kind, data["rung"], run, data["episodes"]) for agent, kind in missing])
@@ -324,7 +331,7 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
     sentences = [*horizon, *stitching, *unseen]
     return Page({"headline": headline, "sentences": sentences, "rooms": len(rooms), "rung": data["rung"],
                  "tested": data["unseen"]["tested"], "table": make_table(["learner", *data["kinds"]], rows),
-                 "seeds": min(map(len, scores.values())),
+                 "tuned": data["tuned_rooms"], "seeds": min(map(len, scores.values())),
                  "unseen": make_table(["network", *data["unseen"]["kinds"]], others)},
                 {"offline": draw(data["kinds"], words, read, searcher)}, [headline, *sentences])
 

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
+from hrl_escape.errors import ConfigError
 from studies.offline.analysis import (
     BEHAVIOUR,
+    LINES,
     UNSEEN,
+    Args,
     OfflineResult,
     analyse,
+    measure,
     name_unseen,
     run_once,
     run_unseen,
@@ -18,6 +24,8 @@ from studies.offline.analysis import (
     tell_stitching,
     tell_unseen,
 )
+from studies.page import render
+from studies.store import Store
 from studies.study import find_study
 
 
@@ -107,6 +115,24 @@ def test_pieces_that_begin_anywhere_are_given_no_efficiency():
     page = analyse(*make_lines(lambda agent, kind: 1.5 if (agent, kind) == (BEHAVIOUR, "stitch") else 0.5))
     (row,) = [line for line in page.values["table"].splitlines() if "(`behaviour`)" in line]
     assert row.split("|")[2:4] == [" 0.50 ", "  "]
+
+
+def test_rooms_that_settings_were_chosen_in_are_never_reported(tmp_path):
+    study, store = find_study("offline"), Store(tmp_path / "raw.jsonl", LINES)
+    assert study.data["runs"] <= study.data["tuned_rooms"][0]
+    alone = {"learners": {}, "searchers": [], "unseen": {**study.data["unseen"], "learners": {}}}  # the data, rated
+    small = dataclasses.replace(study, data={**study.data, **alone, "tuned_rooms": [1, 3]})
+    with pytest.raises(ConfigError, match="runs = 2 .* at most 1, since settings were chosen in the rooms from 1 on"):
+        measure(small, Args(runs=2), store)
+    assert not store.load()
+    measure(small, Args(runs=1), store)
+    assert [line.run for line in store.load()] == [0]
+
+
+def test_the_page_says_which_rooms_settings_were_chosen_in():
+    study, lines = make_lines(lambda agent, kind: 0.5)
+    other = dataclasses.replace(study, data={**study.data, "tuned_rooms": [70, 75]})
+    assert "in rooms 70 to 74 of the data, which are not reported" in render(other, analyse(other, lines))
 
 
 @pytest.mark.parametrize(("unseen", "words"), [(0.3, "does worse than"), (0.9, "does better than"),
