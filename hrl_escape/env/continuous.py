@@ -40,7 +40,9 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
     base through, nothing moves.
 
     ## Rewards
-    -1 a second, so -`time_step` a step. Puzzles and the exit pay what they pay there, an act of the hand each time.
+    A second costs what a primitive does (`reward.step`, -1 by default), so a step costs `time_step` of it. Puzzles and
+    the exit pay what they pay there, an act of the hand each time; where the exit's reward replaces the step's, it is
+    more by what a primitive costs beyond a step.
 
     ## Episode end
     As in `EscapeRoomEnv`; `truncated` after `time_limit` seconds.

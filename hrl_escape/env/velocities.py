@@ -1,6 +1,6 @@
 """Velocities as actions: their bounds, the motion that a step of time makes of them, and what the step is worth.
 
-A robot with a gripper has one number more, as grippers of other environments have, and one that can use a second one.
+A robot with a gripper has one number more, and one that can use a second one.
 They are levels, not velocities: whatever they ask for happens at the end of each step that asks for it.
 """
 

@@ -340,10 +340,10 @@ def glide(layout: Layout, tables: Tables, state: TensorState, rates: Tensor) -> 
 def _find_asked(state: TensorState, levels: Sequence[Tensor]) -> Tensor:
     """What the levels of gripper and use, (rooms,) each, ask the hand to do, as `find_grip` says, int64 (rooms,)."""
     asked = torch.zeros_like(state.touching)
-    for level in levels[1:]:
-        asked = torch.where(level > GRIPPER_LEVEL, USE, asked)
-    for level in levels[:1]:
-        asked = torch.where(level.abs() > GRIPPER_LEVEL, torch.sign(level).to(asked.dtype), asked)
+    if len(levels) > 1:
+        asked = torch.where(levels[1] > GRIPPER_LEVEL, USE, asked)
+    if levels:
+        asked = torch.where(levels[0].abs() > GRIPPER_LEVEL, torch.sign(levels[0]).to(asked.dtype), asked)
     return asked
 
 

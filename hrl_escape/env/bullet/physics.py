@@ -4,7 +4,8 @@ The base stands on a planar carriage (it does not tip) whose velocities are cons
 trapezoid profile; joints follow position motors; walls, panels, blocks, the door and the arm
 are solid. A primitive lasts as long as its motion takes at 1 m/s or 90 degrees a second, at least
 0.25 s, and 0.1 s more to settle. A push into something solid stops or slides along it, so a
-displacement is only approximately the nominal one; a base that wedges itself in, ever deeper, stops.
+displacement is only approximately the nominal one; a base that wedges itself in, ever deeper in the
+sub-steps of one motion, stops.
 A target is touched once the presser pushed against it with `PRESS_FORCE`, until it has left the
 press margin. Puzzle, reward and exit are those of `Rules`.
 

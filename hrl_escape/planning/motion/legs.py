@@ -228,7 +228,7 @@ def _list_stops(plan: Plan, start: int, stop: int) -> list[int]:
     touched, stops, last = [state.touching for state in plan.states], [], start
     for k in range(start + 1, stop + 1):
         begun = touched[k] & ~touched[k - 1]
-        acts = bool(find_act(plan, k - 1)) or has_pushed(plan.instance, plan.states[k - 1], plan.states[k])
+        acts = bool(find_act(plan, k - 1)) or differ_in_boxes(plan.instance, plan.states[k - 1], plan.states[k])
         if (acts or begun & touched[last]) and k - 1 > last:
             stops.append(k - 1)
         if acts or begun or k == stop:
@@ -243,9 +243,9 @@ def find_act(plan: Plan, index: int) -> str:
     return primitive.name if primitive.grip else ""
 
 
-def has_pushed(room: RoomInstance, before: RoomState, after: RoomState) -> bool:
-    """Return whether a motion between two states has pushed something from cell to cell."""
-    return isinstance(room.puzzle, Pushing) and before.puzzle != after.puzzle
+def differ_in_boxes(room: RoomInstance, one: RoomState, other: RoomState) -> bool:
+    """Return whether something that can be pushed stands in other cells in two states."""
+    return isinstance(room.puzzle, Pushing) and one.puzzle != other.puzzle
 
 
 class _Legs:
@@ -274,7 +274,7 @@ class _Legs:
                 played = play(self._rules, self._near, motion, states[begin])
                 if played is None or sorted(c.target for c in played[0]) != list(list_touched(wanted)):
                     continue
-                if not has_pushed(self._room, states[end], played[1]):
+                if not differ_in_boxes(self._room, states[end], played[1]):
                     return Press(rest(motion) if wanted else motion, played[0])
         targets = ", ".join(self._room.targets[t].name for t in list_touched(wanted)) or "nothing"
         raise UnsupportedError(f"no trajectory was found for the leg {name!r} of {self._plan.name!r} that presses "

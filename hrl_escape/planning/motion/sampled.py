@@ -37,7 +37,7 @@ from hrl_escape.planning.motion.legs import (
     ROUNDINGS,
     Press,
     act_at,
-    has_pushed,
+    differ_in_boxes,
     list_bodies,
     list_shut_doors,
     play,
@@ -136,7 +136,7 @@ class MotionSampler:
         for path in paths:
             motion = time_path(path, self._rates)
             played = play(self._rules, self._near, motion, state)
-            if played is None or has_pushed(self._room, state, played[1]):
+            if played is None or differ_in_boxes(self._room, state, played[1]):
                 return None
             contacts, state = played
             pressed += [contact.target for contact in contacts]

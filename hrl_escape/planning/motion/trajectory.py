@@ -164,7 +164,8 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
         clearance: distance that the base keeps from solids where it can, m; for plans.
 
     Raises:
-        ConfigError: nothing moves, a joint would pass its limits, or its effort does not hold the arm.
+        ConfigError: nothing moves, a joint would go beyond its limits (it may begin up to `SOFT_LIMIT` beyond), or its
+            effort does not hold the arm.
         UnsupportedError: no trajectory was found that presses and pushes what the plan does.
     """
     limits = limits or MotionLimits()
@@ -360,7 +361,6 @@ class Tracker:
         robot = self._rules.instance.robot
         sides = [-sin * rates[0] + cos * rates[1]] if robot.drive == "strafing" else []
         return np.array([cos * rates[0] + sin * rates[1], *sides, *rates[2:], *list_levels(robot, grip)])
-
 
     def _find_next(self) -> float:
         """The moment of the trajectory to which the next step leads, not beyond the next act of the hand."""
