@@ -21,7 +21,7 @@ from hrl_escape.clock import Clock, OutOfTime
 from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, check_fields
-from hrl_escape.env.robot import Robot
+from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.figures import make_svg, save_figure
 from hrl_escape.floor.clearance import CollisionMap
@@ -112,6 +112,31 @@ class ArmPlanner:
             margin: distance that counts as a collision already, m.
         """
         return self._get_collisions(margin).is_free(state.x, state.y, self.rules.get_heading(state), angles)
+
+    def to_srdf(self) -> str:
+        """Describe the arm as MoveIt reads it, beside the URDF that `instance.robot` stands for.
+
+        The group `arm` goes from the base to the hand's link, which is the end effector `hand`. Named states are
+        `postures`, and `home` where none has that name; pairs of links that may touch are those that are not tested
+        here. `ArmPlanner(instance, srdf=...)` reads it back.
+        """
+        robot = self.rules.robot
+        urdf = ElementTree.fromstring(robot.urdf)
+        ends = [{end.tag: end.get("link", "") for end in joint} for joint in urdf.findall("joint")]
+        before = {each["child"]: each["parent"] for each in ends}
+        root = ElementTree.Element("robot", name=urdf.get("name", "robot"))
+        ElementTree.SubElement(ElementTree.SubElement(root, "group", name="arm"), "chain",
+                               base_link=BASE_LINK, tip_link=robot.hand_link)
+        ElementTree.SubElement(ElementTree.SubElement(root, "group", name="hand"), "link", name=robot.hand_link)
+        ElementTree.SubElement(root, "end_effector", name="hand", parent_link=before[robot.hand_link], group="hand")
+        for name, angles in ({"home": robot.home} | self.postures).items():
+            state = ElementTree.SubElement(root, "group_state", name=name, group="arm")
+            for joint, angle in zip(robot.joint_names, angles, strict=True):
+                ElementTree.SubElement(state, "joint", name=joint, value=repr(float(angle)))
+        for first, second, reason in self._get_collisions(0.0).list_allowed():
+            ElementTree.SubElement(root, "disable_collisions", link1=first, link2=second, reason=reason)
+        ElementTree.indent(root)
+        return ElementTree.tostring(root, encoding="unicode") + "\n"
 
     # --- inverse kinematics --------------------------------------------------------------
 

@@ -9,6 +9,7 @@ axis, x ahead, z up; metres, radians.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from functools import cached_property, partial
@@ -313,6 +314,21 @@ class ArmCollisions:
 
         pairs = zip(self._geometry.collisionPairs, data.collisionResults, strict=True)
         return sorted({f"{name(pair.first)} meets {name(pair.second)}" for pair, found in pairs if found.isCollision()})
+
+    def list_allowed(self) -> list[tuple[str, str, str]]:
+        """List pairs of links that may touch: two names, and why, as an SRDF's `reason`.
+
+        Links joined to each other are `Adjacent`, others `Default`. A pair counts if any two of its shapes may touch.
+        """
+        tested = {frozenset((pair.first, pair.second)) for pair in self._geometry.collisionPairs}
+        allowed: dict[tuple[str, str], str] = {}
+        items = enumerate(self._geometry.geometryObjects.tolist())
+        own = [(number, item) for number, item in items if item.parentJoint]  # no solids
+        for (i, one), (j, other) in itertools.combinations(own, 2):
+            first, second = (self._model.frames[item.parentFrame].name for item in (one, other))
+            if first != second and frozenset((i, j)) not in tested:
+                allowed[first, second] = "Adjacent" if self._is_joined(self._geometry, i, j) else "Default"
+        return [(first, second, reason) for (first, second), reason in allowed.items()]
 
 
 def _make_rest(model: Any, robot: Robot) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -196,6 +197,40 @@ def test_an_srdf_says_which_links_may_touch_and_names_postures(tmp_path):
     for wrong in ("<urdf/>", "<robot", str(tmp_path / "none.srdf")):
         with pytest.raises(ConfigError, match="srdf"):
             ArmPlanner(room, srdf=wrong)
+
+
+@pytest.mark.parametrize(("kind", "joints"), [("franka-panda", 7), ("kuka-iiwa", 7), ("arm", 3)])
+def test_an_srdf_that_is_made_reads_back_as_the_same_arm(kind, joints):
+    planner, state = make_planner(kind, joints)
+    planner.postures["tucked"] = tuple(0.1 * number for number in range(joints))
+    again = ArmPlanner(planner.instance, srdf=planner.to_srdf())
+    assert again.postures == {"home": planner.rules.robot.home, **planner.postures}
+    assert again.to_srdf() == planner.to_srdf()
+    rng, (low, high) = np.random.default_rng(0), np.array(planner.rules.robot.limits).T
+    met = set()
+    for angles in rng.uniform(low, high, (150, joints)).tolist():
+        one, other = (each._get_collisions(0.0).list_collisions(state.x, state.y, 0.3, angles)
+                      for each in (planner, again))
+        assert one == other
+        met.update(one)
+    assert not {f"{first} meets {second}" for first, second, _ in planner._get_collisions(0.0).list_allowed()} & met
+    assert any("meets" in each for each in met)
+
+
+def test_the_made_srdf_of_a_panda_allows_pairs_that_moveit_allows_and_tests_none_that_touch_at_home():
+    """MoveIt's own matrix for a Panda has these pairs as adjacent or always in touch."""
+    planner, _ = make_planner("franka-panda", 7)
+    root = ElementTree.fromstring(planner.to_srdf())
+    pairs = {frozenset((each.get("link1"), each.get("link2"))): each.get("reason")
+             for each in root.findall("disable_collisions")}
+    for number in range(7):
+        assert pairs[frozenset((f"panda_link{number}", f"panda_link{number + 1}"))] == "Adjacent"
+    assert pairs[frozenset(("panda_link5", "panda_link7"))] == "Default"
+    assert frozenset(("panda_link0", "panda_link5")) not in pairs
+    assert root.find("group[@name='arm']/chain").attrib == {
+        "base_link": "mobile-base", "tip_link": planner.rules.robot.hand_link}
+    assert root.find("group[@name='hand']/link").get("name") == planner.rules.robot.hand_link == "panda_grasptarget"
+    assert root.find("end_effector").get("parent_link") == "panda_hand"
 
 
 def test_pairs_that_touch_at_home_count_where_the_srdf_does_not_allow_them():
