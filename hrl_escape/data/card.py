@@ -21,7 +21,7 @@ from hrl_escape.figures import STYLE, save_figure
 
 DRAWN = 4
 """Episodes in the picture."""
-REFERENCES = ("chance and best_known are mean returns in the first test rooms (reference_rooms): of random legal "
+REFERENCE_WORDS = ("chance and best_known are mean returns in the first test rooms (reference_rooms): of random legal "
               "options, and of the best known escapes")
 
 
@@ -40,7 +40,7 @@ def describe(tape: Tape) -> dict[str, Any]:
         "duration": f"{durations.mean():.1f} primitives a decision, at most {durations.max()}",
         "endings": {name: int(count) for name, count in zip(OPTION_ENDINGS, counts, strict=True) if count},
         "scores": {name: round(value, 3) for name, value in about["scores"].items()},
-        "references": REFERENCES,
+        "references": REFERENCE_WORDS,
         "engine": f"{about['engine']}, {about['dynamics']}, recorded with hrl_escape {about['package']}",
         "made_by": about["command"],
         "content": tape.content,
@@ -61,7 +61,7 @@ def describe_unrecorded(spec: DataSpec, published: PublishedTape) -> dict[str, A
         "duration": None,
         "endings": None,
         "scores": dict(published.scores),
-        "references": REFERENCES,
+        "references": REFERENCE_WORDS,
         "engine": None,
         "made_by": f"hrl-escape data make {spec.name}",
         "content": published.content,

@@ -31,7 +31,7 @@ FOLDER = Path("data")
 """Folder that recorded tapes go to, and are looked for in."""
 _SHIPPED = Path(str(files("hrl_escape.data") / "tapes"))
 PUBLISHED = _SHIPPED / "published.toml"
-"""What published tapes are, a line each; written by `python -m benchmarks.tapes`."""
+"""Published tapes, a line each; written by `python -m benchmarks.tapes`."""
 _FORM = re.compile(rf"(?P<rung>.+)-(?P<kind>{'|'.join(TAPE_KINDS)})(?:-(?P<size>1m|10m))?-v1")
 
 
@@ -60,7 +60,7 @@ class DataSpec:
 
 @dataclasses.dataclass(frozen=True)
 class PublishedTape:
-    """What is known of a published tape, recorded here or not.
+    """A published tape as it is known before it is recorded here.
 
     Attributes:
         content: `Tape.content`.
@@ -80,7 +80,7 @@ class PublishedTape:
 
 
 def read_published() -> dict[str, PublishedTape]:
-    """What published tapes are, by name."""
+    """Published tapes, by name."""
     return {name: PublishedTape(**fields) for name, fields in read_toml(PUBLISHED, "table of tapes").items()}
 
 

@@ -175,7 +175,7 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
 
 
 def fits_published(spec: DataSpec, tape: Tape) -> bool:
-    """Whether a tape may bear the name of a data set: none is published, it is that one, or a whole one of `medium`."""
+    """Return whether a tape may bear a data set's name: none is published, it is that one, or a whole `medium`."""
     known = read_published().get(spec.name)
     return known is None or tape.content == known.content or (
         spec.kind == "medium" and len(tape.action) >= spec.primitives)

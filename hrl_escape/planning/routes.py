@@ -409,7 +409,7 @@ MOST_SEARCHES = 16
 """Most sets of shut doors whose searches are kept."""
 _MOST_CELLS = 12
 """Most cells tried for putting something down."""
-SIDES = {"east": (1, 0, 0.0), "north": (0, 1, math.pi / 2), "west": (-1, 0, math.pi), "south": (0, -1, -math.pi / 2)}
+COMPASS = {"east": (1, 0, 0.0), "north": (0, 1, math.pi / 2), "west": (-1, 0, math.pi), "south": (0, -1, -math.pi / 2)}
 """Steps along x and y to each side of a map, and the heading for it."""
 
 
@@ -451,7 +451,7 @@ class DoorSearches:
         doors, side = self._doors, goal.action.partition("push-")[2]
         if not side:
             return True
-        behind = (list(SIDES).index(side) + 2) % 4
+        behind = (list(COMPASS).index(side) + 2) % 4
         cells = list_cells(self._room, state, goal)
         wanted, shut = {self._beside[cell][behind] for cell in cells}, doors.get_shut(state.puzzle)
         queue = [doors.find_at(state.x, state.y)]
@@ -466,7 +466,7 @@ class DoorSearches:
     def _beside(self) -> list[list[int]]:
         """Numbers of the inner doors one move to each side of each, -1 for none."""
         step = self._rules.actions.stride
-        return [[self._doors.find_at(cell.x + step * x, cell.y + step * y) for x, y, _ in SIDES.values()]
+        return [[self._doors.find_at(cell.x + step * x, cell.y + step * y) for x, y, _ in COMPASS.values()]
                 for cell in self._room.inner_doors]
 
     def make_key(self, state: RoomState, goal: Goal) -> DoorKey:
@@ -503,7 +503,7 @@ def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator
     for cell in cells[:_MOST_CELLS]:
         yield [PoseGoal(cell.x - step * x, cell.y - step * y, None if any_heading else heading, step / 4,
                         rules.turn_step / 2 - 1e-6)
-               for name, (x, y, heading) in SIDES.items() if side in ("", name)]
+               for name, (x, y, heading) in COMPASS.items() if side in ("", name)]
 
 
 def find_move(goal: GripGoal, state: RoomState, rules: Kinematics) -> int | None:

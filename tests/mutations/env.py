@@ -335,8 +335,8 @@ MUTATIONS = [
     Mutation(
         "velocities carry the base through solids",
         "env/kinematics.py",
-        "x, y = x + fraction * dx, y + fraction * dy",
-        "x, y = x + dx, y + dy",
+        "x, y, puzzle = x + fraction * dx, y + fraction * dy, pushed",
+        "x, y, puzzle = x + dx, y + dy, pushed",
         "env/test_continuous.py::test_contact_is_exact_and_nothing_tunnels_asked_of_bullet",
     ),
     Mutation(

@@ -338,7 +338,7 @@ def glide(layout: Layout, tables: Tables, state: TensorState, rates: Tensor) -> 
 
 
 def _find_asked(state: TensorState, levels: Sequence[Tensor]) -> Tensor:
-    """What the levels of gripper and use, (rooms,) each, ask the hand to do, as `find_grip` says, int64 (rooms,)."""
+    """Find the act that levels of gripper and use, (rooms,) each, ask for, as `find_grip` does, int64 (rooms,)."""
     asked = torch.zeros_like(state.touching)
     if len(levels) > 1:
         asked = torch.where(levels[1] > GRIPPER_LEVEL, USE, asked)

@@ -408,7 +408,7 @@ def list_shut_doors(room: RoomInstance, state: RoomState) -> list[Footprint]:
 
 
 def list_bodies(room: RoomInstance, pushed: int, door_shut: bool) -> list[Footprint]:
-    """What else is in the base's way under physics: panels, and the hinge's end of an open doorway.
+    """List what else is in the base's way under physics: panels, and the hinge's end of an open doorway.
 
     Args:
         room: the room; none of it is in the way unless it has physics.

@@ -48,7 +48,7 @@ from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.trajectory import TimedTrajectory, join_presses
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, MotionPath
 from hrl_escape.planning.plan import make_planned_room
-from hrl_escape.planning.routes import SIDES, list_places
+from hrl_escape.planning.routes import COMPASS, list_places
 
 WAY_PLANNER = "InformedRRTstar"
 """Planner of the base's way: asymptotically optimal."""
@@ -164,7 +164,7 @@ class MotionSampler:
             yield from ([way] for way in self._list_ways(state, ends))
 
     def _act(self, state: RoomState, goal: GripGoal) -> Press | None:
-        """What reaches a goal from its place: an act of the hand at rest, or a straight push; None where it fails."""
+        """Reach a goal from its place by an act of the hand at rest, or a straight push; None where it fails."""
         pose, actions, side = self._get_pose(state), self._rules.actions, goal.action.partition("push-")[2]
         if not side:
             hold = Glide(0.0, 0.0, 0.0, (0.0,) * self._room.robot.joints, 0.0,
@@ -172,7 +172,7 @@ class MotionSampler:
             done, press = self._rules.glide(state, hold).state, act_at(pose, goal.action)
             return press if is_reached(goal, state, done, self._rules) else None
         line = np.stack([pose, pose])
-        line[1, :2] += actions.stride * np.array(SIDES[side][:2])
+        line[1, :2] += actions.stride * np.array(COMPASS[side][:2])
         motion = time_path(self._make_path(line), self._rates)
         played = play(self._rules, self._near, motion, state)
         is_done = played is not None and is_reached(goal, state, played[1], self._rules)

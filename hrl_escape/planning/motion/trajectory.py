@@ -281,7 +281,7 @@ LONGEST_WAIT = 2.0
 """Longest wait for a press, s."""
 APPROACH = 0.05
 """Time before a touch whose direction is that of the push, s."""
-SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
+STEP_SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 """Shares of a step by which a trajectory's clock goes on, the first that nothing blocks."""
 ASTRAY = 1e-3
 """Distance from its first place, m or rad, at which a trajectory can still be begun."""
@@ -365,7 +365,7 @@ class Tracker:
     def _find_next(self) -> float:
         """The moment of the trajectory to which the next step leads, not beyond the next act of the hand."""
         last, rules = min([self._trajectory.duration, *(act.time for act in self._acts[:1])]), self._rules
-        after = [min(self._now + share * self._step, last) for share in SHARES]
+        after = [min(self._now + share * self._step, last) for share in STEP_SHARES]
         if isinstance(rules, Kinematics) and rules.instance.dynamics.blocked == "stay":
             ways = ((moment, (self._trajectory.evaluate(moment) - self._at)[:2].tolist()) for moment in after)
             free = (moment for moment, way in ways if rules.compute_advance(self._state, *way)[0] >= 1.0)
