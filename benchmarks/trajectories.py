@@ -182,13 +182,14 @@ def drive(config: RoomConfig, seed: int, planner: str) -> tuple[bool, list[str],
         x, y, heading, *joints = tracker.error.tolist()
         errors.append(np.array([math.hypot(x, y), heading, max(joints, default=0.0)]))
 
-    env = OptionsEnv(EscapeRoomContinuousEnv(instance=room), planner=planner)
+    flat, escapes = EscapeRoomContinuousEnv(instance=room), get_planner(room)
+    env = OptionsEnv(flat, planner=planner)
     env.reset(seed=seed)
     goals = [*(goal for goal in list_goals(room) if isinstance(goal, PressGoal)), ExitGoal()]
     faults, is_over, escaped = [], False, False
     with patch.object(Tracker, "see", see_error):
         while not is_over and not (len(faults) >= MOST_FAILURES and all(faults[-MOST_FAILURES:])):
-            following = get_planner(room).order_goals(env.unwrapped.get_state())[0]  # type: ignore[attr-defined]
+            following = escapes.order_goals(flat.get_state())[0]
             try:
                 _, _, terminated, truncated, info = env.step(goals.index(following))
             except EscapeError as error:

@@ -22,7 +22,7 @@ from hrl_escape.figures import STYLE, save_figure
 DRAWN = 4
 """Episodes in the picture."""
 REFERENCE_WORDS = ("chance and best_known are mean returns in the first test rooms (reference_rooms): of random legal "
-              "options, and of the best known escapes")
+                   "options, and of the best known escapes")
 
 
 def describe(tape: Tape) -> dict[str, Any]:

@@ -340,8 +340,8 @@ class _Legs:
     def _list_solids(self, state: RoomState, wanted: int) -> list[Footprint]:
         """Solids and shut doors, and what else is in the way of a base that presses the targets of some bits."""
         room, doors = self._room, list_shut_doors(self._room, state)
-        is_shut = room.door is not None and not room.puzzle.is_solved(state.puzzle)
-        if is_shut and room.door is not None:
+        is_shut = not room.puzzle.is_solved(state.puzzle)
+        if room.door is not None and is_shut:
             doors.append(room.door.footprint)
         return [*self._rules.footprints, *doors, *list_bodies(room, wanted if self._by_body else 0, is_shut)]
 

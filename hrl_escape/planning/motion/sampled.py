@@ -175,8 +175,9 @@ class MotionSampler:
         line[1, :2] += actions.stride * np.array(COMPASS[side][:2])
         motion = time_path(self._make_path(line), self._rates)
         played = play(self._rules, self._near, motion, state)
-        is_done = played is not None and is_reached(goal, state, played[1], self._rules)
-        return Press(motion, played[0]) if played is not None and is_done else None
+        if played is None or not is_reached(goal, state, played[1], self._rules):
+            return None
+        return Press(motion, played[0])
 
     def _get_pose(self, state: RoomState) -> NDArray[np.float64]:
         return np.array([state.x, state.y, self._rules.get_heading(state), *self._rules.get_angles(state)])
