@@ -202,7 +202,7 @@ class Play(SphinxDirective):
         plan = solve(make_room(self.arguments[0]))
         if plan is None:
             raise self.error(f"no plan to play: {self.arguments[0]}")
-        words = re.sub(r"`([^`]*)`", r"<code>\1</code>", escape(" ".join(self.content)))
+        words = re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(" ".join(self.content))))
         return [nodes.raw("", f'<figure class="played">{plan.play(420)}<figcaption>{words} <code>hrl-escape solve '
                           f"{escape(self.arguments[0])}</code></figcaption></figure>", format="html")]
 
