@@ -558,8 +558,7 @@ def tell_standing(found: Standing) -> dict[str, Any]:
         "twins": [f"`{each.agent}` against `{each.other}`: {tell_difference(each)}" for each in twins],
         "kinds": [f"{words[kind]} (`{kind}`)" for kind in kinds],
         "left_out": [f"{words[kind]} (`{kind}`)" for kind in words if kind not in kinds],
-        "unfit": [f"`{label}` with {join_words(out)}, as {unfit['why']}" for label, unfit in data["unfit"].items()
-                  if (out := [words[kind] for kind in kinds if not fits(study, label, kind)])],
+        "unfit": tell_unfit(found),
         "count": min(len(cells[kind, label]) for kind in kinds for label in [*found.followed, *found.references]
                      if fits(study, label, kind)),
         "searchers": data["searchers"], "budget": data["primitives"], "efficient": data["efficient"],
@@ -567,6 +566,15 @@ def tell_standing(found: Standing) -> dict[str, Any]:
         "trials": [words[room.rpartition("/")[0]]
                    for room in max((family.trials for family in found.families), key=len)],
     }
+
+
+def tell_unfit(found: Standing) -> list[str]:
+    """Learners that were not run in some kinds and why; those that share both stand together."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for label, unfit in found.study.data["unfit"].items():
+        if out := [found.words[kind] for kind in found.kinds if not fits(found.study, label, kind)]:
+            alike.setdefault((join_words(out), unfit["why"]), []).append(f"`{label}`")
+    return [f"{join_words(labels)} with {out}, as {why}" for (out, why), labels in alike.items()]
 
 
 def tell_cell(cells: Cells, kind: str, label: str) -> str:
