@@ -160,8 +160,13 @@ CELLS = 8
 
 
 def bound_escape(instance: RoomInstance, state: RoomState) -> float:
-    """Fewest primitives of an escape that straight lines allow, over all orders; infinity if no order escapes."""
+    """Fewest primitives of an escape that straight lines allow, over all orders; infinity if no order escapes.
+
+    Where a thing was put down elsewhere than in its first place, only the line to the exit counts.
+    """
     bounds = LegBounds(instance)
+    if _has_moved_things(instance, state):
+        return max(1.0, bounds.bound_start(state, None))
     search = TaskSearch(instance.symbolic_model, lower_bound=bounds.bound_leg)
     facts = instance.puzzle.symbolic.get_facts(state.puzzle)
 
@@ -174,6 +179,17 @@ def bound_escape(instance: RoomInstance, state: RoomState) -> float:
         return max(1.0, _bound_jointly(instance, state, bounds, search, legs))
     tasks = search.find_order(facts, None, extend, BOUND_LEGS)
     return math.inf if tasks is None else max(1.0, tasks.lower_bound)
+
+
+def _has_moved_things(instance: RoomInstance, state: RoomState) -> bool:
+    """A thing that can be gripped lies in another cell of its map than at first."""
+    puzzle = instance.puzzle
+    if not isinstance(puzzle, Mapped):
+        return False
+    grips = {op.target for op in instance.symbolic_model.operators if op.action == "grip"}
+    return any(puzzle.blockable_cells[number] != cell
+               for target, (name, cell) in enumerate(zip(puzzle.target_names, puzzle.target_cells, strict=True))
+               if name in grips for number in puzzle.list_cells(state.puzzle, "grip", target))
 
 
 def _bound_jointly(instance: RoomInstance, state: RoomState, bounds: LegBounds, search: TaskSearch,

@@ -22,6 +22,7 @@ from hrl_escape.env.puzzles.mini_grid import HELD, PLACE_BITS, MiniGridConfig, M
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, ContractError, PlanningFailed, UnsupportedError
 from hrl_escape.planning import RoomPlanner
+from hrl_escape.planning.lower_bounds import bound_escape
 
 pytest.importorskip("minigrid")
 from minigrid.core.world_object import Ball, Door, Goal, Key  # noqa: E402  # only where MiniGrid is installed
@@ -301,6 +302,36 @@ def test_routes_are_remembered_by_the_doors_that_are_shut():
     with pytest.raises(PlanningFailed):
         planner.plan(shut, goal)
     assert planner.plan(shut._replace(puzzle=3 << 2 * number), goal).cost > 0, "the exit is shut in both"
+
+
+@pytest.mark.parametrize(("name", "seed"), [("door-key", 0), ("key-corridor", 0)])
+def test_a_key_that_was_put_down_elsewhere_is_planned_for_where_it_lies(name, seed):
+    """In every free cell that the room's own steps reach without the key, behind other doors, too."""
+    room = generate(get_preset(name), seed)
+    planner, puzzle = RoomPlanner(room), room.puzzle
+    state = planner.rules.make_state(room.starts[0])
+    locked = next(number for number in range(len(puzzle.grid.doors)) if puzzle.grid.is_locked(number))
+    cells = [cell for cell in puzzle.grid.floor if cell not in puzzle.grid.bottlenecks
+             and locked not in puzzle.grid.list_doors_before(cell)]
+    assert len(cells) > 10
+    for cell in cells:
+        moved = state._replace(puzzle=puzzle._move(state.puzzle, 0, cell))
+        plan = planner.solve(moved)
+        assert planner.rules.has_escaped(plan.states[-1]) and bound_escape(room, moved) <= plan.cost
+
+
+def test_a_key_beside_the_start_makes_the_bound_no_higher_than_the_plan():
+    """By its first place, far off behind a door, the bound would be above what an escape takes."""
+    puzzle = MiniGridPuzzle((">      k", " D######", " G######"))
+    config = get_preset("door-key")
+    room = generate(dataclasses.replace(
+        config, puzzle=MiniGridConfig("rows", rows=puzzle.rows),
+        room=dataclasses.replace(config.room, width=16.0, depth=6.0)), 0)
+    planner = RoomPlanner(room)
+    state = planner.rules.make_state(room.starts[0])
+    near = state._replace(puzzle=puzzle._move(state.puzzle, 0, puzzle.grid.floor[0]))
+    far, cost = bound_escape(room, state), planner.solve(near).cost
+    assert bound_escape(room, near) <= cost < far <= planner.solve(state).cost
 
 
 def test_impossible_maps_are_refused():

@@ -21,7 +21,7 @@ from hrl_escape.options.meta_actions import list_goals, make_meta_options
 from hrl_escape.options.option import FLAVOURS
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.options.skills import make_go_to, make_press, make_reach
-from hrl_escape.planning.goals import PressGoal
+from hrl_escape.planning.goals import GripGoal, PressGoal
 from hrl_escape.planning.planner import get_planner
 from tests.covering import cover, thin
 from tests.env.rooms import make_ordered_chain
@@ -107,6 +107,24 @@ def test_a_meta_action_presses_its_button_and_no_other(name):
             assert terminated or room.get_state().touching >> index & 1
     pads = sum(isinstance(goal, PressGoal) for goal in goals)
     assert done == {"taxi": pads + 1, "foraging": pads + 1, "sokoban": 2}.get(name, len(goals))
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_key_is_fetched_from_where_it_was_put_down(flavour):
+    room = EscapeRoomEnv("door-key")
+    env = OptionsEnv(room, include_primitives=False, flavour=flavour)
+    *_, leave = (option.name for option in env.options)
+    index = {goal.action: number for number, goal in enumerate(list_goals(room.instance)) if isinstance(goal, GripGoal)}
+    _, info = env.reset(seed=0)
+    first = room.get_state().puzzle
+    for action in ("grip", "release", "grip", "use"):
+        assert info["action_mask"][index[action]], f"{action} is legal"
+        *_, info = env.step(index[action])
+        assert info["option"]["ended"] == "reached"
+        if action == "release":
+            assert room.get_state().puzzle != first, "the key lies elsewhere than at first"
+    *_, terminated, _, info = env.step(env.action_names.index(leave))
+    assert terminated and info["success"]
 
 
 def make_corridor() -> RoomInstance:

@@ -202,29 +202,35 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
     # --- for planners ------------------------------------------------------------------
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`open(door)`, `opened(door)`, `held(thing)` or `lies(thing)` in its first place, and `free(hand)`."""
+        """`open(door)`, `opened(door)`, `held(thing)` or `lies(thing)`, wherever that is, and `free(hand)`."""
         doors, facts = len(self.grid.doors), set[str]()
         for number, name in enumerate(self.target_names):
             if number < doors:
                 facts |= {f"{word}({name})" for bit, word in enumerate(("open", "opened"))
                           if state >> 2 * number + bit & 1}
-            elif (place := self.get_place(state, number - doors)) in (HELD, self.target_cells[number]):
-                facts.add(f"{'held' if place == HELD else 'lies'}({name})")
+            else:
+                facts.add(f"{'held' if self.get_place(state, number - doors) == HELD else 'lies'}({name})")
         return frozenset(facts if self.get_held(state) is not None else facts | {"free(hand)"})
 
     def make_contacts(self, operator: Operator) -> Contacts:
-        """Contacts of the primitive that carries out an operator; keys are put down in cells that are free at first."""
+        """Contacts of the primitive that carries out an operator, with each thing in its first place or the hand."""
         grip = {"grip": 1, "release": -1, "use": USE}[operator.action]
-        target = self.target_names.index(operator.target)
-        cell = self.grid.floor[target - len(self.grid.doors)] if grip == -1 else self.target_cells[target]
+        cell = self.target_cells[self.target_names.index(operator.target)]
         return Contacts((), grip=grip, ahead=self.grid.blockable.index(cell))
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """Open each door, with a key in hand if it is locked; take things from their first places, put down keys."""
+        """Open each door, with a key in hand if it is locked; take things, put down keys.
+
+        A thing can be taken once the doors before its first place are open, wherever it was put down since.
+        """
+        return self._make_model(self.target_cells)
+
+    def _make_model(self, cells: tuple[int, ...]) -> SymbolicModel:
+        """Model with targets in these cells, whose ways decide which doors must be open."""
         grid, names = self.grid, self.target_names
         doors, keys = len(grid.doors), [f"held({name})" for name in names if name.startswith("key")]
         free, operators = frozenset({"free(hand)"}), []
-        for number, (name, cell) in enumerate(zip(names, self.target_cells, strict=True)):
+        for number, (name, cell) in enumerate(zip(names, cells, strict=True)):
             way = frozenset(f"open({names[door]})" for door in grid.list_doors_before(cell))
             if number < doors:
                 opened = frozenset({f"open({name})", f"opened({name})"})
@@ -238,7 +244,8 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
                 operators.append(Operator(f"take-{name}", name, "grip", way | free | lies, add=held,
                                           delete=free | lies))
                 if number - doors < min(grid.keys, len(grid.floor)):
-                    operators.append(Operator(f"put-down-{name}", name, "release", held, add=free, delete=held))
+                    operators.append(Operator(f"put-down-{name}", name, "release", held, add=free | lies,
+                                              delete=held))
         facts = (*(f"{word}({name})" for name in names[:doors] for word in ("open", "opened")),
                  *(f"{word}({name})" for name in names[doors:] for word in ("held", "lies")), "free(hand)")
         balls = frozenset(f"held({name})" for name in names if name.startswith("ball"))
@@ -257,8 +264,10 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
                      if cell not in taken and cell not in grid.bottlenecks)
 
     def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:
-        """The fewest operators to the goal, by search, as doors leave little choice of order."""
-        return self.make_symbolic_model().find_fewest(self.get_facts(state))
+        """The fewest operators to the goal, by search, as doors leave little choice of order; things where they lie."""
+        places = zip(self._list_places(state), self.grid.things, strict=True)
+        things = (first if place == HELD else place for place, first in places)
+        return self._make_model((*self.grid.doors, *things)).find_fewest(self.get_facts(state))
 
 
 register_puzzle(MiniGridConfig, MiniGridPuzzle)
