@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import SchematicForm
-from hrl_escape.env.velocities import Velocities, check_gliding
+from hrl_escape.env.velocities import Velocities
 from hrl_escape.errors import ConfigError
 
 
@@ -82,7 +82,6 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
         return self.velocities.time_step
 
     def _enter(self, instance: RoomInstance) -> None:
-        check_gliding(instance)
         super()._enter(instance)
         self._top = np.array(self.velocities.list_bounds(instance.robot))
         self.action_space = spaces.Box(-self._top.astype(np.float32), self._top.astype(np.float32))  # type: ignore[assignment]

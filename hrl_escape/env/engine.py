@@ -113,7 +113,7 @@ def make_engine(instance: RoomInstance, engine: str = "bullet", *, window: bool 
 
     Raises:
         UnknownNameError: no engine of that name.
-        UnsupportedError: a window without a display, or too many rooms open in this process.
+        UnsupportedError: a window without a display, a gripper under physics, or too many rooms open in this process.
     """
     return resolve_name(_find(engine).engine)(instance, window=window)
 

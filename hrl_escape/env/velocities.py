@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 from hrl_escape.env.kinematics import Glide, RoomState, Rules, Transition
 from hrl_escape.env.puzzles.contacts import USE
 from hrl_escape.env.robot import make_robot
-from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.errors import ConfigError
 
 if TYPE_CHECKING:
     from hrl_escape.env.config import RobotConfig
     from hrl_escape.env.instance import RoomInstance
 
-__all__ = ["GRIPPER_LEVEL", "Velocities", "check_gliding", "count_levels", "find_grip", "list_levels"]
+__all__ = ["GRIPPER_LEVEL", "Velocities", "count_levels", "find_grip", "list_levels"]
 
 GRIPPER_LEVEL = 0.5
 """Level beyond which the gripper grips; it releases below minus that, and what is ahead is used beyond it."""
@@ -110,14 +110,3 @@ def find_grip(levels: Sequence[float]) -> int:
 def list_levels(robot: RobotConfig, grip: int) -> tuple[float, ...]:
     """Levels that ask a robot for a primitive: 1 to grip, -1 to release, `USE` to use, 0 for none of them."""
     return (float(grip) if abs(grip) == 1 else 0.0, float(grip == USE))[: count_levels(robot)]
-
-
-def check_gliding(instance: RoomInstance) -> None:
-    """Refuse a room whose things are gripped under physics.
-
-    Raises:
-        UnsupportedError: it is one.
-    """
-    if instance.robot.actions.gripper and instance.dynamics.kind == "physics":
-        raise UnsupportedError(f"{instance.name!r} is a room of things to grip under dynamics.kind = 'physics', which "
-                               "knows no grips: set dynamics.kind = 'kinematic'")

@@ -14,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
+from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset, sokoban
 from hrl_escape.env.puzzles.taxi import REFUSED, RIDING, Ride
 from hrl_escape.env.sampling.generation import generate
@@ -210,8 +211,9 @@ def test_wrong_arguments_actions_and_rooms_are_named():
     for wrong in ({"time_step": 0.0}, {"speed": math.inf}, {"time_limit": -1.0}):
         with pytest.raises(ConfigError, match=next(iter(wrong))):
             EscapeRoomContinuousEnv(**wrong)
-    with pytest.raises(UnsupportedError, match="grip under dynamics.kind = 'physics'"):
-        EscapeRoomContinuousEnv(change("blocks-world", dynamics={"kind": "physics"}))
+    for environment in (EscapeRoomContinuousEnv, EscapeRoomEnv):
+        with pytest.raises(UnsupportedError, match="grip under dynamics.kind = 'physics'"):
+            environment(change("blocks-world", dynamics={"kind": "physics"}))
     env = EscapeRoomContinuousEnv()
     env.reset(seed=0)
     for wrong in (0, np.zeros(2), np.array([0.0, math.nan, 0.0]), "left"):

@@ -24,7 +24,7 @@ from hrl_escape.env.puzzles.traits import Mapped, Marked, Pushing, get_trait
 from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.env.sight import list_hiders
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, stack_shapes
-from hrl_escape.env.velocities import Velocities, check_gliding
+from hrl_escape.env.velocities import Velocities
 from hrl_escape.errors import UnsupportedError
 
 INSTEAD = "use the Bullet engine: gymnasium.make(...), or make_vec(..., vectorization_mode='sync')"
@@ -141,8 +141,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool, velocities: V
     """Derive the layout that instances share.
 
     Raises:
-        UnsupportedError: physics dynamics, instances that differ in robot, dynamics, or kind or size of puzzle, or
-            rooms that velocities do not move.
+        UnsupportedError: physics dynamics, or instances that differ in robot, dynamics, or kind or size of puzzle.
     """
     first = instances[0]
     if first.dynamics.kind != "kinematic":
@@ -158,8 +157,6 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool, velocities: V
             if mine != theirs:
                 raise UnsupportedError(f"instance {index} of a batch differs from instance 0 in {what} ({theirs} "
                                        f"and not {mine}): make one batch for each")
-    if velocities is not None:
-        check_gliding(first)
     noise = first.dynamics.noise
     is_puzzle_random = any(instance.puzzle.is_random for instance in instances)
     return Layout(

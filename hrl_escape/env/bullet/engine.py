@@ -33,7 +33,8 @@ class BulletRoom:
         """Build the room, and open Bullet's window if one is wanted; it begins an episode at its first start.
 
         Raises:
-            UnsupportedError: a window without a display; under physics, too many rooms open in this process.
+            UnsupportedError: a window without a display; under physics, a gripper, or too many rooms open in this
+                process.
         """
         self.instance, self._is_closed, self._next_frame = instance, False, 0.0
         is_kinematic = instance.dynamics.kind == "kinematic"

@@ -37,7 +37,7 @@ from hrl_escape.env.noise import compute_noise
 from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.primitives import Primitive
 from hrl_escape.env.robot import BASE_LINK, Robot
-from hrl_escape.errors import StateError, show_value
+from hrl_escape.errors import StateError, UnsupportedError, show_value
 from hrl_escape.files import temporary_folder
 
 RATE = 240
@@ -97,10 +97,13 @@ class PhysicsDynamics:
     """Moves one room by rigid-body dynamics, in a world of its own: pybullet's `client`, and the ids of its `scene`.
 
     Raises:
-        UnsupportedError: too many rooms in this process have a client.
+        UnsupportedError: the robot has a gripper, or too many rooms in this process have a client.
     """
 
     def __init__(self, rules: Rules) -> None:
+        if rules.instance.robot.gripper:
+            raise UnsupportedError(f"{rules.instance.name!r} is a room of things to grip under dynamics.kind = "
+                                   "'physics', which knows no grips: set dynamics.kind = 'kinematic'")
         self.client = client = connect()
         self.close = weakref.finalize(self, disconnect, client)
         self.scene = scene = build_scene(client, rules.instance, rules.robot)
