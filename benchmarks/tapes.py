@@ -18,7 +18,8 @@ from typing import Annotated
 import tyro
 
 from hrl_escape.cli import run_script
-from hrl_escape.data.catalogue import FOLDER, PUBLISHED, DataSpec, PublishedTape, list_specs, read_published
+from hrl_escape.data.catalogue import FOLDER, DataSpec, list_specs
+from hrl_escape.data.published import PUBLISHED, PublishedTape, read_published
 from hrl_escape.data.tape import load_tape
 from hrl_escape.errors import VerificationError
 from hrl_escape.files import write_text
@@ -69,7 +70,7 @@ def read_tapes(folder: Path) -> dict[str, PublishedTape]:
 
 def run(args: Args) -> int:
     """Write the table."""
-    tapes = (read_published() if PUBLISHED.is_file() else {}) | read_tapes(args.folder)
+    tapes = {**(read_published() if PUBLISHED.is_file() else {}), **read_tapes(args.folder)}
     write_text(PUBLISHED, "# Published tapes; written by python -m benchmarks.tapes\n" + "".join(
         write_line(spec.name, tapes[spec.name]) for spec in list_specs() if spec.name in tapes))
     print(f"wrote {PUBLISHED}: {len(tapes)} tapes")

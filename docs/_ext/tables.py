@@ -32,7 +32,8 @@ from hrl_escape.agents.registry import (
 )
 from hrl_escape.agents.training.results import METRICS
 from hrl_escape.cli import main
-from hrl_escape.data.catalogue import RUNGS, TAPE_KINDS, DataSpec, read_published
+from hrl_escape.data.catalogue import RUNGS, TAPE_KINDS, DataSpec
+from hrl_escape.data.published import read_published
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.observations.base import list_observations, make_observer
 from hrl_escape.env.presets import PRESETS, get_preset, make_env_name

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
-from hrl_escape.data.catalogue import TAPE_KINDS, DataSpec, PublishedTape
+from hrl_escape.data.catalogue import TAPE_KINDS, DataSpec
+from hrl_escape.data.published import PublishedTape
 from hrl_escape.data.tape import Tape
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import Trajectory, draw_room

@@ -1,20 +1,17 @@
 """Catalogue of data sets, data only: eight rungs of `ladder-1`, six kinds of behaviour, three sizes.
 
 `lattice-play-v1` has 10^5 primitives and comes with the package, `lattice-play-1m-v1` has 10^6 and
-`lattice-play-10m-v1` 10^7; `hrl-escape data make NAME` records what does not come with it. What recordings published so
-far hold stands in a table, `PUBLISHED`, and who records one of them anew is told whether it is the same.
+`lattice-play-10m-v1` 10^7; `hrl-escape data make NAME` records what does not come with it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
 from hrl_escape.errors import FileReadError, UnknownNameError
-from hrl_escape.files import read_toml
 
 BENCHMARK = "ladder-1"
 RUNGS = ("pair", "chain", "lattice-5", "lattice", "clutter", "code", "freight", "reach")
@@ -29,9 +26,8 @@ TAPE_KINDS = {
 TAPE_SIZES = {"": 100_000, "1m": 1_000_000, "10m": 10_000_000}
 FOLDER = Path("data")
 """Folder that recorded tapes go to, and are looked for in."""
-_SHIPPED = Path(str(files("hrl_escape.data") / "tapes"))
-PUBLISHED = _SHIPPED / "published.toml"
-"""Published tapes, a line each; written by `python -m benchmarks.tapes`."""
+SHIPPED = Path(str(files("hrl_escape.data") / "tapes"))
+"""Folder of the tapes that come with the package."""
 _FORM = re.compile(rf"(?P<rung>.+)-(?P<kind>{'|'.join(TAPE_KINDS)})(?:-(?P<size>1m|10m))?-v1")
 
 
@@ -56,32 +52,6 @@ class DataSpec:
     def list_rooms(self, primitives: int) -> str:
         """Rooms for so many primitives, the first of the rung's training set: one for every 1,000, at most 250."""
         return f"{BENCHMARK}/{self.rung}/train[:{max(1, min(primitives // 1000, 250))}]"
-
-
-@dataclasses.dataclass(frozen=True)
-class PublishedTape:
-    """A published tape as it is known before it is recorded here.
-
-    Attributes:
-        content: `Tape.content`.
-        bytes: size of its file; another zlib may give another.
-        primitives: in it.
-        decisions: in it.
-        episodes: in it.
-        scores: those of its card, rounded.
-    """
-
-    content: str
-    bytes: int
-    primitives: int
-    decisions: int
-    episodes: int
-    scores: Mapping[str, float]
-
-
-def read_published() -> dict[str, PublishedTape]:
-    """Published tapes, by name."""
-    return {name: PublishedTape(**fields) for name, fields in read_toml(PUBLISHED, "table of tapes").items()}
 
 
 def list_specs() -> tuple[DataSpec, ...]:
@@ -114,7 +84,7 @@ def find_tape(name: str | Path) -> Path:
     if re.fullmatch(r"[\w.-]+", name) and own.is_file():
         return own
     spec = parse_spec(name)
-    shipped = _SHIPPED / f"{spec.name}.npz"
+    shipped = SHIPPED / f"{spec.name}.npz"
     if shipped.is_file():
         return shipped
     raise FileReadError(f"{spec.name} has not been recorded here: hrl-escape data make {spec.name}")

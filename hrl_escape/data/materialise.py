@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.components.offline import Decisions, Primitives
 from hrl_escape.data.catalogue import find_tape
+from hrl_escape.data.published import warn_of_other
 from hrl_escape.data.tape import ENDS, Tape, load_tape
 from hrl_escape.env.engine import make_renderer
 from hrl_escape.env.instance import RoomInstance
@@ -236,7 +237,7 @@ class _Player:
 
 def load_data(name: str | PathLike[str] | Tape, observation: str = "objects", level: DataLevel = "decisions",
               gamma: float = 0.99, rooms: str = "test") -> DataSet:
-    """Open a data set.
+    """Open a data set; by a published name, it warns of a trial and of a `medium` that is not the published tape.
 
     Args:
         name: of the catalogue, the path of a tape, or a tape.
@@ -248,8 +249,16 @@ def load_data(name: str | PathLike[str] | Tape, observation: str = "objects", le
     Raises:
         UnknownNameError: no such data set or observation.
         FileReadError: it has not been recorded, or the tape is damaged or of another engine.
+        VerificationError: by a published name, the tape is another, which another version of an engine made; its path
+            opens it all the same.
     """
-    tape = name if isinstance(name, Tape) else load_tape(find_tape(name if isinstance(name, str) else Path(name)))
+    if isinstance(name, Tape):
+        tape = name
+    else:
+        path = find_tape(name if isinstance(name, str) else Path(name))
+        tape = load_tape(path)
+        if isinstance(name, str):
+            warn_of_other(name, tape, path)
     return DataSet(tape, observation, level, gamma, rooms)
 
 

@@ -28,15 +28,15 @@ from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.run import show_progress
 from hrl_escape.agents.training.train import train
-from hrl_escape.data.catalogue import BENCHMARK, DataSpec, read_published
+from hrl_escape.data.catalogue import BENCHMARK, DataSpec
 from hrl_escape.data.materialise import load_data
+from hrl_escape.data.published import compare_published, fits_published
 from hrl_escape.data.tape import DYNAMICS, FIELDS, TAPE_FORMAT, Tape, load_tape, save_tape
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.errors import EpisodeFileError, PlanningFailed, VerificationError
+from hrl_escape.errors import EpisodeFileError, PlanningFailed
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.room_sets import parse_room_set
 from hrl_escape.ladder.rung import derive_seed
-from hrl_escape.names import join_words
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known, list_start_states
@@ -172,35 +172,6 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
     if not primitives:
         compare_published(spec, tape, path)
     return tape
-
-
-def fits_published(spec: DataSpec, tape: Tape) -> bool:
-    """Return whether a tape may bear a data set's name: none is published, it is that one, or a whole `medium`."""
-    known = read_published().get(spec.name)
-    return known is None or tape.content == known.content or (
-        spec.kind == "medium" and len(tape.action) >= spec.primitives)
-
-
-def compare_published(spec: DataSpec, tape: Tape, path: Path) -> str:
-    """Words for a tape that may bear the name of a data set.
-
-    Raises:
-        VerificationError: it may not; the message names its file, and what to do.
-    """
-    known = read_published().get(spec.name)
-    if known is None:
-        return "no tape of this name is published"
-    if tape.content == known.content:
-        return "it is the published tape"
-    counts = {"primitives": len(tape.action), "decisions": len(tape.option), "episodes": len(tape.room)}
-    differ = [f"{count:,} {what} where that has {getattr(known, what):,}" for what, count in counts.items()
-              if count != getattr(known, what)] or ["as much, and different in content"]
-    found = (f"is not the published tape: it holds {join_words(differ)} (content {tape.content[:12]}, published "
-             f"{known.content[:12]})")
-    if fits_published(spec, tape):
-        return f"it {found}, for another processor or version of torch may train another network to play it"
-    raise VerificationError(f"{path}: {spec.name} {found}. Another number of primitives or another version of an "
-                            "engine made it. Give its path to use it all the same, or remove it and record anew")
 
 
 def _record_episode(writer: TapeWriter, env: gymnasium.Env, log: ActionLog, choose: ActionRule, kind: str, seed: int,

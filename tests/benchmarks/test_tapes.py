@@ -7,7 +7,8 @@ import dataclasses
 import pytest
 
 from benchmarks.tapes import read_tapes, write_line
-from hrl_escape.data.catalogue import TAPE_SIZES, read_published
+from hrl_escape.data.catalogue import TAPE_SIZES
+from hrl_escape.data.published import read_published
 from hrl_escape.data.tape import save_tape
 from hrl_escape.errors import VerificationError
 from hrl_escape.files import read_toml

@@ -1,14 +1,18 @@
 """`hrl-escape data`: record, list, show and export a data set, as a user would."""
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hrl_escape.data.catalogue import TAPE_KINDS, TAPE_SIZES, read_published
+from hrl_escape.data.catalogue import TAPE_KINDS, TAPE_SIZES
 from hrl_escape.data.materialise import load_data
+from hrl_escape.data.published import read_published
 from hrl_escape.data.record import train_medium
+from hrl_escape.data.tape import load_tape, save_tape
+from hrl_escape.errors import VerificationError
 from tests.command_line import assert_refused, call
 
 NAME, MADE = "pair-play-1m-v1", ("data", "make", "pair-play-1m-v1", "--primitives", "1000")
@@ -49,11 +53,11 @@ def test_a_recording_is_listed_shown_drawn_and_made_only_once(capsys, folder):
 
 def plant(monkeypatch, folder, name, content, decisions):
     """Let 1,000 primitives be all of a recording, and the table of published tapes tell what it must be."""
-    table = folder / "published.toml"
+    table = folder / f"{name}-{content[:4]}-{decisions}.toml"  # each is read once
     table.write_text(f'{name} = {{content = "{content}", bytes = 5000, primitives = 1000, decisions = {decisions}, '
                      'episodes = 17, scores = {mean_return = 37.125, escapes = 1.0}}\n')
     monkeypatch.setitem(TAPE_SIZES, "1m", 1_000)
-    monkeypatch.setattr("hrl_escape.data.catalogue.PUBLISHED", table)
+    monkeypatch.setattr("hrl_escape.data.published.PUBLISHED", table)
 
 
 def test_a_recording_is_told_to_be_the_published_tape_or_refused_for_what_differs(capsys, folder, monkeypatch):
@@ -91,6 +95,36 @@ def test_a_recording_of_medium_may_differ_and_says_so_but_a_trial_is_refused(cap
     assert (tmp_path / "data" / f"{name}.npz").is_file()
     monkeypatch.setitem(TAPE_SIZES, "1m", 3_000)
     assert_refused(capsys, ["data", "make", name], "Another number of primitives")
+
+
+def test_what_is_loaded_by_a_published_name_and_is_another_says_so(capsys, folder, monkeypatch):
+    path = folder / "data" / f"{NAME}.npz"
+    tape = load_tape(path)
+    with pytest.warns(UserWarning, match=f"^{NAME} .*it is a trial and is not the published tape.*{tape.content[:12]}"):
+        assert load_data(NAME, observation="features").tape.content == tape.content
+    plant(monkeypatch, folder, NAME, "0" * 64, len(tape.option) + 1)  # all of a recording, of another engine
+    with pytest.raises(VerificationError, match=f"it holds {len(tape.option):,} decisions where .* Give its path"):
+        load_data(NAME, observation="features")
+    save_tape(folder / "data" / "pair-medium-1m-v1.npz", tape)
+    plant(monkeypatch, folder, "pair-medium-1m-v1", "0" * 64, 1)
+    with pytest.warns(UserWarning, match="it is not the published tape.*train another network"):
+        load_data("pair-medium-1m-v1", observation="features")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_data(path, observation="features")
+        load_data("pair-play-v1", observation="features")  # no tape of this name is in the table now
+        plant(monkeypatch, folder, NAME, tape.content, len(tape.option))
+        load_data(NAME, observation="features")
+
+
+def test_the_table_of_published_tapes_is_read_once(capsys, folder, monkeypatch):
+    """A table that is gone after the first look serves recordings of several names."""
+    plant(monkeypatch, folder, NAME, load_tape(folder / "data" / f"{NAME}.npz").content, 1)
+    assert set(read_published()) == {NAME}
+    (table,) = folder.glob("*.toml")
+    table.unlink()
+    code, out, err = call(capsys, "data", "make", NAME, "pair-expert-1m-v1")
+    assert code == 0 and "it is the published tape" in out and "no tape of this name is published" in out, err
 
 
 def test_a_published_tape_tells_its_size_and_scores_before_it_is_recorded(capsys, tmp_path, monkeypatch):

@@ -9,8 +9,9 @@ import pytest
 
 import hrl_escape.data
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
-from hrl_escape.data.catalogue import DataSpec, list_specs, parse_spec, read_published
+from hrl_escape.data.catalogue import DataSpec, list_specs, parse_spec
 from hrl_escape.data.materialise import load_data
+from hrl_escape.data.published import read_published
 from hrl_escape.data.record import record, train_medium
 from hrl_escape.data.tape import Tape, load_tape, save_tape
 from hrl_escape.ladder.benchmark import load_benchmark

@@ -11,7 +11,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.data.catalogue import FOLDER, TAPE_KINDS, find_tape, list_specs, parse_spec, read_published
+from hrl_escape.data.catalogue import FOLDER, TAPE_KINDS, find_tape, list_specs, parse_spec
+from hrl_escape.data.published import compare_published, read_published
 from hrl_escape.errors import ConfigError, FileReadError, VerificationError
 from hrl_escape.names import make_file_name
 
@@ -133,7 +134,7 @@ def run_make(args: MakeArgs) -> None:
         hrl-escape data make lattice-play-v1 lattice-expert-v1 --out data
         hrl-escape data make mine --rooms paper-two-button#0 --played episodes/*.json
     """
-    from hrl_escape.data.record import compare_published, make_played_tape, record  # loads torch
+    from hrl_escape.data.record import make_played_tape, record  # loads torch
     from hrl_escape.data.tape import load_tape, save_tape
 
     console = Console(soft_wrap=True, highlight=False)
