@@ -19,6 +19,7 @@ from rich.console import Console
 
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.names import make_console_text
+from hrl_escape.viewer import HOST, PORT
 from hrl_escape.viewer.play.episode import Episode, SavedEpisode, load_episode
 
 if TYPE_CHECKING:
@@ -29,9 +30,9 @@ if TYPE_CHECKING:
 class PageAddress:
     """Options of the page's address, which `watch` has too."""
 
-    host: str = "127.0.0.1"
+    host: str = HOST
     """Address to serve on; any other than 127.0.0.1 lets other machines in."""
-    port: int = 8080
+    port: int = PORT
     """Port to serve on; 0 for any free one."""
     no_open: bool = False
     """Only print the page's address; by default your browser opens it."""

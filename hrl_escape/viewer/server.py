@@ -29,6 +29,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from hrl_escape.errors import AddressError, UnsupportedError
+from hrl_escape.viewer import HOST, PORT
 from hrl_escape.viewer.extra import msgspec, viser, websockets
 
 _Three = tuple[float, float, float]
@@ -288,7 +289,7 @@ class Server(viser.ViserServer):
             super().stop()
 
 
-def open_server(host: str = "127.0.0.1", port: int = 8080) -> Server:
+def open_server(host: str = HOST, port: int = PORT) -> Server:
     """Start serving an empty page; a host but 127.0.0.1 lets other machines in, and port 0 is any free one.
 
     Raises:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import socket
+from pathlib import Path
 
 import pytest
 
+import hrl_escape
 from hrl_escape.cli import main
+from hrl_escape.commands.play import PlayArgs
 from hrl_escape.errors import AddressError
+from hrl_escape.viewer import HOST, PORT
 from hrl_escape.viewer.server import get_url, open_server
 from tests.forks import run_fork
 
@@ -18,6 +24,14 @@ def test_it_listens_on_this_machine_only(server):
                  if line.split()[3] == "0A" and line.split()[1].endswith(f":{port:04X}")]
     assert listening == [f"0100007F:{port:04X}"]
     assert get_url(server) == f"http://127.0.0.1:{port}/?token={server.guard.token}"
+
+
+def test_commands_and_servers_have_one_default_address():
+    defaults = [parameter.default for parameter in inspect.signature(open_server).parameters.values()]
+    assert defaults == [HOST, PORT] == [PlayArgs().host, PlayArgs().port]
+    package = Path(hrl_escape.__file__).parent
+    told = [path.name for path in package.rglob("*.py") if re.search(r"= 8080|, 8080", path.read_text())]
+    assert told == ["__init__.py"], "it is written once"
 
 
 def test_it_opens_no_tunnel(server):
