@@ -19,6 +19,7 @@ from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
 from hrl_escape.comparison.reporting.figures import draw_radar, list_references, make_profiles
 from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.comparison.verdict import count_things
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
@@ -40,7 +41,7 @@ EASY = 0.9
 """Efficiency from which on a rung asks nothing more of a learner."""
 SEARCHED = 0.5
 """Efficiency below which searching alone is no answer."""
-SEVERAL = 3
+LEAST_FALLING = 3
 """Learners that have to fall on an axis before its order of rungs is theirs and not one learner's weakness."""
 
 
@@ -194,11 +195,12 @@ def tell_falls(falls: Iterable[tuple[str, str]], axes: Sequence[AxisRecord]) -> 
     """A sentence: the axes on which several learners fall, and others."""
     counts = collections.Counter(axis for _, axis in falls)
     several, few, none = ([axis.name for axis in axes if low <= counts[axis.name] <= high]
-                          for low, high in ((SEVERAL, math.inf), (1, SEVERAL - 1), (0, 0)))
+                          for low, high in ((LEAST_FALLING, math.inf), (1, LEAST_FALLING - 1), (0, 0)))
     if len(none) == len(axes):
         return "No learner is shown to fall as rungs grow harder, on any axis."
-    told = [f"{count} fall on {join_words(own)}" for count, own in (
-        ("three learners or more", several), ("one or two learners", few)) if own]
+    *fewer, most, least = (count_things(count, "learner") for count in range(1, LEAST_FALLING + 1))
+    some = join_words((*(words.split()[0] for words in fewer), most), "or")
+    told = [f"{who} fall on {join_words(own)}" for who, own in ((f"{least} or more", several), (some, few)) if own]
     return f"As rungs grow harder {'; '.join(told)}{f'; none does on {join_words(none)}' if none else ''}."
 
 

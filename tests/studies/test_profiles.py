@@ -13,6 +13,7 @@ from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.manifest import AxisRecord
 from studies.baseline import BaselineRun
+from studies.profiles.analysis import tell_falls
 from studies.running import run_study
 from studies.study import find_study
 from tests.studies.pages import load
@@ -92,6 +93,13 @@ def test_three_falls_are_several_whoever_falls(tmp_path: Path):
     level = {(agent, axis.name): (0.6,) * 4 for agent in LEARNERS for axis in (MOTION, AXES[0])}
     page = write_page("profiles", make_lines(level, axes=(MOTION, AXES[0])), tmp_path)
     assert "As rungs grow harder three learners or more fall on motion; none does on depth." in page
+
+
+def test_the_sentence_on_falls_names_the_number_that_decides(monkeypatch):
+    monkeypatch.setattr("studies.profiles.analysis.LEAST_FALLING", 4)
+    falls = [*((agent, AXES[0].name) for agent in "abcd"), *((agent, AXES[1].name) for agent in "abc")]
+    assert tell_falls(falls, AXES[:2]) == ("As rungs grow harder four learners or more fall on depth; one, two or "
+                                           "three learners fall on branching.")
 
 
 def test_others_are_below_planned_options_where_each_of_them_is(tmp_path: Path):
