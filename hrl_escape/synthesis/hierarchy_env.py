@@ -122,5 +122,5 @@ class HierarchyVectorEnv(VectorWrapper):
 
     def _pack(self) -> NDArray[np.float64]:
         """Situations of all rooms, (rooms, numbers)."""
-        states = map(self._rooms.room.get_room_state, range(self.num_envs))
+        states = self._rooms.room.get_room_states(range(self.num_envs))
         return np.stack([self._situations.pack(state) for state in states])

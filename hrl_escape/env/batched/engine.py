@@ -8,7 +8,7 @@ decided in single precision, so flags can differ within a micrometre of a thresh
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Literal, NamedTuple
 
@@ -264,12 +264,20 @@ class TensorRoom:
 
     def get_room_state(self, room: int) -> RoomState:
         """Return one room's state as a scalar `RoomState`, for planners, cameras and the Bullet engine."""
-        one = map_tensors(lambda field: field[..., room].tolist(), self.state)
-        word, puzzle = one.puzzle % 2**64, self.instances[one.instance].puzzle
-        offsets = tuple(one.joint_offsets)
-        return RoomState(one.x, one.y, one.heading_steps, one.heading_offset, tuple(one.joint_steps),
-                         offsets if any(offsets) else (), get_tensor_puzzle(puzzle.kind).decode(puzzle, word),
-                         one.touching % 2**64, one.primitives, one.noise_key)
+        return self.get_room_states([room])[0]
+
+    def get_room_states(self, rooms: Sequence[int]) -> list[RoomState]:
+        """Return the states of some rooms, read from the device together; see `get_room_state`."""
+        at = torch.tensor(rooms, dtype=torch.int64, device=self.device)
+        many = map_tensors(lambda field: field.index_select(-1, at).t().tolist(), self.state)
+        puzzles = [self.instances[instance].puzzle for instance in many.instance]
+        return [
+            RoomState(x, y, heading, offset, tuple(joints), tuple(offsets) if any(offsets) else (),
+                      get_tensor_puzzle(puzzle.kind).decode(puzzle, word % 2**64), touching % 2**64, primitives, key)
+            for x, y, heading, offset, joints, offsets, word, touching, primitives, key, puzzle in zip(
+                many.x, many.y, many.heading_steps, many.heading_offset, many.joint_steps, many.joint_offsets,
+                many.puzzle, many.touching, many.primitives, many.noise_key, puzzles, strict=True)
+        ]
 
     def set_room_state(self, room: int, state: RoomState) -> None:
         """Put one room into a scalar `RoomState`; its instance and random stream stay.

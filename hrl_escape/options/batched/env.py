@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 from typing import Any, TypeAlias
 
@@ -27,6 +27,7 @@ from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.poses import RoomState
 from hrl_escape.env.presets import SchematicForm
 from hrl_escape.errors import (
     ActionError,
@@ -79,12 +80,12 @@ class HostPlanner:
         `where` are the rooms that need an order, bool (rooms,); their next goal is still `NOT_ASKED` where the
         preconditions cannot be met.
         """
-        rooms = where.nonzero().squeeze(1).tolist()
-        if not rooms:
+        at = where.nonzero().squeeze(1)
+        if not len(at):
             return running
-        found = [self._find_order(room, int(targets[room])) for room in rooms]
+        found = [self._find_order(*room) for room in self._read(at, targets)]
         found = [goals if len(goals) <= ORDER_LENGTH else [*goals[:ORDER_LENGTH], NOT_ASKED] for goals in found]
-        at, device = torch.tensor(rooms, device=where.device), where.device
+        device = where.device
         order, goal, left = running.order.clone(), running.goal.clone(), running.order_left.clone()
         order[:, at] = _align([goals[1:] for goals in found], ORDER_LENGTH, NOT_ASKED).to(order)
         goal[at] = torch.tensor([goals[0] if goals else NOT_ASKED for goals in found], device=device)
@@ -97,34 +98,37 @@ class HostPlanner:
         Returns:
             The decisions with the beginnings of their plans, and the rooms in which planning failed, bool (rooms,).
         """
-        rooms = where.nonzero().squeeze(1).tolist()
-        kept = 1 if self._room.layout.dynamics.is_random else PLAN_LENGTH  # a slip invalidates what follows
-        plans = [self._find_plan(room, int(running.goal[room]))[:kept] for room in rooms]
-        has_failed = torch.zeros_like(running.plan_left, dtype=torch.bool)
-        if not rooms:
+        at = where.nonzero().squeeze(1)
+        has_failed = torch.zeros_like(where)
+        if not len(at):
             return running, has_failed
-        plan, left, at = running.plan.clone(), running.plan_left.clone(), torch.tensor(rooms, device=where.device)
+        kept = 1 if self._room.layout.dynamics.is_random else PLAN_LENGTH  # a slip invalidates what follows
+        plans = [self._find_plan(*room)[:kept] for room in self._read(at, running.goal)]
+        plan, left = running.plan.clone(), running.plan_left.clone()
         lengths = torch.tensor([len(found) for found in plans], dtype=left.dtype, device=left.device)
         plan[:, at], left[at], has_failed[at] = _align(plans, PLAN_LENGTH, 0).to(plan), lengths, lengths == 0
         return running._replace(plan=plan, plan_left=left), has_failed
 
-    def _get_planner(self, room: int) -> RoomPlanner:
-        number = int(self._room.state.instance[room])
-        if number not in self._planners:
-            self._planners[number] = get_planner(self._room.instances[number])
-        return self._planners[number]
+    def _read(self, at: Tensor, goal: Tensor) -> Iterator[tuple[RoomPlanner, RoomState, int]]:
+        """Planner, state and goal of the rooms numbered `at`, int64 (some,); `goal` is that of all, int64 (rooms,)."""
+        states = self._room.get_room_states(at.tolist())
+        for number, state, aim in zip(self._room.state.instance[at].tolist(), states, goal[at].tolist(), strict=True):
+            if number not in self._planners:
+                self._planners[number] = get_planner(self._room.instances[number])
+            yield self._planners[number], state, aim
 
-    def _find_order(self, room: int, target: int) -> list[int]:
+    @staticmethod
+    def _find_order(planner: RoomPlanner, state: RoomState, target: int) -> list[int]:
         try:
-            goals = self._get_planner(room).orders.find_ancestors(self._room.get_room_state(room), PressGoal(target))
+            goals = planner.orders.find_ancestors(state, PressGoal(target))
         except PlanningFailed:
             return []
         return [goal.target for goal in goals if isinstance(goal, PressGoal)]
 
-    def _find_plan(self, room: int, goal: int) -> tuple[int, ...]:
+    def _find_plan(self, planner: RoomPlanner, state: RoomState, goal: int) -> tuple[int, ...]:
         planned = PressGoal(goal) if goal < self._room.layout.targets else ExitGoal()
         try:
-            return self._get_planner(room).routes.find_route(self._room.get_room_state(room), planned).primitives
+            return planner.routes.find_route(state, planned).primitives
         except PlanningFailed:
             return ()
 

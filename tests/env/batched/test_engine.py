@@ -151,6 +151,7 @@ def test_states_go_out_and_back_and_go_on_exactly():
     for action in acts[:15]:
         room.step(action)
     kept, states = room.state, [room.get_room_state(i) for i in range(6)]
+    assert room.get_room_states([4, 1, 5]) == [states[4], states[1], states[5]] and len(set(states)) == 6
     first = [room.step(action).observation for action in acts[15:]]
     room.state = kept
     assert all(torch.equal(a, room.step(b).observation) for a, b in zip(first, acts[15:], strict=True))

@@ -17,6 +17,8 @@ from hrl_escape.options.batched.cost_to_go import compute_instance_fields
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.batched.hand_policy import CHOSEN
 from hrl_escape.options.degraded import OptionDegradation
+from hrl_escape.planning.goals import PressGoal
+from hrl_escape.planning.planner import get_planner
 from tests.env.rooms import all_schematics
 from tests.options.batched.test_batched_env import begin, decide, play
 
@@ -172,10 +174,11 @@ def test_an_interrupted_press_by_hand_takes_the_primitives_of_one_that_is_not():
 
 def test_ancestors_by_hand_are_pressed_first():
     env = make_env(flavour="press-with-ancestors")
-    last = max(range(2), key=lambda n: len(env._host_planner._find_order(0, n)))
-    order = env._host_planner._find_order(0, last)
-    done = decide(env, last)
-    assert int(done.pressed) == sum(1 << n for n in order) and ENDINGS[done.ended] == "reached"
+    orders, state = get_planner(env.room.instances[0]).orders, env.room.get_room_state(0)
+    order = max((orders.find_ancestors(state, PressGoal(n)) for n in range(2)), key=len)
+    done = decide(env, order[-1].target)
+    assert len(order) == 2 and int(done.pressed) == sum(1 << goal.target for goal in order)
+    assert ENDINGS[done.ended] == "reached"
 
 
 def test_options_by_hand_fail_and_dawdle_where_asked():
