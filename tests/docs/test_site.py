@@ -153,6 +153,11 @@ def test_no_tutorial_and_no_guide_keeps_its_first_screen_without_a_picture(site:
     assert count_words_before_a_picture('role="main" ' + "word " * 200 + "<img src>") == 200
 
 
+def test_code_in_the_caption_of_a_player_is_code(site: Path):
+    page = (site / "hierarchies.html").read_text(encoding="utf-8")
+    assert "<code>get</code> the passenger" in page and "&lt;code&gt;" not in page
+
+
 @pytest.mark.parametrize(("name", "most"), [("new_puzzle", 50), ("smdp_q_learning", 60)])
 def test_a_tutorial_is_as_short_as_its_title_says(name: str, most: int):
     """Lines of code: no blank lines, comments or docstrings."""
