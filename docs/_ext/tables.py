@@ -213,18 +213,18 @@ class Prices(Table):
 
 
 class PublishedTapes(Table):
-    """`{tapes} 1m`: mean return and size of the published data sets of a size; rungs without any are left out."""
+    """`{tapes} 1m`: mean return and size of the published data sets of a size."""
 
     def write(self) -> str:
         """One row a rung, one column a kind."""
         published = read_published()
 
         def tell(spec: DataSpec) -> str:
-            tape = published.get(spec.name)
-            return "" if tape is None else f"{tape.scores['mean_return']:.1f} ({tape.bytes / 1000:.0f} kB)"
+            tape = published[spec.name]
+            return f"{tape.scores['mean_return']:.1f} ({tape.bytes / 1000:.0f} kB)"
 
-        rows = {rung: [tell(DataSpec(rung, kind, self.arguments[0])) for kind in TAPE_KINDS] for rung in RUNGS}
-        return make_table(("rung", *TAPE_KINDS), ((f"`{rung}`", *row) for rung, row in rows.items() if any(row)))
+        return make_table(("rung", *TAPE_KINDS), (
+            (f"`{rung}`", *(tell(DataSpec(rung, kind, self.arguments[0])) for kind in TAPE_KINDS)) for rung in RUNGS))
 
 
 class Usage(Table):

@@ -94,6 +94,17 @@ def test_every_data_set_of_the_smallest_size_comes_with_the_package():
     assert {path.stem for path in SHIPPED.glob("*.npz")} == {spec.name for spec in list_specs() if not spec.size}
 
 
+def test_every_data_set_of_the_two_smaller_sizes_is_published_and_the_larger_one_holds_ten_times_as_much():
+    published = read_published()
+    assert set(published) == {spec.name for spec in list_specs() if spec.size != "10m"}
+    for name in filter(lambda name: name.endswith("-1m-v1"), published):
+        large, small = published[name], published[name.replace("-1m", "")]
+        assert 1_000_000 <= large.primitives < 1_010_000 and large.content != small.content
+        assert large.scores["best_known"] == small.scores["best_known"], "the same rooms"
+        escapes = large.scores["escapes"], small.scores["escapes"]
+        assert abs(escapes[0] - escapes[1]) < 0.15, f"{name}: the same players"
+
+
 def test_what_comes_with_the_package_is_what_the_table_of_published_tapes_says():
     published = read_published()
     for path in sorted(SHIPPED.glob("*.npz")):
