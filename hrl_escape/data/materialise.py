@@ -237,7 +237,9 @@ class _Player:
 
 def load_data(name: str | PathLike[str] | Tape, observation: str = "objects", level: DataLevel = "decisions",
               gamma: float = 0.99, rooms: str = "test") -> DataSet:
-    """Open a data set; by a published name, it warns of a trial and of a `medium` that is not the published tape.
+    """Open a data set.
+
+    Loaded by a published name, a trial run or a differing `medium` gives a warning.
 
     Args:
         name: of the catalogue, the path of a tape, or a tape.

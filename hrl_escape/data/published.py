@@ -2,7 +2,8 @@
 
 Who records a published data set anew, or loads it by its name, is told where it is another. One that another version of
 an engine made is refused under the name; one of `medium` may differ, for a network plays it that another processor or
-version of torch may train otherwise, and a trial has fewer primitives: both are only told.
+version of torch may train otherwise, a trial has another number of primitives, and one's own play is none of the
+catalogue's: all three are only told.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ import warnings
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from hrl_escape.data.catalogue import SHIPPED, DataSpec, parse_spec
+from hrl_escape.data.catalogue import SHIPPED, parse_spec
 from hrl_escape.errors import VerificationError
 from hrl_escape.files import read_toml
 from hrl_escape.names import join_words
@@ -57,49 +58,71 @@ def _read(table: Path) -> Mapping[str, PublishedTape]:
     return {name: PublishedTape(**fields) for name, fields in read_toml(table, "table of tapes").items()}
 
 
-def fits_published(spec: DataSpec, tape: Tape) -> bool:
-    """Return whether a tape may bear a data set's name: none is published, it is that one, or a whole `medium`."""
-    known = read_published().get(spec.name)
-    return known is None or tape.content == known.content or (
-        spec.kind == "medium" and len(tape.action) >= spec.primitives)
+Standing = Literal["published", "unpublished", "medium", "trial", "played", "other"]
+"""A tape under a name: the published one; of a name without one; a whole `medium` of another network; recorded with
+another number of primitives than the name says; someone's own play; another for other reasons."""
 
 
-def compare_published(spec: DataSpec, tape: Tape, path: Path) -> str:
-    """Words for a tape that may bear the name of a data set.
+class Comparison(NamedTuple):
+    """A tape held against the published one of a name; `difference` tells of another one what it is and holds."""
 
-    Raises:
-        VerificationError: it may not; the message names its file, and what to do.
-    """
-    known = read_published().get(spec.name)
+    standing: Standing
+    difference: str = ""
+
+    @property
+    def fits(self) -> bool:
+        """Whether the tape may bear the name."""
+        return self.standing in ("published", "unpublished", "medium")
+
+    @property
+    def words(self) -> str:
+        """A clause that tells of it."""
+        known = {"published": "it is the published tape", "unpublished": "no tape of this name is published"}
+        return known.get(self.standing, f"it {self.difference}")
+
+
+def compare_published(name: str, tape: Tape) -> Comparison:
+    """Hold a tape against the published one of a name."""
+    known = read_published().get(name)
     if known is None:
-        return "no tape of this name is published"
+        return Comparison("unpublished")
     if tape.content == known.content:
-        return "it is the published tape"
-    found = _tell_difference(tape, known)
-    if fits_published(spec, tape):
-        return f"it {found}, for another processor or version of torch may train another network to play it"
-    raise VerificationError(f"{path}: {spec.name} {found}. Another number of primitives or another version of an "
-                            "engine made it. Give its path to use it all the same, or remove it and record anew")
+        return Comparison("published")
+    spec, found = parse_spec(name), _tell_difference(tape, known)
+    if tape.about["kind"] == "played":
+        return Comparison("played", f"is one's own play and {found}")
+    shown = min(len(tape.action), spec.primitives)  # of an older tape, which does not tell what was asked for
+    if tape.about.get("asked_primitives", shown) != spec.primitives:
+        return Comparison("trial", f"is a trial and {found}")
+    if spec.kind == "medium":
+        return Comparison("medium", f"{found}, for another processor or version of torch may train another network to "
+                                    "play it")
+    return Comparison("other", found)
+
+
+def refuse_other(name: str, found: Comparison, path: Path) -> VerificationError:
+    """Make the error for a tape that may not bear a name; it names the file, and what to do."""
+    cause = "Another number of primitives or another version of an engine made it. "
+    return VerificationError(f"{path}: {name} {found.difference}. {'' if found.standing == 'played' else cause}"
+                             "Give its path to use it all the same, or remove it and record anew")
 
 
 def warn_of_other(name: str, tape: Tape, path: Path) -> None:
-    """Warn of a trial, or of a `medium` of another network, that is loaded by the name of a published tape.
+    """Warn of a trial, of one's own play, or of a `medium` of another network under the name of a published tape.
 
     Raises:
         VerificationError: another version of an engine made it.
     """
-    known = read_published().get(name)
-    if known is None or tape.content == known.content:
-        return
-    spec = parse_spec(name)
-    is_trial = len(tape.action) < spec.primitives
-    told = f"it is a trial and {_tell_difference(tape, known)}" if is_trial else compare_published(spec, tape, path)
-    warnings.warn(f"{name} ({path}): {told}", stacklevel=3)
+    found = compare_published(name, tape)
+    if found.standing == "other":
+        raise refuse_other(name, found, path)
+    if found.standing not in ("published", "unpublished"):
+        warnings.warn(f"{name} ({path}): {found.words}", stacklevel=3)
 
 
 def _tell_difference(tape: Tape, known: PublishedTape) -> str:
     counts = {"primitives": len(tape.action), "decisions": len(tape.option), "episodes": len(tape.room)}
     differ = [f"{count:,} {what} where that has {getattr(known, what):,}" for what, count in counts.items()
-              if count != getattr(known, what)] or ["as much, and different in content"]
+              if count != getattr(known, what)] or ["equal counts but different content"]
     return (f"is not the published tape: it holds {join_words(differ)} (content {tape.content[:12]}, published "
             f"{known.content[:12]})")

@@ -30,7 +30,7 @@ from hrl_escape.agents.training.run import show_progress
 from hrl_escape.agents.training.train import train
 from hrl_escape.data.catalogue import BENCHMARK, DataSpec
 from hrl_escape.data.materialise import load_data
-from hrl_escape.data.published import compare_published, fits_published
+from hrl_escape.data.published import compare_published, refuse_other
 from hrl_escape.data.tape import DYNAMICS, FIELDS, TAPE_FORMAT, Tape, load_tape, save_tape
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import EpisodeFileError, PlanningFailed
@@ -147,7 +147,8 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
     rooms = parse_room_set(text := spec.list_rooms(total))
     share = -(-total // len(rooms))
     env, log, choose = _make_behaviour(spec, rooms, path.with_suffix(".medium"))
-    about = make_about(spec.name, spec.kind, text, rooms, env, f"hrl-escape data make {spec.name}")
+    about = {**make_about(spec.name, spec.kind, text, rooms, env, f"hrl-escape data make {spec.name}"),
+             "asked_primitives": total}
     begun = load_tape(part) if part.is_file() else None
     writer = TapeWriter(begun if begun is not None and begun.about == about else None)
     saved = time.monotonic()
@@ -166,11 +167,13 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
     tape = writer.make_tape(about)
     scores = _measure(tape) | measure_references(spec.rung, min(len(rooms), REFERENCE_ROOMS))
     tape = dataclasses.replace(tape, about={**about, "scores": scores})
-    path = path if primitives or fits_published(spec, tape) else path.with_suffix(".other.npz")
+    found = compare_published(spec.name, tape)
+    is_other = not (primitives or found.fits)
+    path = path.with_suffix(".other.npz") if is_other else path
     save_tape(path, tape)
     part.unlink(missing_ok=True)
-    if not primitives:
-        compare_published(spec, tape, path)
+    if is_other:
+        raise refuse_other(spec.name, found, path)
     return tape
 
 

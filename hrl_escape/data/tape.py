@@ -49,7 +49,7 @@ class Tape:
     Attributes:
         about: JSON values: `name`, `kind`, `rooms` (a text of `parse_room_set`) and the hash of its seeds, `engine`,
             `dynamics`, `package`, `command`, `actions` (names), `primitive_count` (actions that are primitives),
-            `policies`, `scores`.
+            `policies`, `scores`, and of what was recorded for a name of the catalogue `asked_primitives`.
         episode_seed: of `reset`, uint64 (E,).
         room: index in the set of rooms, int32 (E,).
         decisions: of each episode, int32 (E,).

@@ -1,5 +1,6 @@
 """`hrl-escape data`: record, list, show and export a data set, as a user would."""
 
+import dataclasses
 import json
 import warnings
 from pathlib import Path
@@ -114,6 +115,44 @@ def test_what_is_loaded_by_a_published_name_and_is_another_says_so(capsys, folde
         load_data(path, observation="features")
         load_data("pair-play-v1", observation="features")  # no tape of this name is in the table now
         plant(monkeypatch, folder, NAME, tape.content, len(tape.option))
+        load_data(NAME, observation="features")
+
+
+@pytest.mark.parametrize("asked", ["800", "1500"])
+def test_a_trial_is_warned_of_whether_shorter_or_longer_than_its_name_says(capsys, folder, monkeypatch, asked):
+    path = folder / "data" / f"{NAME}.npz"
+    path.unlink()
+    plant(monkeypatch, folder, NAME, "0" * 64, 1)
+    assert call(capsys, *MADE[:-1], asked)[0] == 0
+    with pytest.warns(UserWarning, match=f"^{NAME} .*it is a trial and is not the published tape"):
+        load_data(NAME, observation="features")
+    assert_refused(capsys, ["data", "make", NAME], "Another number of primitives")  # it does not bear the name
+
+
+def test_ones_own_play_under_a_published_name_is_warned_of_as_such(capsys, folder, monkeypatch):
+    path = folder / "data" / f"{NAME}.npz"
+    tape = load_tape(path)
+    plant(monkeypatch, folder, NAME, "0" * 64, len(tape.option) + 1)
+    save_tape(path, dataclasses.replace(tape, about={**tape.about, "kind": "played"}))
+    with pytest.warns(UserWarning, match=f"^{NAME} .*it is one's own play and is not the published tape"):
+        load_data(NAME, observation="features")
+    assert_refused(capsys, ["data", "make", NAME], "is one's own play")
+
+
+def test_a_tape_of_equal_counts_and_another_content_says_so(capsys, folder, monkeypatch):
+    """Also one that an older version recorded, which does not tell how many primitives it was asked for."""
+    path = folder / "data" / f"{NAME}.npz"
+    tape = load_tape(path)
+    about = {key: value for key, value in tape.about.items() if key != "asked_primitives"}
+    save_tape(path, dataclasses.replace(tape, about=about))
+    table = folder / "equal.toml"
+    table.write_text(f'{NAME} = {{content = "{"0" * 64}", bytes = 5000, primitives = {len(tape.action)}, decisions = '
+                     f'{len(tape.option)}, episodes = {len(tape.room)}, scores = {{mean_return = 1.0}}}}\n')
+    monkeypatch.setattr("hrl_escape.data.published.PUBLISHED", table)
+    with pytest.warns(UserWarning, match="it is a trial and .* it holds equal counts but different content"):
+        load_data(NAME, observation="features")
+    monkeypatch.setitem(TAPE_SIZES, "1m", 1_000)
+    with pytest.raises(VerificationError, match="it holds equal counts but different content"):
         load_data(NAME, observation="features")
 
 

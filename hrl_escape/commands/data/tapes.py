@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.data.catalogue import FOLDER, TAPE_KINDS, find_tape, list_specs, parse_spec
-from hrl_escape.data.published import compare_published, read_published
+from hrl_escape.data.published import compare_published, read_published, refuse_other
 from hrl_escape.errors import ConfigError, FileReadError, VerificationError
 from hrl_escape.names import make_file_name
 
@@ -155,10 +155,13 @@ def run_make(args: MakeArgs) -> None:
         path = args.out / f"{spec.name}.npz"
         try:
             tape = load_tape(path) if path.is_file() else record(spec, path, primitives=args.primitives)
-            told = "" if args.primitives else "; " + compare_published(spec, tape, path)
+            found = compare_published(spec.name, tape)
+            if not (args.primitives or found.fits):
+                raise refuse_other(spec.name, found, path)
         except VerificationError as error:
             refused.append(str(error))
         else:
+            told = "" if args.primitives else f"; {found.words}"
             console.print(f"{tape}; {path}, {path.stat().st_size:,} bytes{told}", markup=False)
     if refused:
         raise VerificationError("; ".join(refused))
