@@ -267,8 +267,15 @@ class TensorRoom:
         return self.get_room_states([room])[0]
 
     def get_room_states(self, rooms: Sequence[int]) -> list[RoomState]:
-        """Return the states of some rooms, read from the device together; see `get_room_state`."""
-        at = torch.tensor(rooms, dtype=torch.int64, device=self.device)
+        """Return the states of some rooms, read from the device together; see `get_room_state`.
+
+        Raises:
+            ConfigError: no such room; negative numbers count from the last one.
+        """
+        for room in rooms:  # an accelerator would stop at such an index, and for good
+            if not -self.count <= room < self.count:
+                raise ConfigError("rooms", room, f"numbers from {-self.count} to {self.count - 1}")
+        at = torch.tensor([room % self.count for room in rooms], dtype=torch.int64, device=self.device)
         many = map_tensors(lambda field: field.index_select(-1, at).t().tolist(), self.state)
         puzzles = [self.instances[instance].puzzle for instance in many.instance]
         return [

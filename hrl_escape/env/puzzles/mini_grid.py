@@ -243,7 +243,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
                 held, lies = frozenset({f"held({name})"}), frozenset({f"lies({name})"})
                 operators.append(Operator(f"take-{name}", name, "grip", way | free | lies, add=held,
                                           delete=free | lies))
-                if number - doors < min(grid.keys, len(grid.floor)):
+                if number - doors < grid.keys:
                     operators.append(Operator(f"put-down-{name}", name, "release", held, add=free | lies,
                                               delete=held))
         facts = (*(f"{word}({name})" for name in names[:doors] for word in ("open", "opened")),

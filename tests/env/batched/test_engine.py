@@ -168,6 +168,27 @@ def test_states_go_out_and_back_and_go_on_exactly():
     assert [other.get_room_state(i) for i in range(6)] == [room.get_room_state(i) for i in range(6)]
 
 
+@pytest.mark.parametrize("config", [NOISY, get_preset("arm-two-button")], ids=["no joints", "joints"])
+def test_states_of_some_rooms_are_those_of_batches_of_one(config):
+    room = make_rooms(5, config=config)
+    room.reset(torch.arange(5))
+    singles = [TensorRoom(Rooms(instance=room.instances[i % 3])) for i in range(5)]
+    for seed, single in enumerate(singles):
+        single.reset(torch.tensor([seed]))
+    for action in actions_of(range(5), 20, room.actions):
+        room.step(action)
+        for single, own in zip(singles, action, strict=True):
+            single.step(own[None])
+    states = [single.get_room_state(0) for single in singles]
+    assert len(set(states)) == 5 and len(states[0].joint_steps) == room.layout.robot.joints
+    for rooms in ([], [3], [4, 1, 1], [-1, 0, -5], range(5)):
+        assert room.get_room_states(rooms) == [states[i] for i in rooms]
+    assert room.get_room_state(-2) == states[3]
+    for wrong in (5, -6):
+        with pytest.raises(ConfigError, match=f"rooms = {wrong}.*numbers from -5 to 4"):
+            room.get_room_states([0, wrong])
+
+
 def test_states_of_another_robot_or_engine_are_refused():
     room = make_rooms(1, instances=1, config=get_preset("paper-one-button"))
     room.reset(torch.tensor([0]))
