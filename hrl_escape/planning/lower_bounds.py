@@ -1,7 +1,8 @@
 """Lower bounds on the primitives of a leg and of a whole escape, from geometry alone: straight lines, no obstacles.
 
-They hold because no primitive moves the body's axis farther than the longest of the action table. One primitive may
-press two targets that are close together. Bounds of legs add up as if the robot could leave a press at another place
+They hold because no primitive moves the body's axis farther than the longest of the action table, and no target moves:
+of a thing that has been put down or pushed elsewhere on a map, no way is counted. One primitive may press two targets
+that are close together. Bounds of legs add up as if the robot could leave a press at another place
 than it arrived at. In puzzles of few states an escape's legs are bounded jointly: each place from which a target can be
 pressed is cut into cells, and the fewest primitives to be in each cell after each press follow from those of the press
 before (dynamic programming over states of the puzzle, targets and cells). A cell holds more than one pose, so the bound
@@ -24,7 +25,7 @@ from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.env.robot import make_robot
 from hrl_escape.planning.areas import compute_goal_area
-from hrl_escape.planning.goals import Goal, PressGoal
+from hrl_escape.planning.goals import Goal, GripGoal, PressGoal
 from hrl_escape.planning.symbolic.operator_order import EXIT, START, Leg, TaskNode, TaskSearch
 
 
@@ -65,16 +66,40 @@ class LegBounds:
         shape, reach = self.get_place(then)
         return self._count(compute_distance(state.x, state.y, shape) - reach, then)
 
+    def list_areas(self, state: RoomState, goals: Sequence[Goal]) -> list[tuple[Footprint, float] | None]:
+        """Areas of goals that are reached in order from a state, see `get_area`.
+
+        None of a thing on a map that can lie elsewhere than at first, and of putting it down, which can be anywhere.
+        """
+        areas, moved = list[tuple[Footprint, float] | None](), set[int]()
+        for goal in goals:
+            is_away = False
+            if isinstance(goal, GripGoal) and isinstance(self._instance.puzzle, Mapped):
+                is_away = (goal.action == "release" or goal.target in moved
+                           or _has_moved(self._instance.puzzle, state, goal.target))
+                if goal.action not in ("grip", "use"):
+                    moved.add(goal.target)
+            areas.append(None if is_away else self.get_area(goal))
+        return areas
+
     def get_area(self, goal: Goal) -> tuple[Footprint, float]:
         """Footprint of a goal, and the largest distance from it at which the body's axis can reach the goal, m."""
         area = compute_goal_area(goal, self._instance)
-        return area.footprint, self.reach if isinstance(goal, PressGoal) else area.reach
+        return area.footprint, self.reach if self._is_before(goal) or isinstance(goal, PressGoal) else area.reach
+
+    def _is_before(self, goal: Goal) -> bool:
+        """Return whether a goal takes a primitive of its own, in the cell before its target on a map."""
+        return isinstance(goal, GripGoal) and isinstance(self._instance.puzzle, Mapped)
 
     def bound_goals(self, state: RoomState, goals: Sequence[Goal]) -> int:
         """Bound the primitives that reach goals in order, none of which is reached yet, from a state."""
         total, here = 0, None
-        for goal in goals:
-            shape, reach = self.get_area(goal)
+        for goal, area in zip(goals, self.list_areas(state, goals), strict=True):
+            own = int(self._is_before(goal))
+            total += own
+            if area is None:
+                continue
+            shape, reach = area
             least = int(isinstance(goal, PressGoal))
             if here is None:
                 gap = compute_distance(state.x, state.y, shape) - reach
@@ -86,7 +111,7 @@ class LegBounds:
             if here is not None and self._is_beside(here[0], shape):
                 least = 0
             total += max(least, math.ceil(gap / self.step - 1e-9))
-            here = shape, reach
+            here = area
         return total
 
     def bound_leg(self, last: Operator | None, then: Operator | None) -> int:
@@ -160,9 +185,10 @@ CELLS = 8
 
 
 def bound_escape(instance: RoomInstance, state: RoomState) -> float:
-    """Fewest primitives of an escape that straight lines allow, over all orders; infinity if no order escapes.
+    """Fewest primitives of an escape that straight lines allow, over all orders of the puzzle's operators.
 
-    Where a thing was put down elsewhere than in its first place, only the line to the exit counts.
+    Infinity where there is no such order. Where a thing was put down elsewhere than in its first place, orders are not
+    looked at, and only the line to the exit counts.
     """
     bounds = LegBounds(instance)
     if _has_moved_things(instance, state):
@@ -187,9 +213,13 @@ def _has_moved_things(instance: RoomInstance, state: RoomState) -> bool:
     if not isinstance(puzzle, Mapped):
         return False
     grips = {op.target for op in instance.symbolic_model.operators if op.action == "grip"}
-    return any(puzzle.blockable_cells[number] != cell
-               for target, (name, cell) in enumerate(zip(puzzle.target_names, puzzle.target_cells, strict=True))
-               if name in grips for number in puzzle.list_cells(state.puzzle, "grip", target))
+    return any(_has_moved(puzzle, state, target) for target, name in enumerate(puzzle.target_names) if name in grips)
+
+
+def _has_moved(puzzle: Mapped, state: RoomState, target: int) -> bool:
+    """A target lies in another cell of its map than at first; one that is held lies nowhere."""
+    return any(puzzle.blockable_cells[number] != puzzle.target_cells[target]
+               for number in puzzle.list_cells(state.puzzle, "grip", target))
 
 
 def _bound_jointly(instance: RoomInstance, state: RoomState, bounds: LegBounds, search: TaskSearch,

@@ -48,7 +48,10 @@ class Orders:
         self._model = self._instance.symbolic_model
 
     def find_goals(self, state: RoomState, clock: Clock, settings: SearchSettings) -> tuple[Goal, ...]:
-        """List the goals of an escape from here in the cheapest order, the exit last. Raises `PlanningFailed`."""
+        """List the goals of an escape from here, the exit last; raises `PlanningFailed`.
+
+        They are in the order of the puzzle's own plan or, where it has none, in the cheapest order.
+        """
         began = read_clock()
         doors, puzzle = self._routes.rules.inner_doors, self._instance.puzzle
         known = puzzle.symbolic.plan(state.puzzle, -1 if doors is None else doors.find_at(state.x, state.y))

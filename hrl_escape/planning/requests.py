@@ -179,9 +179,9 @@ def bound_cost(instance: RoomInstance, state: RoomState, goals: tuple[Goal, ...]
         return 0.0
     bounds = LegBounds(instance)
     metres = 0.0
-    for goal in goals:
-        shape, reach = bounds.get_area(goal)
-        metres = max(metres, compute_distance(state.x, state.y, shape) - reach)
+    for area in bounds.list_areas(state, goals):
+        if area is not None:
+            metres = max(metres, compute_distance(state.x, state.y, area[0]) - area[1])
     if request.objective == "length" or metres == 0.0:
         return metres
     return compute_rest_to_rest(metres, request.limits.speed, request.limits.acceleration, request.limits.jerk)

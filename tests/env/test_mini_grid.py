@@ -22,7 +22,9 @@ from hrl_escape.env.puzzles.mini_grid import HELD, PLACE_BITS, MiniGridConfig, M
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, ContractError, PlanningFailed, UnsupportedError
 from hrl_escape.planning import RoomPlanner
-from hrl_escape.planning.lower_bounds import bound_escape
+from hrl_escape.planning.goals import parse_goal
+from hrl_escape.planning.lower_bounds import LegBounds, bound_escape
+from hrl_escape.planning.requests import PlanningRequest, bound_cost
 
 pytest.importorskip("minigrid")
 from minigrid.core.world_object import Ball, Door, Goal, Key  # noqa: E402  # only where MiniGrid is installed
@@ -320,18 +322,70 @@ def test_a_key_that_was_put_down_elsewhere_is_planned_for_where_it_lies(name, se
         assert planner.rules.has_escaped(plan.states[-1]) and bound_escape(room, moved) <= plan.cost
 
 
-def test_a_key_beside_the_start_makes_the_bound_no_higher_than_the_plan():
-    """By its first place, far off behind a door, the bound would be above what an escape takes."""
-    puzzle = MiniGridPuzzle((">      k", " D######", " G######"))
+@pytest.fixture(scope="module")
+def corridor():
+    """A key at the far end of a corridor, with the door beside the start: a planner and the first state."""
     config = get_preset("door-key")
     room = generate(dataclasses.replace(
-        config, puzzle=MiniGridConfig("rows", rows=puzzle.rows),
+        config, puzzle=MiniGridConfig("rows", rows=(">      k", " D######", " G######")),
         room=dataclasses.replace(config.room, width=16.0, depth=6.0)), 0)
     planner = RoomPlanner(room)
-    state = planner.rules.make_state(room.starts[0])
-    near = state._replace(puzzle=puzzle._move(state.puzzle, 0, puzzle.grid.floor[0]))
-    far, cost = bound_escape(room, state), planner.solve(near).cost
-    assert bound_escape(room, near) <= cost < far <= planner.solve(state).cost
+    return planner, planner.rules.make_state(room.starts[0])
+
+
+def move_near(planner, state):
+    """The same state with the key beside the start."""
+    puzzle = planner.instance.puzzle
+    return state._replace(puzzle=puzzle._move(state.puzzle, 0, puzzle.grid.floor[0]))
+
+
+def test_a_key_beside_the_start_makes_the_bound_no_higher_than_the_plan(corridor):
+    """By its first place, far off behind a door, the bound would be above what an escape takes."""
+    planner, state = corridor
+    near = move_near(planner, state)
+    far, cost = bound_escape(planner.instance, state), planner.solve(near).cost
+    assert bound_escape(planner.instance, near) <= cost < far <= planner.solve(state).cost
+
+
+@pytest.mark.parametrize("is_near", [False, True])
+@pytest.mark.parametrize("words", [
+    ("grip",), ("grip", "use"), ("grip", "use", "release"), ("grip", "release", "grip"),
+    ("grip", "use", *("release", "grip", "use") * 3)])
+def test_no_bound_of_goals_in_order_is_above_their_plan(corridor, words, is_near):
+    """Wherever a thing lies, is carried or put down on the way, for each objective."""
+    planner, state = corridor
+    state = move_near(planner, state) if is_near else state
+    goals = tuple(parse_goal(f"{word} {'door-1' if word == 'use' else 'key-1'}", planner.instance) for word in words)
+    bound = LegBounds(planner.instance).bound_goals(state, goals)
+    for objective in ("primitives", "length"):
+        request = PlanningRequest(state, goals, objective=objective)
+        least = bound_cost(planner.instance, state, goals, request, bound)
+        assert least <= planner.answer(request).cost
+        assert is_near or least > 5, "the way to a key in its first place counts"
+    assert bound >= len(goals), "each takes a primitive of its own"
+
+
+@pytest.mark.parametrize("name", ["sokoban", "key-corridor"])
+def test_no_bound_of_the_rest_of_an_escape_is_above_it(name):
+    room = generate(get_preset(name), 1)
+    planner = RoomPlanner(room)
+    plan = planner.solve(planner.rules.make_state(room.starts[0]))
+    bounds = LegBounds(room)
+    for number, part in enumerate(plan.parts):
+        goals = [later.goal for later in plan.parts[number:]]
+        assert 0 < bounds.bound_goals(plan.states[part.start], goals) <= plan.cost - part.start
+
+
+@pytest.mark.parametrize(("keys", "count"), [("k", None), ("kk", 2)])
+def test_a_key_in_a_walled_off_cell_is_one_that_cannot_be_taken(keys, count):
+    """Such a state can be made, though nothing leads to it; another key serves as well."""
+    puzzle = MiniGridPuzzle((f">{keys}# ", f" D{' ' * (len(keys) - 1)}# ", f" G{' ' * (len(keys) - 1)}# "))
+    cell = puzzle.grid.columns - 1
+    away = puzzle._move(puzzle.make_state(), 0, cell)
+    assert puzzle.is_state(away) and not puzzle.grid.can_reach(cell)
+    found = puzzle.symbolic.plan(away)
+    assert (found and len(found)) == count
+    assert len(puzzle.symbolic.plan(puzzle.make_state())) == 2
 
 
 def test_impossible_maps_are_refused():

@@ -90,12 +90,16 @@ class GridMap:
                 heapq.heappush(queue, (len(beyond), steps + 1, other, beyond))
         return ways
 
+    def can_reach(self, cell: int) -> bool:
+        """Return whether a way leads from the start to a cell once all doors are open."""
+        return cell in self._ways
+
     def list_doors_before(self, cell: int) -> tuple[int, ...]:
         """Numbers of the doors that are passed on the way from the start to a cell.
 
         Raises:
             ConfigError: no way leads there even with all doors open.
         """
-        if cell not in self._ways:
+        if not self.can_reach(cell):
             raise ConfigError("puzzle.rows", self.rows, f"a way from the start to cell {cell}")
         return self._ways[cell]

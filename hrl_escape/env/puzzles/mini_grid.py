@@ -226,11 +226,13 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return self._make_model(self.target_cells)
 
     def _make_model(self, cells: tuple[int, ...]) -> SymbolicModel:
-        """Model with targets in these cells, whose ways decide which doors must be open."""
+        """Model with targets in these cells, whose ways decide which doors must be open; none is for those without."""
         grid, names = self.grid, self.target_names
         doors, keys = len(grid.doors), [f"held({name})" for name in names if name.startswith("key")]
         free, operators = frozenset({"free(hand)"}), []
         for number, (name, cell) in enumerate(zip(names, cells, strict=True)):
+            if not grid.can_reach(cell):
+                continue
             way = frozenset(f"open({names[door]})" for door in grid.list_doors_before(cell))
             if number < doors:
                 opened = frozenset({f"open({name})", f"opened({name})"})
