@@ -300,6 +300,10 @@ def tell_privileges(agents: Iterable[AgentSpec]) -> list[str]:
 
 def count_things(number: int, noun: str) -> str:
     """Number and noun as in a sentence: `no runs`, `one run`, `two runs`, `10 runs`."""
+    return f"{spell_number(number)} {noun}" + ("" if number == 1 else "s")
+
+
+def spell_number(number: int) -> str:
+    """Number as in a sentence: `no`, `one`, `two`, `10`."""
     words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
-    word = words[number] if number < len(words) else f"{number:,}"
-    return f"{word} {noun}" + ("" if number == 1 else "s")
+    return words[number] if number < len(words) else f"{number:,}"

@@ -19,7 +19,7 @@ from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
 from hrl_escape.comparison.reporting.figures import draw_radar, list_references, make_profiles
 from hrl_escape.comparison.statistics import LEAST_RUNS
-from hrl_escape.comparison.verdict import count_things
+from hrl_escape.comparison.verdict import count_things, spell_number
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
@@ -198,9 +198,10 @@ def tell_falls(falls: Iterable[tuple[str, str]], axes: Sequence[AxisRecord]) -> 
                           for low, high in ((LEAST_FALLING, math.inf), (1, LEAST_FALLING - 1), (0, 0)))
     if len(none) == len(axes):
         return "No learner is shown to fall as rungs grow harder, on any axis."
-    *fewer, most, least = (count_things(count, "learner") for count in range(1, LEAST_FALLING + 1))
-    some = join_words((*(words.split()[0] for words in fewer), most), "or")
-    told = [f"{who} fall on {join_words(own)}" for who, own in ((f"{least} or more", several), (some, few)) if own]
+    some = f"{join_words(map(spell_number, range(1, LEAST_FALLING)), 'or')} learner{'s' * (LEAST_FALLING > 2)}"
+    told = [f"{who} fall{'s' * (most == 1)} on {join_words(own)}" for who, most, own in (
+        (f"{count_things(LEAST_FALLING, 'learner')} or more", LEAST_FALLING, several),
+        (some, LEAST_FALLING - 1, few)) if own]
     return f"As rungs grow harder {'; '.join(told)}{f'; none does on {join_words(none)}' if none else ''}."
 
 

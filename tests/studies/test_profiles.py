@@ -95,11 +95,16 @@ def test_three_falls_are_several_whoever_falls(tmp_path: Path):
     assert "As rungs grow harder three learners or more fall on motion; none does on depth." in page
 
 
-def test_the_sentence_on_falls_names_the_number_that_decides(monkeypatch):
-    monkeypatch.setattr("studies.profiles.analysis.LEAST_FALLING", 4)
-    falls = [*((agent, AXES[0].name) for agent in "abcd"), *((agent, AXES[1].name) for agent in "abc")]
-    assert tell_falls(falls, AXES[:2]) == ("As rungs grow harder four learners or more fall on depth; one, two or "
-                                           "three learners fall on branching.")
+@pytest.mark.parametrize(("least", "told"), [
+    (4, "four learners or more fall on depth; one, two or three learners fall on branching; none does on violations"),
+    (2, "two learners or more fall on depth and branching; one learner falls on violations"),
+    (1, "one learner or more falls on depth, branching and violations"),
+])
+def test_the_sentence_on_falls_names_the_number_that_decides(monkeypatch, least, told):
+    monkeypatch.setattr("studies.profiles.analysis.LEAST_FALLING", least)
+    falls = [(agent, axis.name) for axis, agents in zip(AXES, ("abcd", "abc", "a" * (least < 4)), strict=False)
+             for agent in agents]
+    assert tell_falls(falls, AXES[:3]) == f"As rungs grow harder {told}."
 
 
 def test_others_are_below_planned_options_where_each_of_them_is(tmp_path: Path):

@@ -30,8 +30,10 @@ def test_commands_and_servers_have_one_default_address():
     defaults = [parameter.default for parameter in inspect.signature(open_server).parameters.values()]
     assert defaults == [HOST, PORT] == [PlayArgs().host, PlayArgs().port]
     package = Path(hrl_escape.__file__).parent
-    told = [path.name for path in package.rglob("*.py") if re.search(r"= 8080|, 8080", path.read_text())]
-    assert told == ["__init__.py"], "it is written once"
+    written = re.compile(r'\b8080\b|\bhost\b.* ?= ?"127\.0\.0\.1"', re.IGNORECASE)
+    told = [path.relative_to(package).as_posix() for path in sorted(package.rglob("*.py"))
+            if written.search(path.read_text(encoding="utf-8"))]
+    assert told == ["viewer/__init__.py"], "it is written once"
 
 
 def test_it_opens_no_tunnel(server):
