@@ -286,6 +286,10 @@ class RoomInstance(Pictured, Schematic):
                           for op in model.operators)
         return dataclasses.replace(model, operators=operators, goal=model.goal | last)
 
+    def find_model(self, state: Any) -> SymbolicModel:
+        """The model in a state of the puzzle: `symbolic_model`, unless things of a map lie elsewhere than at first."""
+        return self.puzzle.symbolic.find_model(state) or self.symbolic_model
+
     @cached_property
     def digest(self) -> str:
         """Content hash: 64 hexadecimal digits of SHA-256 over the canonical JSON."""

@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeAlias, cast, get_args
 
 from hrl_escape.env.instance import Rectangle, RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
-from hrl_escape.env.puzzles.symbolic import Operator
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import GoalError, UnknownNameError, show_value
 
 
@@ -218,7 +218,7 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
             return False
         held, holds, is_random = get_facts(before.puzzle), get_facts(after.puzzle), rules.instance.puzzle.is_random
         return any(op.is_applicable(held) and (op.add <= holds or (is_random and op.delete and not op.delete & holds))
-                   for op in find_grips(goal, rules.instance))
+                   for op in list_grips(goal, rules.instance, before.puzzle))
     return find_push(goal, rules.instance).add <= get_facts(after.puzzle)
 
 
@@ -233,12 +233,20 @@ def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
 
 def find_grips(goal: GripGoal, instance: RoomInstance) -> tuple[Operator, ...]:
     """Operators of the puzzle with this action at this target. Raises `GoalError` if there are none."""
-    name = instance.targets[goal.target].name
-    found = tuple(operator for operator in instance.symbolic_model.operators
-                  if (operator.target, operator.action) == (name, goal.action))
-    if not found:
+    if not (found := _pick_grips(goal, instance, instance.symbolic_model)):
+        name = instance.targets[goal.target].name
         raise GoalError(f"the puzzle {instance.puzzle.kind!r} has no operator to {goal.action} at {name!r}")
     return found
+
+
+def list_grips(goal: GripGoal, instance: RoomInstance, state: Any) -> tuple[Operator, ...]:
+    """The same in a state of the puzzle, with things where they lie then; none where no way leads to the thing."""
+    return _pick_grips(goal, instance, instance.find_model(state))
+
+
+def _pick_grips(goal: GripGoal, instance: RoomInstance, model: SymbolicModel) -> tuple[Operator, ...]:
+    name = instance.targets[goal.target].name
+    return tuple(operator for operator in model.operators if (operator.target, operator.action) == (name, goal.action))
 
 
 def find_push(goal: PushGoal, instance: RoomInstance) -> Operator:

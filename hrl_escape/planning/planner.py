@@ -17,7 +17,7 @@ from typing import Any
 from hrl_escape.clock import Clock, OutOfTime
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.puzzles.symbolic import Operator
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, describe_goal, make_goal, parse_goal
@@ -66,19 +66,27 @@ class Orders:
         """Goals that a goal's preconditions need, in the cheapest order, and the goal last. Raises `PlanningFailed`."""
         self._routes.check_query(state, goal)
         facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
-        ways = [op for op in self._model.operators if make_goal(op, self._instance) == goal]
+        model = self._instance.find_model(state.puzzle)
+        ways = [op for op in model.operators if make_goal(op, self._instance) == goal]
         if not ways or any(op.preconditions <= facts for op in ways):
             return [goal]
         clock = Clock(self._routes.time_limit)
         found: list[tuple[float, int, TaskPlan]] = []
         for number, op in enumerate(ways):
-            search = TaskSearch(self._model, op.preconditions, self.bounds.bound_leg)
+            search = self._make_search(model, op.preconditions)
             tasks = self._find_order(state, search, clock, self._routes.settings, goal, report)
             if tasks is not None:
                 found.append((tasks.cost, number, tasks))
         if not found:
             raise self._routes.make_failure(PlanningReason.PRECONDITION_UNMET, state, goal)
         return [*(make_goal(op, self._instance) for op in min(found)[2].operators), goal]
+
+    def _make_search(self, model: SymbolicModel, goal: frozenset[str] | None = None, relevant_only: bool = True
+                     ) -> TaskSearch:
+        """Search for a goal; bounds of legs are those of things in their first places."""
+        if model is not self._model:
+            return TaskSearch(model, goal, relevant_only=relevant_only)
+        return TaskSearch(model, goal, self.bounds.bound_leg, relevant_only)
 
     def list_orders(self, state: RoomState, count: int, clock: Clock, settings: SearchSettings, most_nodes: float
                     ) -> Iterator[list[Goal]]:
@@ -87,7 +95,7 @@ class Orders:
         The last orders press the target that opens the exit, after its ancestors, as one meta-action does.
         """
         facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
-        search = TaskSearch(self._model, lower_bound=self.bounds.bound_leg, relevant_only=False)
+        search = self._make_search(self._instance.find_model(state.puzzle), relevant_only=False)
         extend = self._make_extend(state, clock, settings, None, None, most_nodes)
         for task in search.find_orders(facts, state, extend, count, REAL_LEGS * count):
             yield [make_goal(op, self._instance) for op in task.operators]

@@ -34,8 +34,8 @@ from hrl_escape.planning.goals import (
     PressGoal,
     check_goal,
     describe_goal,
-    find_grips,
     is_reached,
+    list_grips,
 )
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.plan import make_planned_room
@@ -169,8 +169,8 @@ class Routes:
             if self._doors is not None and not is_way_open(self.rules, state, goal):
                 return False
             if isinstance(goal, GripGoal):
-                facts, ways = self.instance.puzzle.symbolic.get_facts(state.puzzle), find_grips(goal, self.instance)
-                return any(op.is_applicable(facts) for op in ways) and (
+                facts = self.instance.puzzle.symbolic.get_facts(state.puzzle)
+                return any(op.is_applicable(facts) for op in list_grips(goal, self.instance, state.puzzle)) and (
                     self._doors is None or self._doors.can_walk(state, goal))
             return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
 

@@ -12,6 +12,7 @@ from hrl_escape.checks import check_option
 from hrl_escape.env.config import RoomConfig, ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target
+from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.traits import Mapped
@@ -125,6 +126,42 @@ def test_a_key_is_fetched_from_where_it_was_put_down(flavour):
             assert room.get_state().puzzle != first, "the key lies elsewhere than at first"
     *_, terminated, _, info = env.step(env.action_names.index(leave))
     assert terminated and info["success"]
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_doors_are_needed_on_the_way_to_where_a_key_lies_now(flavour):
+    """With a key in the corridor no door is; with one behind another shut door that one is, and it is opened first."""
+    room = EscapeRoomEnv("key-corridor")
+    env = OptionsEnv(room, include_primitives=False, flavour=flavour)
+    planner, puzzle = get_planner(room.instance), room.instance.puzzle
+    state = planner.rules.make_state(room.instance.starts[0])
+    key = puzzle.target_names.index("key-1")
+    grip = list_goals(room.instance).index(GripGoal(key))
+    (first,) = puzzle.grid.list_doors_before(puzzle.grid.things[0])
+
+    def move(cell: int) -> RoomState:
+        return state._replace(puzzle=puzzle._move(state.puzzle, 0, cell))
+
+    free = [cell for cell in puzzle.grid.floor if cell not in puzzle.grid.bottlenecks]
+    near = move(next(cell for cell in free if not puzzle.grid.list_doors_before(cell)))
+    _, info = env.reset(seed=0, options={"state": near})
+    assert info["action_mask"][grip]
+    *_, info = env.step(grip)
+    assert info["option"]["ended"] == "reached" and puzzle.get_held(room.get_state().puzzle) == 0
+
+    cell, other = next((cell, way[0]) for cell in free for way in [puzzle.grid.list_doors_before(cell)]
+                       if len(way) == 1 and way != (first,) and not puzzle.grid.is_locked(way[0]))
+    far = move(cell)
+    opened = far._replace(puzzle=far.puzzle | 3 << 2 * first)  # the door of the first place is of no use
+    for shut in (far, opened):
+        _, info = env.reset(seed=0, options={"state": shut})
+        assert not info["action_mask"][grip]
+        assert planner.orders.find_ancestors(shut, GripGoal(key)) == [GripGoal(other, "use"), GripGoal(key)]
+    for goal in (GripGoal(other, "use"), GripGoal(key)):
+        number = list_goals(room.instance).index(goal)
+        assert info["action_mask"][number]
+        *_, info = env.step(number)
+        assert info["option"]["ended"] == "reached"
 
 
 def make_corridor() -> RoomInstance:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -265,11 +265,21 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return tuple(number for number, cell in enumerate(grid.blockable)
                      if cell not in taken and cell not in grid.bottlenecks)
 
+    def find_model(self, state: int) -> SymbolicModel | None:
+        """The model with things where they lie now."""
+        places = zip(self._list_places(state), self.grid.things, strict=True)
+        things = tuple(first if place == HELD else place for place, first in places)
+        return None if things == self.grid.things else _make_moved_model(self, things)
+
     def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:
         """The fewest operators to the goal, by search, as doors leave little choice of order; things where they lie."""
-        places = zip(self._list_places(state), self.grid.things, strict=True)
-        things = (first if place == HELD else place for place, first in places)
-        return self._make_model((*self.grid.doors, *things)).find_fewest(self.get_facts(state))
+        return (self.find_model(state) or self.make_symbolic_model()).find_fewest(self.get_facts(state))
+
+
+@lru_cache(maxsize=256)
+def _make_moved_model(puzzle: MiniGridPuzzle, things: tuple[int, ...]) -> SymbolicModel:
+    """Model with things in these cells; options ask for it at each step."""
+    return puzzle._make_model((*puzzle.grid.doors, *things))
 
 
 register_puzzle(MiniGridConfig, MiniGridPuzzle)

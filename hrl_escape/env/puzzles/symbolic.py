@@ -136,6 +136,13 @@ class Modelled(ABC):
     def make_symbolic_model(self) -> SymbolicModel:
         """Return the model; it is the same at every call."""
 
+    def find_model(self, state: Any) -> SymbolicModel | None:
+        """Return the model of a state in which things lie elsewhere than at first and have other ways, else None.
+
+        Operators keep their names and effects there; those that no way leads to are left out.
+        """
+        return None
+
     @abstractmethod
     def get_facts(self, state: Any) -> frozenset[str]:
         """Propositions of the model that hold.
