@@ -64,6 +64,7 @@ class Contestant:
         replicates: the first so many of a series.
         stage: runs of a later stage are begun when those of earlier ones are done.
         explores_by: what its random choices are in place of single primitives; see `studies/price/explorer.py`.
+        looks_along: what it imagines beside what it runs; see `studies/price/lookahead.py`.
     """
 
     label: str
@@ -76,6 +77,7 @@ class Contestant:
     replicates: int = 10
     stage: int = 0
     explores_by: Literal["", "options", "repeats"] = ""
+    looks_along: Literal["", "options", "random ways", "primitives"] = ""
 
     @property
     def has_options(self) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +33,7 @@ from hrl_escape.version import __version__, find_versions
 from studies.flat import find_until
 from studies.price.contestants import CONTESTANTS, EFFICIENT, FRESH, Contestant, sample_replicate_room
 from studies.price.explorer import make_explorer
+from studies.price.lookahead import make_lookahead
 from studies.store import Store
 
 __all__ = ["PriceRun", "compute_run_key", "list_price_runs", "measure_price_runs", "run_contestant"]
@@ -142,7 +144,7 @@ def compute_run_key(contestant: Contestant, room: RoomInstance, replicate: int) 
         "settings": {name: value for name, value in settings.items() if value != defaults[name]},
         "streams": contestant.streams, "room": room.id, "seed": replicate,
         "budget": contestant.budget, "eval_every": contestant.eval_every, "efficient": EFFICIENT,
-    } | ({"explores_by": contestant.explores_by} if contestant.explores_by else {}))
+    } | {name: value for name in ("explores_by", "looks_along") if (value := getattr(contestant, name))})
 
 
 def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -> PriceRun:
@@ -152,8 +154,7 @@ def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -
         ComparisonError: no escape is known.
         EscapeError: see `train`.
     """
-    single: Any = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=room, observation="features",
-                                 disable_env_checker=True)
+    single = _make_single(room)
     single.reset(seed=0)
     fewest = find_best_known(room, single.unwrapped.get_state()).primitives
     if fewest is None:
@@ -165,6 +166,10 @@ def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -
                             "eval_episodes": 1, "progress": False, "until_return": least}
     if contestant.explores_by:
         result = train(make_explorer(contestant.explores_by, env, replicate, contestant.settings), env, **plan)
+    elif contestant.looks_along:
+        with closing(OptionsEnv(_make_single(room), trace=True)) as model:
+            agent = make_lookahead(contestant.looks_along, env, model, replicate, contestant.settings)
+            result = train(agent, env, **plan)
     else:
         result = train(contestant.agent, env, settings=contestant.settings,
                        eval_env=single if contestant.streams else None, **plan)
@@ -182,9 +187,13 @@ def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -
     )
 
 
+def _make_single(room: RoomInstance) -> Any:
+    return gymnasium.make("hrl_escape/EscapeRoom-v1", instance=room, observation="features", disable_env_checker=True)
+
+
 def _make_training_env(contestant: Contestant, room: RoomInstance, single: gymnasium.Env) -> gymnasium.Env | VectorEnv:
     """Environment in which a contestant learns; many streams have their kernels compiled, outside of its time."""
-    if contestant.explores_by:
+    if contestant.explores_by or contestant.looks_along:
         return OptionsEnv(single, trace=True)
     if contestant.has_options:
         return OptionsEnv(single, include_primitives=False)

@@ -1,4 +1,4 @@
-"""Parts of what options give a learner: exploration with them, the credit of their lengths, both, and all."""
+"""Parts of what options give a learner: exploration with them, credit of their lengths, planning, and all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hrl_escape.settings import read_record
 from studies.figures import FIGURE_STYLE
 from studies.page import make_table
 from studies.price.contestants import Contestant
-from studies.price.ratios import COSTS, CostRatio, compare_costs, correct_prices
+from studies.price.ratios import COSTS, CostRatio, compare_costs, correct_prices, measure_growth
 from studies.price.runs import PriceRun, measure_price_runs
 from studies.price.words import conclude_prices, tell_factor
 from studies.running import StudyArgs, open_store
@@ -26,12 +26,14 @@ from studies.store import Store
 from studies.study import Page, Study, find_study
 
 __all__ = ["ESCAPE", "HALF", "LINES", "Args", "Pair", "advise", "analyse", "compare", "list_pairs",
-           "list_questions", "measure", "tell_headline"]
+           "list_families", "measure", "tell_headline", "tell_planning"]
 
 LINES = (PriceRun,)
 ESCAPE, HALF = COSTS[1], COSTS[3]
 """The two costs that are told: until the first escape, and until a greedy policy of half the efficiency."""
 EXPLORES, REPEATS = "options explore", "repeats explore"
+AHEAD, RANDOM_AHEAD = "options ahead", ("random ways ahead", "primitives ahead")
+EVENTS = {ESCAPE.name: "its first escape", HALF.name: "a greedy policy of half the efficiency"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,14 +67,16 @@ def measure(study: Study, args: Args, store: Store) -> None:
               f"{made.first_escape}, efficient at {made.efficient_at}, at last {made.efficiency:.2f}")
 
 
-def list_questions(study: Study) -> tuple[Pair, ...]:
-    """Questions, as one family: exploration by options, what they give beyond it, and where they lead."""
-    return Pair(study.data["flat"], EXPLORES), Pair(EXPLORES, study.data["whole"]), Pair(REPEATS, EXPLORES)
+def list_families(study: Study) -> tuple[tuple[Pair, ...], ...]:
+    """Questions: exploration by options, all beyond it, and where they lead; then planning, and along what."""
+    flat, whole = study.data["flat"], study.data["whole"]
+    return ((Pair(flat, EXPLORES), Pair(EXPLORES, whole), Pair(REPEATS, EXPLORES)),
+            (Pair(flat, AHEAD), *(Pair(control, AHEAD) for control in RANDOM_AHEAD)))
 
 
 def list_pairs(study: Study) -> tuple[Pair, ...]:
     """Pairs of the table: the questions, then the other parts and whole options with the flat learner."""
-    asked = list_questions(study)
+    asked = [pair for family in list_families(study) for pair in family]
     labels = [*(learner["label"] for learner in study.data["learners"]), study.data["whole"]]
     pairs = (Pair(study.data["flat"], label) for label in labels)
     return *asked, *(pair for pair in pairs if pair not in asked)
@@ -83,18 +87,46 @@ Found: TypeAlias = Mapping[tuple[Pair, str], Sequence[CostRatio]]
 
 
 def compare(study: Study, runs: Sequence[PriceRun]) -> dict[tuple[Pair, str], list[CostRatio]]:
-    """Ratios of all pairs and both costs, those of the questions corrected as one family, by pair and cost."""
+    """Ratios of all pairs and both costs, those of the questions corrected by family, by pair and cost."""
     own = {label: [run for run in runs if run.agent == label] for pair in list_pairs(study) for label in pair}
     found = {(pair, cost.name): compare_costs(own[pair.one], own[pair.other], cost)
              for pair in list_pairs(study) for cost in (ESCAPE, HALF)}
-    asked = [key for key in found if key[0] in list_questions(study)]
-    corrected, _ = correct_prices([found[key] for key in asked])
-    return found | dict(zip(asked, corrected, strict=True))
+    for family in list_families(study):
+        asked = [key for key in found if key[0] in family]
+        own = [found[key] for key in asked]
+        corrected, _ = correct_prices(own, [measure_growth(ratios) for ratios in own])  # as `conclude_prices` does
+        found |= dict(zip(asked, corrected, strict=True))
+    return found
 
 
-def list_gains(found: Found, one: str, other: str, cost: str) -> str:
-    """Numbers of buttons with which one learner is shown to pay more than another, in words; empty for none."""
-    return join_words(str(ratio.buttons) for ratio in found[Pair(one, other), cost] if ratio.middle.low > 1)
+def find_gains(found: Found, one: str, other: str, cost: str) -> set[int]:
+    """Numbers of buttons with which one learner is shown to pay more than another."""
+    return {ratio.buttons for ratio in found[Pair(one, other), cost] if ratio.middle.low > 1}
+
+
+def find_losses(found: Found, one: str, other: str, cost: str) -> set[int]:
+    """Numbers of buttons with which one learner is shown to pay less than another."""
+    return {ratio.buttons for ratio in found[Pair(one, other), cost] if ratio.middle.high < 1}
+
+
+def find_better_than_random(found: Found, cost: str) -> set[int]:
+    """Numbers of buttons with which looking ahead along options is shown to help more than along random primitives."""
+    return set.intersection(*(find_gains(found, control, AHEAD, cost) for control in RANDOM_AHEAD))
+
+
+def find_planned(found: Found, cost: str, flat: str) -> set[int]:
+    """Those of them with which it is shown to help at all."""
+    return find_gains(found, flat, AHEAD, cost) & find_better_than_random(found, cost)
+
+
+def tell_sizes(sizes: set[int]) -> str:
+    """Numbers of buttons in words: "2 buttons", "1 and 2 buttons"."""
+    return f"{join_words(map(str, sorted(sizes)))} button{'' if sizes == {1} else 's'}"
+
+
+def tell_events(sizes: Mapping[str, set[int]], when: str) -> str:
+    """What is reached sooner or later, with how many buttons, by cost; empty for nothing."""
+    return " and ".join(f"{EVENTS[cost]} {when} with {tell_sizes(there)}" for cost, there in sizes.items() if there)
 
 
 def tell_headline(study: Study, found: Found) -> str:
@@ -102,32 +134,61 @@ def tell_headline(study: Study, found: Found) -> str:
     flat, whole = study.data["flat"], study.data["whole"]
 
     def tell(cost: str, event: str) -> str:
-        sooner, left = list_gains(found, flat, EXPLORES, cost), list_gains(found, EXPLORES, whole, cost)
-        claim = (f"brings {event} sooner with {sooner} button{'' if sooner == '1' else 's'}" if sooner else
+        sooner, left = find_gains(found, flat, EXPLORES, cost), find_gains(found, EXPLORES, whole, cost)
+        claim = (f"brings {event} sooner with {tell_sizes(sooner)}" if sooner else
                  f"is not shown to bring {event} sooner")
         if left:
-            return f"{claim}, and whole options bring it sooner still with {left}"
+            return f"{claim}, and whole options bring it sooner still with {join_words(map(str, sorted(left)))}"
         return f"{claim}; whole options are not shown to bring it sooner still" if sooner else claim
 
     control = (" Repeats that last as long do less, so what helps is where options lead, not that they last."
-               if list_gains(found, REPEATS, EXPLORES, ESCAPE.name) else
+               if find_gains(found, REPEATS, EXPLORES, ESCAPE.name) else
                " Repeats that last as long are not shown to do less.")
     return ("Exploration by planned options, with values of primitives alone, "
             f"{tell(ESCAPE.name, 'the first escape')}; "
             f"it {tell(HALF.name, 'a greedy policy of half the efficiency')}.{control}")
 
 
+def tell_planning(study: Study, found: Found) -> str:
+    """The finding on planning: what looking ahead along options brings, and whether random ways do as well.
+
+    Empty where no run looked ahead.
+    """
+    flat = study.data["flat"]
+    if not found[Pair(flat, AHEAD), ESCAPE.name]:
+        return ""
+    begun = "A learner that imagines options, and runs none,"
+    gains, losses = ({cost: find(found, flat, AHEAD, cost) for cost in EVENTS} for find in (find_gains, find_losses))
+    if not any(gains.values()):
+        harm = tell_events(losses, f"later than `{flat}`")
+        better = tell_events({cost: find_better_than_random(found, cost) for cost in EVENTS}, "later")
+        return (f"{begun} {f'reaches {harm}' if harm else f'is not shown to reach anything sooner than `{flat}`'}."
+                f"{f' As many random primitives in their place bring {better}.' if better else ''}")
+    kept = tell_events({cost: find_planned(found, cost, flat) for cost in EVENTS}, "later")
+    helped = any(find_gains(found, flat, control, cost) for control in RANDOM_AHEAD for cost in EVENTS)
+    control = (f"As many random primitives, as long or three at a time, bring {kept}: where options lead is what helps"
+               f"{', beside imagining at all' if helped else ''}." if kept else
+               "As many random primitives are not shown to do less.")
+    return f"{begun} reaches {tell_events(gains, f'sooner than `{flat}`')}. {control}"
+
+
 def advise(study: Study, found: Found) -> str:
     """Advice to a user, by what each part brings."""
     flat, whole = study.data["flat"], study.data["whole"]
-    explores = any(list_gains(found, flat, EXPLORES, cost.name) for cost in (ESCAPE, HALF))
-    acts = any(list_gains(found, EXPLORES, whole, cost.name) for cost in (ESCAPE, HALF))
-    if explores:
-        rest = (" Let it act by them too where it may: that is what makes it efficient soon." if acts else
-                " That is all that they were shown to give.")
-        return f"Let planned options explore even for a learner that must act in primitives.{rest}"
+    acts = any(find_gains(found, EXPLORES, whole, cost) for cost in EVENTS)
+    plans = any(find_planned(found, cost, flat) for cost in EVENTS)
+    if any(find_gains(found, flat, EXPLORES, cost) for cost in EVENTS):
+        advice = ["Let planned options explore even for a learner that must act in primitives."]
+        if acts:
+            advice.append("Let it act by them too where it may: that is what makes it efficient soon.")
+        advice.append("Planning along them helps, too." if plans else "" if acts else
+                      "That is all that they were shown to give.")
+        return " ".join(filter(None, advice))
     if acts:
-        return "Let a learner act by planned options: exploration by them alone was not shown to help."
+        return ("Let a learner act by planned options: exploration by them alone was not shown to help."
+                f"{' Planning along them helps, too.' if plans else ''}")
+    if plans:
+        return "Let a learner look ahead along planned options: exploration by them alone was not shown to help."
     return "Planned options were not shown to help this learner in these rooms."
 
 
@@ -141,12 +202,12 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
         raise ComparisonError("runs of this study and of the price of flatness are needed to tell why options help")
     runs = sorted([*lines, *price], key=lambda run: run.place)
     found = compare(study, runs)
-    headline = tell_headline(study, found)
-    claims = [(pair.one, pair.other, cost) for pair in list_questions(study) for cost in (ESCAPE, HALF)]
-    told = conclude_prices(runs, claims)
-    return Page({"headline": headline, "told": told, "advice": advise(study, found), "table": tabulate(study, found),
-                 "minutes": sum(line.seconds for line in lines) / 60, **study.data},
-                {"why": draw(study, found)}, [headline])
+    headline, planning = tell_headline(study, found), tell_planning(study, found)
+    told = [sentence for family in list_families(study) for sentence in conclude_prices(
+        runs, [(pair.one, pair.other, cost) for pair in family for cost in (ESCAPE, HALF)])]
+    return Page({"headline": headline, "planning": planning, "told": told, "advice": advise(study, found),
+                 "table": tabulate(study, found), "minutes": sum(line.seconds for line in lines) / 60, **study.data},
+                {"why": draw(study, found)}, [*filter(None, (headline, planning))])
 
 
 def tabulate(study: Study, found: Found) -> str:
@@ -162,7 +223,7 @@ def draw(study: Study, found: Found) -> Figure:
     flat, sizes = study.data["flat"], study.data["sizes"]
     labels = [*(learner["label"] for learner in study.data["learners"]), study.data["whole"]]
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(8.6, 2.8), facecolor=palette.BACKGROUND, layout="constrained")
+        figure = Figure(figsize=(8.6, 3.4), facecolor=palette.BACKGROUND, layout="constrained")
         for axes, cost in zip(figure.subplots(1, 2, sharey=True), (ESCAPE, HALF), strict=True):
             for row, label in enumerate(labels):
                 for number, size in enumerate(sizes):
@@ -183,5 +244,5 @@ def draw(study: Study, found: Found) -> Figure:
             for side in ("top", "right"):
                 axes.spines[side].set_visible(False)
         figure.axes[0].invert_yaxis()  # both, as they share it
-        figure.axes[0].legend(frameon=False, loc="center right")
+        figure.axes[1].legend(frameon=False, loc="upper right")
     return figure

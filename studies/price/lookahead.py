@@ -1,0 +1,139 @@
+"""A flat learner that looks ahead in a model of the room: along planned options, or along primitives at random.
+
+It acts, explores and learns as `dqn` does, and for each primitive that it runs learns from one that it imagines. Where
+moves lead is known from the start, as it is to a planner. What a touch does, and whether the exit lets the robot out,
+is known once it has happened in that state of the puzzle: an imagined way ends before what is not known
+(Sutton, Precup and Singh 1999, section 3.2: planning with models of options).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, TypeAlias
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
+from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.components.replay import Experience, NStep
+from hrl_escape.agents.registry import get_recipe
+from hrl_escape.agents.state import Kept
+from hrl_escape.env.instance import Rectangle
+from hrl_escape.options.execution import TraceStep
+from hrl_escape.settings import replace_settings
+from studies.price.explorer import count_primitives, measure_lengths
+
+__all__ = ["LookaheadDQN", "LookaheadSettings", "list_events", "make_lookahead"]
+
+EXIT = -1
+Direction: TypeAlias = Literal["options", "random ways", "primitives"]
+Event: TypeAlias = tuple[Any, int]
+"""State of the puzzle, and bits of the targets touched anew in it, or `EXIT`."""
+
+
+@dataclass(frozen=True)
+class LookaheadSettings(DQNSettings):
+    """Settings of `LookaheadDQN`, beside those of `dqn`."""
+
+    looks_along: Direction = "options"
+    """What is imagined: a planned option, or random primitives for as long as one lasts. Each state learns from where
+    the way ends; with `primitives` random ones are learned from as what is run, `n_step` at once."""
+    lengths: tuple[int, ...] = (1,)
+    """Primitives of options in this room, of which the length of a random way is drawn."""
+    primitives: int = 1
+    """Actions that are primitives: the first of all."""
+
+
+class LookaheadDQN(DQN):
+    """`dqn` over the primitives of an `OptionsEnv` with traces, with a second one in which it imagines."""
+
+    Settings: ClassVar[type] = LookaheadSettings
+    settings: LookaheadSettings  # pyright: ignore[reportIncompatibleVariableOverride]
+    needs_trace: ClassVar[bool] = True
+    STATE = ("_ahead", "_rng", Kept("_known", pack=sorted, unpack=lambda known: {*map(tuple, known)}))
+
+    def __init__(self, observation_space: gymnasium.Space, seed: int, settings: LookaheadSettings, model: Any) -> None:
+        super().__init__(observation_space, gymnasium.spaces.Discrete(settings.primitives), seed, settings)
+        self._model, self._rng = model, make_rng(seed, "lookahead")
+        self._exit: Rectangle = model.unwrapped.instance.exit
+        self._known: set[Event] = set()
+        self._ahead = 0  # primitives imagined beyond those run
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Explore among primitives, as `dqn` does."""
+        return super().act(observation, action_mask[: self.settings.primitives])
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The legal primitive of highest value."""
+        return super().act_greedy(observation, action_mask[: self.settings.primitives], rng)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Note what the primitive did, learn from it, and imagine on from where it led."""
+        count = self.settings.primitives
+        (step,) = transition.trace
+        self._known |= set(list_events(step, self._exit))
+        told = super().observe(transition._replace(
+            action_mask=transition.action_mask[:count], next_action_mask=transition.next_action_mask[:count], trace=()))
+        self._ahead -= 1
+        if self._ahead < 0 and not (transition.terminated or transition.truncated):
+            way = list(self.imagine(step.next_state))
+            joining = NStep(len(way) if self.settings.looks_along != "primitives" else self.settings.n_step)
+            for number, experience in enumerate(way, 1):
+                for joined in joining.push(experience, number == len(way)):
+                    self.replay.add(joined)
+            self._ahead += len(way)
+        return told
+
+    def imagine(self, state: Any) -> Iterator[Experience]:
+        """Primitives of one way from a state of the room, up to the first whose outcome is not known."""
+        _, info = self._model.reset(options={"state": state._replace(primitives=0)})
+        for action in self._choose_way(info["action_mask"]):
+            *_, terminated, truncated, info = self._model.step(action)
+            for number, step in enumerate(info["trace"], 1):
+                if not self._known.issuperset(list_events(step, self._exit)):
+                    return
+                yield self._make_experience(step, terminated and number == len(info["trace"]))
+            if terminated or truncated:
+                return
+
+    def _choose_way(self, action_mask: NDArray[np.int8]) -> Sequence[int]:
+        """Actions of the model, one after the other: a legal option, or primitives."""
+        settings = self.settings
+        options = np.flatnonzero(action_mask[settings.primitives:]) + settings.primitives
+        if settings.looks_along == "options":
+            return [int(self._rng.choice(options))] if len(options) else []
+        return self._rng.integers(settings.primitives, size=self._rng.choice(settings.lengths)).tolist()
+
+    def _make_experience(self, step: TraceStep, escapes: bool) -> Experience:
+        settings, legal = self.settings, np.ones(self.settings.primitives, np.bool_)
+        return Experience(self._encoder.encode(step.observation), legal, int(step.action),
+                          step.reward * settings.reward_scale, 0.0 if escapes else self.gamma,
+                          self._encoder.encode(step.next_observation), legal)
+
+
+def list_events(step: TraceStep, exit_: Rectangle) -> Iterator[Event]:
+    """What no planner knows the outcome of: touches and ways into the exit, with the puzzle's state before.
+
+    A robot that is let out is in the exit, whether or not it came with this primitive.
+    """
+    before, after = step.state, step.next_state
+    if touched := after.touching & ~before.touching:
+        yield before.puzzle, touched
+    if exit_.contains(after.x, after.y) and (before.puzzle != after.puzzle or not exit_.contains(before.x, before.y)):
+        yield before.puzzle, EXIT
+
+
+def make_lookahead(looks_along: Direction, env: Any, model: Any, seed: int,
+                   settings: Mapping[str, Any]) -> LookaheadDQN:
+    """Make the learner for an `OptionsEnv` with primitives and traces; the model is a second one of the same room.
+
+    The lengths of options are measured in the model first.
+    """
+    own = {"looks_along": looks_along, "lengths": measure_lengths(model), "primitives": count_primitives(env)}
+    changed = {**dataclasses.asdict(get_recipe("dqn")), **settings, **own}
+    return LookaheadDQN(env.observation_space, seed, replace_settings(LookaheadSettings(), changed), model)
