@@ -58,20 +58,20 @@ def _read(table: Path) -> Mapping[str, PublishedTape]:
     return {name: PublishedTape(**fields) for name, fields in read_toml(table, "table of tapes").items()}
 
 
-Standing = Literal["published", "unpublished", "medium", "trial", "played", "other"]
+TapeStanding = Literal["published", "unpublished", "medium", "trial", "played", "other"]
 """A tape under a name: the published one; of a name without one; a whole `medium` of another network; recorded with
 another number of primitives than the name says; someone's own play; another for other reasons."""
 
 
-class Comparison(NamedTuple):
+class TapeComparison(NamedTuple):
     """A tape held against the published one of a name; `difference` tells of another one what it is and holds."""
 
-    standing: Standing
+    standing: TapeStanding
     difference: str = ""
 
     @property
     def fits(self) -> bool:
-        """Whether the tape may bear the name."""
+        """True where the tape may bear the name."""
         return self.standing in ("published", "unpublished", "medium")
 
     @property
@@ -81,26 +81,26 @@ class Comparison(NamedTuple):
         return known.get(self.standing, f"it {self.difference}")
 
 
-def compare_published(name: str, tape: Tape) -> Comparison:
+def compare_published(name: str, tape: Tape) -> TapeComparison:
     """Hold a tape against the published one of a name."""
     known = read_published().get(name)
     if known is None:
-        return Comparison("unpublished")
+        return TapeComparison("unpublished")
     if tape.content == known.content:
-        return Comparison("published")
+        return TapeComparison("published")
     spec, found = parse_spec(name), _tell_difference(tape, known)
     if tape.about["kind"] == "played":
-        return Comparison("played", f"is one's own play and {found}")
+        return TapeComparison("played", f"is one's own play and {found}")
     shown = min(len(tape.action), spec.primitives)  # of an older tape, which does not tell what was asked for
     if tape.about.get("asked_primitives", shown) != spec.primitives:
-        return Comparison("trial", f"is a trial and {found}")
+        return TapeComparison("trial", f"is a trial and {found}")
     if spec.kind == "medium":
-        return Comparison("medium", f"{found}, for another processor or version of torch may train another network to "
-                                    "play it")
-    return Comparison("other", found)
+        return TapeComparison("medium", f"{found}, for another processor or version of torch may train another network "
+                                        "to play it")
+    return TapeComparison("other", found)
 
 
-def refuse_other(name: str, found: Comparison, path: Path) -> VerificationError:
+def refuse_other(name: str, found: TapeComparison, path: Path) -> VerificationError:
     """Make the error for a tape that may not bear a name; it names the file, and what to do."""
     cause = "Another number of primitives or another version of an engine made it. "
     return VerificationError(f"{path}: {name} {found.difference}. {'' if found.standing == 'played' else cause}"

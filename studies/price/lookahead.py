@@ -41,7 +41,7 @@ class LookaheadSettings(DQNSettings):
     """Settings of `LookaheadDQN`, beside those of `dqn`."""
 
     looks_along: Direction = "options"
-    """What is imagined: a planned option, or random primitives for as long as one lasts. Each state learns from where
+    """Imagined is a planned option, or random primitives for as long as one lasts. Each state learns from where
     the way ends; with `primitives` random ones are learned from as what is run, `n_step` at once."""
     lengths: tuple[int, ...] = (1,)
     """Primitives of options in this room, of which the length of a random way is drawn."""
@@ -117,7 +117,7 @@ class LookaheadDQN(DQN):
 
 
 def list_events(step: TraceStep, exit_: Rectangle) -> Iterator[Event]:
-    """What no planner knows the outcome of: touches and ways into the exit, with the puzzle's state before.
+    """Touches and ways into the exit, whose outcome no planner knows, with the puzzle's state before.
 
     A robot that is let out is in the exit, whether or not it came with this primitive.
     """

@@ -125,7 +125,7 @@ def tell_sizes(sizes: set[int]) -> str:
 
 
 def tell_events(sizes: Mapping[str, set[int]], when: str) -> str:
-    """What is reached sooner or later, with how many buttons, by cost; empty for nothing."""
+    """Events reached sooner or later, with how many buttons, by cost; empty for none."""
     return " and ".join(f"{EVENTS[cost]} {when} with {tell_sizes(there)}" for cost, there in sizes.items() if there)
 
 

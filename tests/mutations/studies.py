@@ -188,9 +188,23 @@ MUTATIONS = [
     Mutation(
         "what options give beyond exploration is told by the flat learner",
         "studies/why/analysis.py",
-        "sooner, left = list_gains(found, flat, EXPLORES, cost), list_gains(found, EXPLORES, whole, cost)",
-        "sooner, left = list_gains(found, flat, EXPLORES, cost), list_gains(found, flat, whole, cost)",
+        "sooner, left = find_gains(found, flat, EXPLORES, cost), find_gains(found, EXPLORES, whole, cost)",
+        "sooner, left = find_gains(found, flat, EXPLORES, cost), find_gains(found, flat, whole, cost)",
         "studies/test_why.py::test_exploration_alone_is_told_apart_from_whole_options_and_from_repeats",
+    ),
+    Mutation(
+        "the headline on why options help corrects for fewer comparisons than the sentences below it",
+        "studies/why/analysis.py",
+        "correct_prices(own, [measure_growth(ratios) for ratios in own])",
+        "correct_prices(own)",
+        "studies/test_why.py::test_the_headline_claims_what_the_sentences_below_claim",
+    ),
+    Mutation(
+        "looking ahead tells that the exit is shut before it was tried",
+        "studies/price/lookahead.py",
+        "(before.puzzle != after.puzzle or not exit_.contains(before.x, before.y))",
+        "before.puzzle != after.puzzle",
+        "studies/test_why.py::test_an_option_is_imagined_up_to_the_touch_or_the_way_in_that_has_not_happened",
     ),
     Mutation(
         "a repeat is begun as often as a primitive, so that more primitives are random than epsilon says",
