@@ -137,7 +137,7 @@ def test_who_cannot_be_run_in_a_kind_of_rooms_is_measured_in_the_others():
     page = tell(lines)
     assert "over 2 kinds of rooms" in page and "two to four, by hand (`ladder-1/reach`)" in page
     assert ("Not run: `hiro+learned` and `hrac+learned` with two to four, by hand, as displacements move the base "
-            "alone. What is not run") in page
+            "alone. A learner that is not run") in page
     assert page.count("Not run:") == page.count("displacements move the base alone") == 1, "one reason, told once"
     assert "`r-maxq+planned` with" not in page, "the kinds that it lacks are not here"
     assert re.search(r"\| `hiro\+learned` \| 0\.\d\d \|  \| \*\*-0\.2\d \(", page), "against the searcher of one kind"
