@@ -61,6 +61,16 @@ def test_presses_do_what_the_rule_says_on_any_dag(dag, on_violation, allow_off, 
         assert puzzle.is_solved(state) == (goal in lit)
 
 
+@pytest.mark.parametrize("on_violation", VIOLATION_RULES)
+def test_a_button_comes_on_once_all_of_its_parents_are(on_violation):
+    for first, second in ((0, 1), (1, 0)):
+        puzzle = ButtonsPuzzle(3, ((0, 2), (1, 2)), 2, on_violation)
+        one = puzzle.update(puzzle.make_state(), Contacts((first,)))
+        assert puzzle.get_lit(one) == (first == 0, first == 1, False)
+        assert not puzzle.is_solved(puzzle.update(one, Contacts((2,)))), "one parent is not enough"
+        assert puzzle.is_solved(puzzle.update(puzzle.update(one, Contacts((second,))), Contacts((2,))))
+
+
 @given(dags(7))
 def test_reachable_sets_of_lit_buttons_are_the_down_sets_of_the_dag(dag):
     """Order theory: from all off, pressing reaches exactly the sets that hold the parents of each member."""
