@@ -159,15 +159,16 @@ def measure(study: Study, args: Args, store: Store) -> None:
         refuse_failures(*made)
         return
     chosen = [choose_candidate(family, label, store.load()) for family in families for label in family.learners]
-    easiest = next(iter(data["kinds"]))
+    slow = data["slow"]
     for kind in args.kinds or data["kinds"]:
-        rooms = [f"{kind}/test[{index}]" for index in range(args.rooms or data["rooms"])]
-        lost = find_lost(study, collect_cells(study, store.load())) if kind != easiest else set()
-        for room in rooms:
-            made += run_room(study, args, store, room, [
+        for index in range(args.rooms or data["rooms"]):
+            done = find_lost(study, collect_cells(study, store.load()))
+            if index >= slow["rooms"]:
+                done |= set(slow["learners"])
+            made += run_room(study, args, store, f"{kind}/test[{index}]", [
                 *((AgentSpec.parse(label), 0) for label in references if label in (args.agents or known)),
                 *((agent, number) for agent, number in chosen
-                  if agent.label not in lost and fits(study, agent.label, kind))], until)
+                  if agent.label not in done and fits(study, agent.label, kind))], until)
     refuse_failures(*made)
 
 
@@ -261,7 +262,10 @@ def collect_cells(study: Study, lines: Sequence[CanonRun]) -> Cells:
 
 
 def find_lost(study: Study, cells: Cells) -> set[str]:
-    """Learners that ended without an escape in every room of the first kind, of `LEAST_RUNS` or more."""
+    """Learners that ended without an escape in every room of the first kind, of `LEAST_RUNS` or more.
+
+    They are run no further.
+    """
     easiest = next(iter(study.data["kinds"]))
     return {agent for (kind, agent), runs in cells.items() if kind == easiest and len(runs) >= LEAST_RUNS
             and not any(run.escapes for run in runs.values())}
@@ -308,6 +312,12 @@ def average(runs: Mapping[str, CanonRun]) -> float:
     return float(np.mean([run.efficiency for run in runs.values()]))
 
 
+def average_alike(runs: Mapping[str, Mapping[str, CanonRun]]) -> dict[str, float]:
+    """Mean efficiency of each agent over the rooms that all of them have, from its runs by room."""
+    rooms = set.intersection(*(set(own) for own in runs.values()))
+    return {agent: average({room: own[room] for room in rooms}) for agent, own in runs.items()}
+
+
 # --- sentences -------------------------------------------------------------------------------
 
 
@@ -331,16 +341,16 @@ def tell_families(best: Mapping[str, tuple[str, float]], searcher: float) -> str
     """A sentence: the best learner of each family, in order, and where the best searcher stands among them.
 
     Args:
-        best: family in words -> its best learner and its mean efficiency.
+        best: family in words -> its best learner, and its mean difference from the best searcher in the same rooms.
         searcher: mean efficiency of the best searcher.
     """
     ordered = sorted(best.items(), key=lambda item: -item[1][1])
 
     def tell(kept: Sequence[tuple[str, tuple[str, float]]]) -> str:
-        return join_words(f"{what} (`{agent}` {value:.2f})" for what, (agent, value) in kept)
+        return join_words(f"{what} (`{agent}` {gain:+.2f})" for what, (agent, gain) in kept)
 
-    above = [item for item in ordered if item[1][1] > searcher]
-    under = [item for item in ordered if item[1][1] <= searcher]
+    above = [item for item in ordered if item[1][1] > 0]
+    under = [item for item in ordered if item[1][1] <= 0]
     parts = [f"above the best searcher ({searcher:.2f}) come {tell(above)}"] if above else []
     if under:
         parts.append(f"{'below it' if above else f'below the best searcher ({searcher:.2f})'} stay {tell(under)}")
@@ -497,6 +507,11 @@ class Standing:
         return [label for label in self.learners if label not in self.lost]
 
     @cached_property
+    def rooms(self) -> int:
+        """The most rooms of a kind that an agent was run in."""
+        return max(len(runs) for (kind, _), runs in self.cells.items() if kind in self.kinds)
+
+    @cached_property
     def best(self) -> dict[str, str]:
         """The searcher that is most efficient in each kind."""
         return find_best(self.study.data["searchers"], self.cells, self.kinds)
@@ -527,27 +542,28 @@ def tell_standing(found: Standing) -> dict[str, Any]:
         for label in found.followed if (label in given) == is_given], cells) for is_given in (False, True))
     twins = compare([(label, twin, dict.fromkeys(kinds, twin)) for label, twin in flat.items() if label not in given],
                     cells)
-    tops = {family.what: max(((label, found.average(label)) for label in own), key=lambda item: item[1])
+    differences = {each.agent: each for each in [*against, *told]}
+    tops = {family.what: max(((label, differences[label].found.mean) for label in own), key=lambda item: item[1])
             for family in found.families if (own := [
                 label for label in family.learners
-                if label in found.followed and all(fits(study, label, kind) for kind in kinds)])}
+                if label in differences and all(fits(study, label, kind) for kind in kinds)])}
     moves = [label for label in found.learners if not chooses_presses(AgentSpec.parse(label))]
     sentences = [
         tell_families(tops, found.searcher), tell_twins(twins),
-        tell_leads({words[kind]: {label: average(cells[kind, label]) for label in found.followed
-                                  if label not in given and fits(study, label, kind)} for kind in kinds}),
+        tell_leads({words[kind]: average_alike({label: cells[kind, label] for label in found.followed
+                                                if label not in given and fits(study, label, kind)})
+                    for kind in kinds}),
         tell_lost(len(moves), [label for label in moves if label in found.lost],
                   [label for label in found.learners if label in found.lost and label not in moves], easiest,
                   data["primitives"]),
         *(tell_given(own, what) for what in dict.fromkeys(given.values())
           if (own := [each for each in told if given[each.agent] == what]))]
-    differences = {each.agent: each for each in [*against, *told]}
     tables = [(family.name, family.given, make_table(
         ["learner", *(words[kind] for kind in kinds), "over the best searcher"],
-        [[f"`{label}`", *(tell_cell(cells, kind, label) for kind in kinds), tell_difference(differences.get(label))]
+        [[f"`{label}`", *(tell_cell(found, kind, label) for kind in kinds), tell_difference(differences.get(label))]
          for label in family.learners])) for family in found.families]
     bars = make_table(["without learning", *(words[kind] for kind in kinds)], [
-        [f"`{label}`", *(tell_cell(cells, kind, label) for kind in kinds)] for label in found.references])
+        [f"`{label}`", *(tell_cell(found, kind, label) for kind in kinds)] for label in found.references])
     courses = make_table(
         ["learner", "settings", "progress", "escapes", "first escape", f"efficiency of {data['efficient']:g}",
          "seconds"],
@@ -559,8 +575,7 @@ def tell_standing(found: Standing) -> dict[str, Any]:
         "kinds": [f"{words[kind]} (`{kind}`)" for kind in kinds],
         "left_out": [f"{words[kind]} (`{kind}`)" for kind in words if kind not in kinds],
         "unfit": tell_unfit(found),
-        "count": min(len(cells[kind, label]) for kind in kinds for label in [*found.followed, *found.references]
-                     if fits(study, label, kind)),
+        "rooms": found.rooms,
         "searchers": data["searchers"], "budget": data["primitives"], "efficient": data["efficient"],
         "learners": len(found.learners), "episodes": REFERENCE_EPISODES,
         "trials": [words[room.rpartition("/")[0]]
@@ -577,10 +592,12 @@ def tell_unfit(found: Standing) -> list[str]:
     return [f"{join_words(labels)} with {out}, as {why}" for (out, why), labels in alike.items()]
 
 
-def tell_cell(cells: Cells, kind: str, label: str) -> str:
-    """Mean efficiency in a kind of rooms."""
-    runs = cells.get((kind, label))
-    return f"{average(runs):.2f}" if runs else ""
+def tell_cell(found: Standing, kind: str, label: str) -> str:
+    """Mean efficiency in a kind of rooms, and in how many of them where others were run in more."""
+    runs = found.cells.get((kind, label))
+    if not runs:
+        return ""
+    return f"{average(runs):.2f}" + (f" ({len(runs)})" if len(runs) < found.rooms else "")
 
 
 def tell_difference(contrast: Contrast | None) -> str:

@@ -153,9 +153,9 @@ def test_families_stand_in_order_of_their_best():
     (searcher,) = re.findall(r"the best searcher \((0\.\d\d)\)", told)
     assert 0.7 <= float(searcher) < 0.75, "the best of three in each kind"
     order = [told.index(words) for words in (
-        "come hierarchies that are given, with planned leaves (`hamq+planned` 0.9",
-        f"learners of structure over planned presses (`{MODEL}` 0.", "below it stay learners of their own options over "
-        f"planned presses (`{DAC}`")]
+        "come hierarchies that are given, with planned leaves (`hamq+planned` +0.2",
+        f"learners of structure over planned presses (`{MODEL}` +0.",
+        f"below it stay learners of their own options over planned presses (`{DAC}` -0.1")]
     assert order == sorted(order)
     other = read(change(dict.fromkeys((label for label in LEARNERS if "planned" in label), 0.3)))
     assert re.search(r"- By the best of each family, below the best searcher \(0\.\d\d\) stay", other)
@@ -194,6 +194,18 @@ def test_what_being_told_the_graph_brings_is_a_sentence_of_its_own():
     assert f"- Told the task graph, which searchers have to find, {len(told)} of {len(told)} hierarchies beat" in page
     page = read(change(dict.fromkeys(told, 0.5)))
     assert "- Even told the task graph, no hierarchy is shown to beat the best searcher." in page
+
+
+def test_learners_of_fewer_rooms_are_held_against_others_in_these_rooms_alone():
+    """From the eleventh room on, which one learner is not run in, nothing escapes, neither searchers nor others."""
+    lines = [dataclasses.replace(line, efficiency=0.0, escapes=0.0) if "/test[1" in line.room and "[1]" not in line.room
+             else line for line in make_lines(change({MODEL: 0.8, DAC: 0.9}), rooms=20)]
+    page = tell([line for line in lines if line.agent != DAC or line.efficiency])
+    assert "Mean efficiency over 20 rooms of each kind, or as many as stand in brackets" in page
+    assert re.search(rf"\| `{re.escape(DAC)}` \| 0\.\d\d \(10\) \| 0\.\d\d \(10\) \| \*\*\+0\.[12]\d \(", page)
+    assert re.search(rf"\| `{re.escape(MODEL)}` \| 0\.[34]\d \| 0\.[34]\d \|", page), "over all rooms"
+    assert f"One learner leads in every kind of rooms: `{DAC}`." in page, "by the rooms that all have"
+    assert re.search(rf"\(`{re.escape(DAC)}` \+0\.[12]\d\)", page), "beside the searcher in its rooms"
 
 
 def test_kinds_that_lack_runs_are_left_out_and_named():
@@ -294,6 +306,18 @@ def test_a_learner_that_never_escaped_from_the_easiest_rooms_is_not_run_in_other
     store.add([*trials, *(make_run(MODEL, 1, f"{PAIR}/test[{room}]", 0.0, 500) for room in range(10))])
     study.analysis.measure(study, args, store)
     assert {line.agent for line in store.load() if line.room.startswith(f"{FIVE}/test[")} == {"planner"}
+
+
+def test_a_learner_whose_runs_take_long_is_run_in_the_first_rooms_alone(tmp_path: Path):
+    study, args = run(tmp_path, agents=(MODEL, "smdp-dqn+no-primitives"), kinds=(PAIR,), rooms=2)
+    assert "smdp-dqn+no-primitives" in study.data["slow"]["learners"]
+    assert set(study.data["slow"]["learners"]) <= LEARNERS.keys()
+    study.data["slow"]["rooms"] = 1
+    store = open_store(study, args.docs)
+    store.add([line for line in make_trials() if line.agent in args.agents])
+    study.analysis.measure(study, args, store)
+    assert [(line.agent, line.room) for line in store.load() if "/test[" in line.room] == [
+        *((agent, f"{PAIR}/test[0]") for agent in ("smdp-dqn+no-primitives", MODEL)), (MODEL, f"{PAIR}/test[1]")]
 
 
 def test_a_learner_is_not_run_where_it_cannot_be(tmp_path: Path):
