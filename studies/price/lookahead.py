@@ -8,7 +8,6 @@ is known once it has happened in that state of the puzzle: an imagined way ends 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, TypeAlias
@@ -18,15 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.replay import Experience, NStep
-from hrl_escape.agents.registry import get_recipe
 from hrl_escape.agents.state import Kept
 from hrl_escape.env.instance import Rectangle
 from hrl_escape.options.execution import TraceStep
-from hrl_escape.settings import replace_settings
-from studies.price.explorer import count_primitives, measure_lengths
+from studies.price.over_primitives import PrimitivesDQN, PrimitivesSettings, read_room
 
 __all__ = ["LookaheadDQN", "LookaheadSettings", "list_events", "make_lookahead"]
 
@@ -37,28 +33,23 @@ Event: TypeAlias = tuple[Any, int]
 
 
 @dataclass(frozen=True)
-class LookaheadSettings(DQNSettings):
+class LookaheadSettings(PrimitivesSettings):
     """Settings of `LookaheadDQN`, beside those of `dqn`."""
 
     looks_along: Direction = "options"
     """Imagined is a planned option, or random primitives for as long as one lasts. Each state learns from where
     the way ends; with `primitives` random ones are learned from as what is run, `n_step` at once."""
-    lengths: tuple[int, ...] = (1,)
-    """Primitives of options in this room, of which the length of a random way is drawn."""
-    primitives: int = 1
-    """Actions that are primitives: the first of all."""
 
 
-class LookaheadDQN(DQN):
-    """`dqn` over the primitives of an `OptionsEnv` with traces, with a second one in which it imagines."""
+class LookaheadDQN(PrimitivesDQN):
+    """`dqn` over primitives that imagines in `model`, a second environment of the same room."""
 
     Settings: ClassVar[type] = LookaheadSettings
     settings: LookaheadSettings  # pyright: ignore[reportIncompatibleVariableOverride]
-    needs_trace: ClassVar[bool] = True
     STATE = ("_ahead", "_rng", Kept("_known", pack=sorted, unpack=lambda known: {*map(tuple, known)}))
 
     def __init__(self, observation_space: gymnasium.Space, seed: int, settings: LookaheadSettings, model: Any) -> None:
-        super().__init__(observation_space, gymnasium.spaces.Discrete(settings.primitives), seed, settings)
+        super().__init__(observation_space, seed, settings)
         self._model, self._rng = model, make_rng(seed, "lookahead")
         self._exit: Rectangle = model.unwrapped.instance.exit
         self._known: set[Event] = set()
@@ -66,19 +57,15 @@ class LookaheadDQN(DQN):
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Explore among primitives, as `dqn` does."""
-        return super().act(observation, action_mask[: self.settings.primitives])
-
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The legal primitive of highest value."""
-        return super().act_greedy(observation, action_mask[: self.settings.primitives], rng)
+        return super().act(observation, self.cut(action_mask))
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Note what the primitive did, learn from it, and imagine on from where it led."""
-        count = self.settings.primitives
         (step,) = transition.trace
         self._known |= set(list_events(step, self._exit))
         told = super().observe(transition._replace(
-            action_mask=transition.action_mask[:count], next_action_mask=transition.next_action_mask[:count], trace=()))
+            action_mask=self.cut(transition.action_mask), next_action_mask=self.cut(transition.next_action_mask),
+            trace=()))
         self._ahead -= 1
         if self._ahead < 0 and not (transition.terminated or transition.truncated):
             way = list(self.imagine(step.next_state))
@@ -104,8 +91,8 @@ class LookaheadDQN(DQN):
     def _choose_way(self, action_mask: NDArray[np.int8]) -> Sequence[int]:
         """Actions of the model, one after the other: a legal option, or primitives."""
         settings = self.settings
-        options = np.flatnonzero(action_mask[settings.primitives:]) + settings.primitives
         if settings.looks_along == "options":
+            options = self.list_options(action_mask)
             return [int(self._rng.choice(options))] if len(options) else []
         return self._rng.integers(settings.primitives, size=self._rng.choice(settings.lengths)).tolist()
 
@@ -130,10 +117,6 @@ def list_events(step: TraceStep, exit_: Rectangle) -> Iterator[Event]:
 
 def make_lookahead(looks_along: Direction, env: Any, model: Any, seed: int,
                    settings: Mapping[str, Any]) -> LookaheadDQN:
-    """Make the learner for an `OptionsEnv` with primitives and traces; the model is a second one of the same room.
-
-    The lengths of options are measured in the model first.
-    """
-    own = {"looks_along": looks_along, "lengths": measure_lengths(model), "primitives": count_primitives(env)}
-    changed = {**dataclasses.asdict(get_recipe("dqn")), **settings, **own}
-    return LookaheadDQN(env.observation_space, seed, replace_settings(LookaheadSettings(), changed), model)
+    """Make the learner for an `OptionsEnv` with primitives and traces, with a second one of the same room as model."""
+    changed = {**settings, "looks_along": looks_along}
+    return LookaheadDQN(env.observation_space, seed, read_room(LookaheadSettings, model, changed), model)

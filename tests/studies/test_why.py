@@ -12,8 +12,9 @@ from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoi
 from hrl_escape.agents.training.train import train
 from hrl_escape.options.options_env import OptionsEnv
 from studies.price.contestants import Contestant, sample_replicate_room
-from studies.price.explorer import count_primitives, make_explorer, measure_lengths
+from studies.price.explorer import make_explorer
 from studies.price.lookahead import EXIT, list_events, make_lookahead
+from studies.price.over_primitives import count_primitives, measure_lengths
 from studies.price.runs import PriceRun, compute_run_key
 from studies.price.words import conclude_prices
 from studies.study import find_study
