@@ -16,6 +16,7 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.settings import read_record
 from studies.figures import FIGURE_STYLE
+from studies.league.analysis import SearcherRun
 from studies.page import make_table
 from studies.price.contestants import Contestant
 from studies.price.ratios import COSTS, CostRatio, compare_costs, correct_prices, measure_growth
@@ -26,7 +27,7 @@ from studies.store import Store
 from studies.study import Page, Study, find_study
 
 __all__ = ["ESCAPE", "HALF", "LINES", "Args", "Pair", "advise", "analyse", "compare", "list_pairs",
-           "list_families", "measure", "tell_headline", "tell_planning"]
+           "list_families", "measure", "tell_headline", "tell_planning", "tell_searcher"]
 
 LINES = (PriceRun,)
 ESCAPE, HALF = COSTS[1], COSTS[3]
@@ -172,6 +173,35 @@ def tell_planning(study: Study, found: Found) -> str:
     return f"{begun} reaches {tell_events(gains, f'sooner than `{flat}`')}. {control}"
 
 
+def tell_searcher(study: Study, runs: Sequence[PriceRun], searched: Sequence[SearcherRun]) -> str:
+    """A sentence: when the best searcher, which learns nothing, first escapes, and how many learners do so later.
+
+    What it says of learners is one family (Holm). Empty where the searcher was not run.
+    """
+    sizes, least = study.data["sizes"], {(run.buttons, run.replicate): run.fewest for run in runs}
+    places = {(line.buttons, line.seed): line.escaped_at for line in searched
+              if line.searcher == study.data["searcher"] and (line.buttons, line.seed) in least}
+    if None in places.values() or {buttons for buttons, _ in places} != set(sizes):
+        return ""
+    own = [PriceRun(study.data["searcher"], *place, fewest=least[place], budget=at, primitives=at, first_escape=at,
+                    efficient_at=None, efficiency=least[place] / at, episodes=1, escapes=1, seconds=0.0, key="")
+           for place, at in places.items() if at is not None]
+    labels = dict.fromkeys(run.agent for run in runs)
+    ratios, _ = correct_prices([compare_costs([run for run in runs if run.agent == label], own, ESCAPE)
+                                for label in labels])
+    parts = []
+    for size in sizes:
+        middles = [ratio.middle for of_label in ratios for ratio in of_label if ratio.buttons == size]
+        there = [run for run in own if run.buttons == size]
+        sooner = sum(middle.high < 1 for middle in middles)
+        parts.append(f"with {count_nouns(size, 'button')} after {np.median([run.primitives for run in there]):.0f} "
+                     f"primitives, at an efficiency of {np.mean([run.efficiency for run in there]):.2f}, and "
+                     f"{sum(middle.low > 1 for middle in middles)} of {len(middles)} learners later"
+                     f"{f', {sooner} sooner' if sooner else ''}")
+    return (f"`{study.data['searcher']}`, which chooses among planned options and learns nothing, first escapes "
+            f"{'; '.join(parts)}.")
+
+
 def advise(study: Study, found: Found) -> str:
     """Advice to a user, by what each part brings."""
     flat, whole = study.data["flat"], study.data["whole"]
@@ -203,11 +233,14 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
     runs = sorted([*lines, *price], key=lambda run: run.place)
     found = compare(study, runs)
     headline, planning = tell_headline(study, found), tell_planning(study, found)
+    searcher = tell_searcher(study, runs, [line for line in open_store(find_study("league"), None).load()
+                                           if isinstance(line, SearcherRun)])
     told = [sentence for family in list_families(study) for sentence in conclude_prices(
         runs, [(pair.one, pair.other, cost) for pair in family for cost in (ESCAPE, HALF)])]
-    return Page({"headline": headline, "planning": planning, "told": told, "advice": advise(study, found),
-                 "table": tabulate(study, found), "minutes": sum(line.seconds for line in lines) / 60, **study.data},
-                {"why": draw(study, found)}, [*filter(None, (headline, planning))])
+    return Page({"headline": headline, "planning": planning, "beside": searcher, "told": told,
+                 "advice": advise(study, found), "table": tabulate(study, found),
+                 "minutes": sum(line.seconds for line in lines) / 60, **study.data},
+                {"why": draw(study, found)}, [*filter(None, (headline, planning, searcher))])
 
 
 def tabulate(study: Study, found: Found) -> str:

@@ -11,6 +11,7 @@ import pytest
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.agents.training.train import train
 from hrl_escape.options.options_env import OptionsEnv
+from studies.league.analysis import SearcherRun
 from studies.price.contestants import Contestant, sample_replicate_room
 from studies.price.explorer import make_explorer
 from studies.price.lookahead import EXIT, list_events, make_lookahead
@@ -31,6 +32,7 @@ from studies.why.analysis import (
     list_families,
     tell_headline,
     tell_planning,
+    tell_searcher,
 )
 from tests.studies.pages import tell as write_page
 
@@ -109,6 +111,24 @@ def test_planning_may_do_nothing_or_harm_or_be_unmeasured():
                          "the efficiency later with 1 button.")
     lines = [line for line in make_lines({FLAT: 9_000}, {FLAT: 50_000}) if line.agent not in (AHEAD, *RANDOM_AHEAD)]
     assert not tell_planning(STUDY, compare(STUDY, lines))
+
+
+def search(at: dict[int, int | None], seeds: range = range(10)) -> list[SearcherRun]:
+    return [SearcherRun(STUDY.data["searcher"], size, seed, escape) for size, escape in at.items() for seed in seeds]
+
+
+def test_the_searcher_that_learns_nothing_is_told_beside_all_learners():
+    lines = make_lines({FLAT: 9_000, EXPLORES: 10}, {FLAT: 50_000})  # there after some 40 primitives, of 30 needed
+    count = len(OTHERS) + 2
+    assert tell_searcher(STUDY, lines, search({1: 40, 2: 150})) == (
+        "`smdp-untried-nearest`, which chooses among planned options and learns nothing, first escapes with 1 button "
+        f"after 40 primitives, at an efficiency of 0.75, and {count - 1} of {count} learners later; with 2 buttons "
+        f"after 150 primitives, at an efficiency of 0.20, and {count - 1} of {count} learners later, 1 sooner.")
+    other = [dataclasses.replace(line, searcher="smdp-retrace") for line in search({1: 20, 2: 20})]
+    assert not tell_searcher(STUDY, lines, other) and not tell_searcher(STUDY, lines, search({1: 40}))
+    assert not tell_searcher(STUDY, lines, search({1: 40, 2: None})), "it did not escape within the league's budget"
+    few = tell_searcher(STUDY, lines, search({1: 40, 2: 150}, range(3)))
+    assert f"and 0 of {count} learners later" in few, "three rooms show nothing"
 
 
 def test_the_headline_claims_what_the_sentences_below_claim():
