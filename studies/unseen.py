@@ -26,7 +26,7 @@ from hrl_escape.options.memory import MemoryStreams
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 
 __all__ = ["UnseenRooms", "count_fewest", "get_unseen", "make_streams", "make_unseen",
-           "play_agent", "play_unseen"]
+           "play_agent", "play_unseen", "stream_rooms"]
 
 
 class UnseenRooms(NamedTuple):
@@ -69,7 +69,11 @@ def make_streams(benchmark: str, rung: str, size: int, count: int) -> MemoryStre
         size: number of training rooms.
         count: number of streams; where rooms are fewer, several are the same.
     """
-    rooms = load_benchmark(benchmark)[rung].train[:size]
+    return stream_rooms(load_benchmark(benchmark)[rung].train[:size], count)
+
+
+def stream_rooms(rooms: InstanceSet, count: int) -> MemoryStreams:
+    """Rooms, many at once with a memory; where they are fewer, several are the same."""
     many = rooms.make_vec(count, options={"include_primitives": False}, observation="objects", compile=True)
     assert isinstance(many, BatchedOptionsEnv)  # as options were asked for
     return MemoryStreams(many)

@@ -37,7 +37,7 @@ from studies.generalisation.grids import (
     make_depth_grid,
     make_sizes_grid,
 )
-from studies.generalisation.many import measure_many
+from studies.generalisation.many import measure_deeper, measure_many
 from studies.ladder.calibration import CHANCE
 from studies.page import make_table
 from studies.running import refuse_failures
@@ -56,8 +56,8 @@ def measure(study: Study, args: GeneralisationArgs, store: Store) -> None:
     """Run the parts that are asked for; in the part `depth` a line's rung is the kind of room tested in."""
     bench, out = load_benchmark(study.data["benchmark"]), args.out / "generalisation"
     for part in args.part:
-        if part == "many":
-            _measure_many(bench, args, store)
+        if part in ("many", "many-depth"):
+            (_measure_many if part == "many" else _measure_deeper)(bench, args, store)
             continue
         grid = make_sizes_grid(bench, args) if part == "sizes" else make_depth_grid(bench, args, out / "sets")
         comparison = run_grid(grid, out / part, LocalLauncher(args.workers))
@@ -80,6 +80,17 @@ def _measure_many(bench: Benchmark, args: GeneralisationArgs, store: Store) -> N
         print(f"{_count_rooms(line)} rooms, seed {line.seed}: {line.efficiency:.3f}", file=sys.stderr)
 
 
+def _measure_deeper(bench: Benchmark, args: GeneralisationArgs, store: Store) -> None:
+    """Tests in deeper rooms that are missing, those of a run kept as soon as they are done."""
+    own = ("depth", MANY, args.primitives, args.rooms)
+    known = {line.seed for line in store.load()
+             if (line.protocol, line.agent, line.primitives, line.episodes) == own}
+    seeds = [seed for seed in range(args.first_seed, args.first_seed + args.runs) if seed not in known]
+    for lines in measure_deeper(bench.name, seeds, args.primitives, args.shallow_rooms, args.rooms, args.workers or 1):
+        store.add(lines)
+        print(", ".join(f"{line.rung}, seed {line.seed}: {line.efficiency:.3f}" for line in lines), file=sys.stderr)
+
+
 def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     """Tables, sentences and the figure of lines of the protocols `sizes` and `depth`."""
     lines = sorted(lines, key=lambda line: line.place)
@@ -87,13 +98,12 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     depth = [line for line in lines if line.protocol == "depth"]
     rungs = {rung: [line for line in sizes if line.rung == rung] for rung in dict.fromkeys(line.rung for line in sizes)}
     return Page({
-        "rungs": {rung: _describe([line for line in own if line.agent != MANY] or own) | {
-            "many": _describe(many) if (many := [line for line in own if line.agent == MANY]) else None,
+        "rungs": {rung: _describe_both(own) | {
             "ends": _summarise(own), "table": _tabulate_sizes(own), "best": tell_best(
                 _group((line.agent, _count_rooms(line), line) for line in own), tuple(NAMES)),
             "told": tell_room_numbers(_group((line.agent, _count_rooms(line), line) for line in own), tuple(NAMES),
                                       _CHANCES)} for rung, own in rungs.items()},
-        "depth": _describe(depth) | {
+        "depth": _describe_both(depth) | {
             "table": _tabulate_depths(depth),
             "told": tell_puzzle_depths(_group((line.agent, line.rung, line) for line in depth), tuple(NAMES),
                                        CHANCE)} if depth else None,
@@ -109,6 +119,13 @@ def _group(lines: Iterable[tuple[str, _Key, BaselineRun]]) -> dict[tuple[str, _K
     for agent, key, line in lines:
         cells.setdefault((agent, key), []).append(line)
     return cells
+
+
+def _describe_both(lines: Sequence[BaselineRun]) -> dict[str, Any]:
+    """Numbers of runs, and under `many` those of the learner from many rooms at once, None without one."""
+    many = [line for line in lines if line.agent == MANY]
+    return _describe([line for line in lines if line.agent != MANY] or lines) | {
+        "many": _describe(many) if many else None}
 
 
 def _describe(lines: Sequence[BaselineRun]) -> dict[str, Any]:

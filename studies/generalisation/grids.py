@@ -19,7 +19,7 @@ from studies.ladder.calibration import CHANCE, KNOWN
 from studies.running import GridArgs
 
 __all__ = ["CEILING", "DEPTHS", "FLAT", "FLAT_CHANCE", "MANY", "MEMORY", "OBJECTS", "NAMES", "SEARCHERS", "TRAINED",
-           "VECTORS", "GeneralisationArgs", "make_depth_grid", "make_sizes_grid"]
+           "VECTORS", "GeneralisationArgs", "make_depth_grid", "make_depth_sets", "make_sizes_grid"]
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
 DEPTHS: dict[str, dict[str, Any]] = _DATA["depths"]
@@ -35,8 +35,8 @@ CEILING: dict[str, str] = _DATA["ceiling"]
 class GeneralisationArgs(GridArgs):
     """Options of the study of generalisation."""
 
-    part: tuple[Literal["sizes", "depth", "many"], ...] = ("sizes", "depth", "many")
-    """Parts: numbers of training rooms, deeper puzzles, and numbers again for one learner, from many rooms at once."""
+    part: tuple[Literal["sizes", "depth", "many", "many-depth"], ...] = ("sizes", "depth", "many", "many-depth")
+    """Parts: numbers of training rooms, deeper puzzles, and both again for one learner, from many rooms at once."""
     rung: str = "lattice"
     """Rung of the numbers of training rooms."""
     agents: tuple[str, ...] = ()
@@ -50,7 +50,7 @@ class GeneralisationArgs(GridArgs):
     rooms: int = 64
     """Rooms to be tested in."""
     shallow_rooms: int = 256
-    """Rooms of few buttons to train in, in the part `depth`."""
+    """Rooms of few buttons to train in, in the parts on depth."""
 
 
 def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
@@ -73,16 +73,21 @@ def make_depth_grid(bench: Benchmark, args: GeneralisationArgs, folder: Path) ->
     Raises:
         FileWriteError: the folder cannot be written.
     """
-    base = bench["lattice"].config
-    train = _save(folder, TRAINED, _change(base, Between(2, 4), "layered"), args.shallow_rooms)
-    tests = tuple(_save(folder, name, _change(base, depth["count"], depth["graph"]), args.rooms)
-                  for name, depth in DEPTHS.items())
+    train, tests = make_depth_sets(bench, args.shallow_rooms, args.rooms)
     return Grid(
         name="depth", description="Trained in rooms of 2 to 4 buttons, tested in deeper ones without learning.",
         agents=tuple(map(AgentSpec.parse, args.agents or (OBJECTS, MEMORY, *SEARCHERS, *CEILING, CHANCE, KNOWN))),
-        train_rooms=(train,) * len(tests), test_rooms=tests, runs=args.runs, first_seed=args.first_seed,
-        primitives=args.primitives, eval_every=args.primitives, eval_episodes=args.rooms, observation="objects",
+        train_rooms=(_save(folder, train),) * len(tests), test_rooms=tuple(_save(folder, test) for test in tests),
+        runs=args.runs, first_seed=args.first_seed, primitives=args.primitives, eval_every=args.primitives,
+        eval_episodes=args.rooms, observation="objects",
     )
+
+
+def make_depth_sets(bench: Benchmark, trained: int, tested: int) -> tuple[InstanceSet, list[InstanceSet]]:
+    """Rooms of few buttons to train in, and those of each of `DEPTHS` to be tested in, by their numbers."""
+    base = bench["lattice"].config
+    return (_make_set(TRAINED, _change(base, Between(2, 4), "layered"), trained),
+            [_make_set(name, _change(base, depth["count"], depth["graph"]), tested) for name, depth in DEPTHS.items()])
 
 
 def _change(base: RoomConfig, count: int | Between, kind: str) -> RoomConfig:
@@ -91,8 +96,12 @@ def _change(base: RoomConfig, count: int | Between, kind: str) -> RoomConfig:
     return dataclasses.replace(base, puzzle=dataclasses.replace(base.puzzle, count=count, graph=graph))
 
 
-def _save(folder: Path, name: str, config: RoomConfig, count: int) -> str:
-    path = folder / f"{name.replace(' ', '-').replace(',', '')}.json"
+def _make_set(name: str, config: RoomConfig, count: int) -> InstanceSet:
+    return InstanceSet(name, config, [derive_seed("generalisation", name, "rooms", i) for i in range(count)])
+
+
+def _save(folder: Path, rooms: InstanceSet) -> str:
+    path = folder / f"{rooms.name.replace(' ', '-').replace(',', '')}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
-    InstanceSet(name, config, [derive_seed("generalisation", name, "rooms", i) for i in range(count)]).save(path)
+    rooms.save(path)
     return str(path)

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
+from typing import Any
+
+import gymnasium
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.registry import make_agent
 from hrl_escape.agents.training.env_description import compute_digest
+from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
+from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.options.memory import MemoryStreams
 from studies.baseline import BaselineRun
-from studies.generalisation.grids import MANY, MEMORY
-from studies.unseen import UnseenRooms, get_unseen, make_streams, make_unseen, play_unseen
+from studies.generalisation.grids import MANY, MEMORY, make_depth_sets
+from studies.unseen import UnseenRooms, get_unseen, make_streams, make_unseen, play_unseen, stream_rooms
 
-__all__ = ["measure_many", "run_many"]
+__all__ = ["measure_deeper", "measure_many", "run_deeper", "run_many"]
 
 STREAMS = 256
 """Rooms that it learns from at once; with fewer training rooms, several are the same."""
@@ -39,27 +48,87 @@ def measure_many(benchmark: str, rung: str, jobs: Sequence[tuple[int, int]], pri
             yield done.result()
 
 
+def measure_deeper(benchmark: str, seeds: Sequence[int], primitives: int, trained: int, tested: int, workers: int
+                   ) -> Iterator[list[BaselineRun]]:
+    """Make runs in rooms of few buttons, and give the tests of each in deeper ones as soon as they are done.
+
+    Args:
+        benchmark: name.
+        seeds: of the runs.
+        primitives: of a run, in all rooms together.
+        trained: number of training rooms.
+        tested: number of unseen rooms of each depth, an episode in each.
+        workers: processes.
+    """
+    with ProcessPoolExecutor(workers, get_fork_server()) as pool:
+        for done in as_completed([pool.submit(run_deeper, benchmark, seed, primitives, trained, tested)
+                                  for seed in seeds]):
+            yield done.result()
+
+
 def run_many(benchmark: str, rung: str, size: int, seed: int, primitives: int, tested: int) -> BaselineRun:
     """One run; see `measure_many`."""
-    spec, streams = AgentSpec.parse(MEMORY), make_streams(benchmark, rung, size, STREAMS)
-    settings = {"benchmark": benchmark, "rung": rung, "rooms": size, "seed": seed, "primitives": primitives,
-                "streams": STREAMS, "settings": spec.settings}
-    result = train(spec.name, streams, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
-                   progress=False)
-    agent = result.agent
-    assert agent is not None  # a run without a folder gives its agent back
-    (unseen, escapes), (seen, _) = (_play(spec, rooms, agent) for rooms in (
-        get_unseen(benchmark, rung, tested), _get_seen(benchmark, rung, min(size, tested))))
+    result = _train(make_streams(benchmark, rung, size, STREAMS), seed, primitives)
+    settings = {"benchmark": benchmark, "rung": rung, "rooms": size, "seed": seed, "primitives": primitives}
     place = f"{benchmark}/{rung}"
-    return BaselineRun("sizes", rung, f"{place}/train[:{size}] > {place}/test[:{tested}]", MANY, seed, primitives,
-                       unseen, seen, escapes, tested, escapes, result.first_escape, compute_digest(settings))
+    line = BaselineRun("sizes", rung, f"{place}/train[:{size}] > {place}/test[:{tested}]", MANY, seed, primitives, 0,
+                       None, 0, tested, 0, result.first_escape, _compute_key(settings))
+    return _test(result, get_unseen(benchmark, rung, tested), _get_seen(benchmark, rung, min(size, tested)), line)
 
 
-def _play(spec: AgentSpec, rooms: UnseenRooms, agent: Agent) -> tuple[float, float]:
-    return play_unseen(spec, rooms, lambda env, recorder: agent)
+def run_deeper(benchmark: str, seed: int, primitives: int, trained: int, tested: int) -> list[BaselineRun]:
+    """One run and its tests; see `measure_deeper`."""
+    rooms, tests, seen = _get_depths(benchmark, trained, tested)
+    result = _train(_stream_shallow(benchmark, trained, tested), seed, primitives)
+    return [_test(result, test, seen, BaselineRun(
+        "depth", test.rooms.name, f"{rooms.name} > {test.rooms.name}", MANY, seed, primitives, 0, None, 0, tested, 0,
+        result.first_escape, _compute_key({"benchmark": benchmark, "rung": test.rooms.name, "rooms": trained,
+                                           "seed": seed, "primitives": primitives}))) for test in tests]
+
+
+def _train(streams: MemoryStreams, seed: int, primitives: int) -> TrainResult:
+    spec = AgentSpec.parse(MEMORY)
+    return train(spec.name, streams, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
+                 progress=False)
+
+
+def _test(result: TrainResult, unseen: UnseenRooms, seen: UnseenRooms, line: BaselineRun) -> BaselineRun:
+    """The line of a run with what it reaches in unseen rooms, and in some that it was trained in."""
+    (efficiency, escapes), (known, _) = (_play(rooms, result.agent) for rooms in (unseen, seen))
+    return dataclasses.replace(line, efficiency=efficiency, seen=known, escapes=escapes, progress=escapes)
+
+
+def _play(rooms: UnseenRooms, agent: Agent | None) -> tuple[float, float]:
+    """Efficiency and escapes of an agent's weights in rooms of any number of buttons."""
+    assert agent is not None  # a run without a folder gives its agent back
+    spec = AgentSpec.parse(MEMORY)
+
+    def fit(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
+        made = make_agent(spec.name, env.observation_space, env.action_space, 0, **spec.settings)
+        made.load_state_dict(agent.state_dict())
+        return made
+
+    return play_unseen(spec, rooms, fit)
+
+
+def _compute_key(settings: dict[str, Any]) -> str:
+    return compute_digest(settings | {"streams": STREAMS, "settings": AgentSpec.parse(MEMORY).settings})
 
 
 @lru_cache(maxsize=1)
 def _get_seen(benchmark: str, rung: str, count: int) -> UnseenRooms:
     """The first training rooms, to be tested in."""
     return make_unseen(load_benchmark(benchmark)[rung].train[:count])
+
+
+@lru_cache(maxsize=1)
+def _get_depths(benchmark: str, trained: int, tested: int) -> tuple[InstanceSet, list[UnseenRooms], UnseenRooms]:
+    """Rooms to train in, deeper ones to be tested in, and the first training rooms, to be tested in as well."""
+    rooms, tests = make_depth_sets(load_benchmark(benchmark), trained, tested)
+    return rooms, [make_unseen(test) for test in tests], make_unseen(rooms[:tested])
+
+
+@lru_cache(maxsize=1)
+def _stream_shallow(benchmark: str, trained: int, tested: int) -> MemoryStreams:
+    """Rooms to train in, many at once, kept for the next run."""
+    return stream_rooms(_get_depths(benchmark, trained, tested)[0], STREAMS)
