@@ -44,7 +44,7 @@ FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/pretrained"
 def train_reader(place: str, primitives: int, out: Path) -> Path:
     """Train on many rooms of a rung at once; returns the run's folder."""
     spec = AgentSpec.parse(READER)
-    train(spec.name, make_streams(*place.split("/"), TRAIN_ROOMS, STREAMS), primitives=primitives,
+    train(spec.name, make_streams(*place.split("/"), TRAIN_ROOMS, STREAMS, READER), primitives=primitives,
           settings=spec.settings, eval_every=primitives // EVALUATIONS, eval_episodes=10, out=out / "run")
     return out / "run"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import gymnasium
 import numpy as np
@@ -18,6 +18,7 @@ from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ComparisonError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet
@@ -25,8 +26,12 @@ from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.options.memory import MemoryStreams
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 
-__all__ = ["UnseenRooms", "count_fewest", "get_unseen", "make_streams", "make_unseen",
+__all__ = ["Streams", "UnseenRooms", "count_fewest", "get_unseen", "make_streams", "make_unseen",
            "play_agent", "play_unseen", "stream_rooms"]
+
+
+Streams: TypeAlias = EscapeRoomVectorEnv | BatchedOptionsEnv | MemoryStreams
+"""Many rooms at once."""
 
 
 class UnseenRooms(NamedTuple):
@@ -60,33 +65,39 @@ def get_unseen(benchmark: str, rung: str, tested: int) -> UnseenRooms:
 
 
 @lru_cache(maxsize=1)
-def make_streams(benchmark: str, rung: str, size: int, count: int) -> MemoryStreams:
-    """The first training rooms of a rung, many at once with a memory, kept for the next run in them.
+def make_streams(benchmark: str, rung: str, size: int, count: int, agent: str) -> Streams:
+    """The first training rooms of a rung, many at once, kept for the next run in them.
 
     Args:
         benchmark: name.
         rung: name.
         size: number of training rooms.
         count: number of streams; where rooms are fewer, several are the same.
+        agent: by label, says what is chosen among; objects are observed.
     """
-    return stream_rooms(load_benchmark(benchmark)[rung].train[:size], count)
+    return stream_rooms(load_benchmark(benchmark)[rung].train[:size], count, agent)
 
 
-def stream_rooms(rooms: InstanceSet, count: int) -> MemoryStreams:
-    """Rooms, many at once with a memory; where they are fewer, several are the same."""
-    many = rooms.make_vec(count, options={"include_primitives": False}, observation="objects", compile=True)
-    assert isinstance(many, BatchedOptionsEnv)  # as options were asked for
+def stream_rooms(rooms: InstanceSet, count: int, agent: str) -> Streams:
+    """Rooms, many at once; see `make_streams`."""
+    spec = AgentSpec.parse(agent)
+    view = spec.options.to_dict()
+    has_memory = view.pop("memory")
+    many = rooms.make_vec(count, options=view if spec.chooses_options else False, observation="objects", compile=True)
+    if not has_memory:
+        return many
+    assert isinstance(many, BatchedOptionsEnv)  # as who remembers decisions chooses options
     return MemoryStreams(many)
 
 
-def play_agent(spec: AgentSpec, unseen: UnseenRooms, train_in: InstanceSet | MemoryStreams, seed: int = 0,
+def play_agent(spec: AgentSpec, unseen: UnseenRooms, train_in: InstanceSet | Streams, seed: int = 0,
                primitives: int = 1) -> tuple[float, float]:
     """Train an agent in some rooms and play the others; who does not learn is only tested. See `play_unseen`."""
 
     def make_player(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
         if spec.is_reference:
             return make_reference(spec.name, env, recorder)
-        own = train_in if isinstance(train_in, MemoryStreams) else make_env(spec, train_in, "objects")[0]
+        own = make_env(spec, train_in, "objects")[0] if isinstance(train_in, InstanceSet) else train_in
         player = train(spec.name, own, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
                        progress=False).agent
         if isinstance(own, gymnasium.Env):

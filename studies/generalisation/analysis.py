@@ -23,11 +23,11 @@ from studies.baseline import BaselineRun, collect_baselines
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.generalisation.findings import advise, tell_best, tell_puzzle_depths, tell_room_numbers
 from studies.generalisation.grids import (
+    AT_ONCE,
     CEILING,
     DEPTHS,
     FLAT,
     FLAT_CHANCE,
-    MANY,
     MEMORY,
     NAMES,
     OBJECTS,
@@ -37,18 +37,18 @@ from studies.generalisation.grids import (
     make_depth_grid,
     make_sizes_grid,
 )
-from studies.generalisation.many import measure_deeper, measure_many
+from studies.generalisation.many import STREAMS, measure_deeper, measure_many
 from studies.ladder.calibration import CHANCE
 from studies.page import make_table
 from studies.running import refuse_failures
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["Args", "analyse", "draw_sizes", "measure"]
+__all__ = ["Args", "analyse", "draw_sizes", "measure", "prefer_at_once"]
 
 Args = GeneralisationArgs
 _CHANCES = dict.fromkeys(NAMES, CHANCE) | {FLAT: FLAT_CHANCE}
-_COLOURS = dict(zip(NAMES, ("#777777", "#0072b2", "#e69f00", "#d55e00", "#009e73"), strict=True))
+_COLOURS = dict(zip(NAMES, ("#777777", "#0072b2", "#e69f00", "#d55e00"), strict=True))
 _Key = TypeVar("_Key")
 
 
@@ -70,47 +70,63 @@ def measure(study: Study, args: GeneralisationArgs, store: Store) -> None:
 def _measure_many(bench: Benchmark, args: GeneralisationArgs, store: Store) -> None:
     """Runs from many rooms at once that are missing, each kept as soon as it is done."""
     sizes = [size for size in args.sizes if size <= bench[args.rung].record.train.count]
-    own = (MANY, args.rung, args.primitives, args.rooms)
-    known = {(_count_rooms(line), line.seed) for line in store.load()
-             if (line.agent, line.rung, line.primitives, line.episodes) == own}
-    jobs = [job for size in sizes for seed in range(args.first_seed, args.first_seed + args.runs)
-            if (job := (size, seed)) not in known]
+    known = {(line.agent.removesuffix(AT_ONCE), _count_rooms(line), line.seed)
+             for line in _list_at_once(args, store, "sizes") if line.rung == args.rung}
+    jobs = [job for agent in args.agents or NAMES for size in sizes for seed in _list_seeds(args)
+            if (job := (agent, size, seed)) not in known]
     for line in measure_many(bench.name, args.rung, jobs, args.primitives, args.rooms, args.workers or 1):
         store.add([line])
-        print(f"{_count_rooms(line)} rooms, seed {line.seed}: {line.efficiency:.3f}", file=sys.stderr)
+        print(f"{line.agent}, {_count_rooms(line)} rooms, seed {line.seed}: {line.efficiency:.3f}", file=sys.stderr)
 
 
 def _measure_deeper(bench: Benchmark, args: GeneralisationArgs, store: Store) -> None:
     """Tests in deeper rooms that are missing, those of a run kept as soon as they are done."""
-    own = ("depth", MANY, args.primitives, args.rooms)
-    known = {line.seed for line in store.load()
-             if (line.protocol, line.agent, line.primitives, line.episodes) == own}
-    seeds = [seed for seed in range(args.first_seed, args.first_seed + args.runs) if seed not in known]
-    for lines in measure_deeper(bench.name, seeds, args.primitives, args.shallow_rooms, args.rooms, args.workers or 1):
+    known = {(line.agent.removesuffix(AT_ONCE), line.seed) for line in _list_at_once(args, store, "depth")}
+    jobs = [job for agent in args.agents or (OBJECTS, MEMORY) for seed in _list_seeds(args)
+            if (job := (agent, seed)) not in known]
+    for lines in measure_deeper(bench.name, jobs, args.primitives, args.shallow_rooms, args.rooms, args.workers or 1):
         store.add(lines)
         print(", ".join(f"{line.rung}, seed {line.seed}: {line.efficiency:.3f}" for line in lines), file=sys.stderr)
+
+
+def _list_seeds(args: GeneralisationArgs) -> range:
+    return range(args.first_seed, args.first_seed + args.runs)
+
+
+def _list_at_once(args: GeneralisationArgs, store: Store, part: str) -> list[BaselineRun]:
+    """Lines of a part that are there, of learners from many rooms at once with this budget and as many tests."""
+    return [line for line in store.load() if line.agent.endswith(AT_ONCE)
+            and (line.protocol, line.primitives, line.episodes) == (part, args.primitives, args.rooms)]
+
+
+def prefer_at_once(lines: Sequence[BaselineRun]) -> list[BaselineRun]:
+    """Lines of a part, of each learner those from many rooms at once where there are any, by its own label."""
+    at_once = {(line.rung, line.agent) for line in lines if line.agent.endswith(AT_ONCE)}
+    return [dataclasses.replace(line, agent=line.agent.removesuffix(AT_ONCE)) for line in lines
+            if (line.rung, line.agent + AT_ONCE) not in at_once]
 
 
 def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     """Tables, sentences and the figure of lines of the protocols `sizes` and `depth`."""
     lines = sorted(lines, key=lambda line: line.place)
-    sizes = [line for line in lines if line.protocol == "sizes"]
-    depth = [line for line in lines if line.protocol == "depth"]
+    sizes, depth = ([line for line in lines if line.protocol == part] for part in ("sizes", "depth"))
     rungs = {rung: [line for line in sizes if line.rung == rung] for rung in dict.fromkeys(line.rung for line in sizes)}
+    kept = {rung: prefer_at_once(own) for rung, own in rungs.items()}
+    cells = {rung: _group((line.agent, _count_rooms(line), line) for line in own) for rung, own in kept.items()}
+    deeper = prefer_at_once(depth)
     return Page({
         "rungs": {rung: _describe_both(own) | {
-            "ends": _summarise(own), "table": _tabulate_sizes(own), "best": tell_best(
-                _group((line.agent, _count_rooms(line), line) for line in own), tuple(NAMES)),
-            "told": tell_room_numbers(_group((line.agent, _count_rooms(line), line) for line in own), tuple(NAMES),
-                                      _CHANCES)} for rung, own in rungs.items()},
+            "ends": _summarise(kept[rung]), "table": _tabulate_sizes(kept[rung]),
+            "best": tell_best(cells[rung], tuple(NAMES)),
+            "told": tell_room_numbers(cells[rung], tuple(NAMES), _CHANCES)} for rung, own in rungs.items()},
         "depth": _describe_both(depth) | {
-            "table": _tabulate_depths(depth),
-            "told": tell_puzzle_depths(_group((line.agent, line.rung, line) for line in depth), tuple(NAMES),
+            "table": _tabulate_depths(deeper),
+            "told": tell_puzzle_depths(_group((line.agent, line.rung, line) for line in deeper), tuple(NAMES),
                                        CHANCE)} if depth else None,
-        "advice": " ".join(dict.fromkeys(advice for own in rungs.values() if (advice := advise(
-            _group((line.agent, _count_rooms(line), line) for line in own), MEMORY, OBJECTS)))),
-        "trained": TRAINED, "own": GeneralisationArgs.primitives,
-    }, {"generalisation": draw_sizes(rungs)} if sizes else {})
+        "advice": " ".join(dict.fromkeys(
+            advice for own in cells.values() if (advice := advise(own, MEMORY, OBJECTS)))),
+        "trained": TRAINED, "own": GeneralisationArgs.primitives, "streams": STREAMS,
+    }, {"generalisation": draw_sizes(kept)} if sizes else {})
 
 
 def _group(lines: Iterable[tuple[str, _Key, BaselineRun]]) -> dict[tuple[str, _Key], list[BaselineRun]]:
@@ -122,17 +138,19 @@ def _group(lines: Iterable[tuple[str, _Key, BaselineRun]]) -> dict[tuple[str, _K
 
 
 def _describe_both(lines: Sequence[BaselineRun]) -> dict[str, Any]:
-    """Numbers of runs, and under `many` those of the learner from many rooms at once, None without one."""
-    many = [line for line in lines if line.agent == MANY]
-    return _describe([line for line in lines if line.agent != MANY] or lines) | {
-        "many": _describe(many) if many else None}
+    """Numbers of the runs that are told, all of one rung or of the part `depth`.
+
+    Besides, those of learners from many rooms at once, and those of all others; None where there are none.
+    """
+    parts = {"at_once": [line for line in lines if line.agent.endswith(AT_ONCE)],
+             "alone": [line for line in prefer_at_once(lines) if line in lines]}
+    return _describe(prefer_at_once(lines)) | {name: _describe(own) if own else None for name, own in parts.items()}
 
 
 def _describe(lines: Sequence[BaselineRun]) -> dict[str, Any]:
-    """Numbers of runs, all of one rung or of the part `depth`."""
     cells = Counter((line.agent, line.rung, line.rooms) for line in lines if line.primitives)
     return {
-        "count": len(lines), "fewest": min(cells.values()), "most": max(cells.values()),
+        "count": len(lines), "fewest": min(cells.values(), default=0), "most": max(cells.values(), default=0),
         "budgets": sorted({line.primitives for line in lines if line.primitives}),
         "episodes": max(line.episodes for line in lines), "runs": 1 + max(line.seed for line in lines),
         "primitives": max(line.primitives for line in lines), "rooms": lines[0].episodes,

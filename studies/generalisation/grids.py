@@ -18,14 +18,16 @@ from hrl_escape.ladder.rung import derive_seed
 from studies.ladder.calibration import CHANCE, KNOWN
 from studies.running import GridArgs
 
-__all__ = ["CEILING", "DEPTHS", "FLAT", "FLAT_CHANCE", "MANY", "MEMORY", "OBJECTS", "NAMES", "SEARCHERS", "TRAINED",
+__all__ = ["AT_ONCE", "CEILING", "DEPTHS", "FLAT", "FLAT_CHANCE", "MEMORY", "OBJECTS", "NAMES", "SEARCHERS", "TRAINED",
            "VECTORS", "GeneralisationArgs", "make_depth_grid", "make_depth_sets", "make_sizes_grid"]
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
 DEPTHS: dict[str, dict[str, Any]] = _DATA["depths"]
 TRAINED: str = _DATA["trained"]
 NAMES: dict[str, str] = _DATA["names"]
-FLAT, VECTORS, OBJECTS, MEMORY, MANY = NAMES
+FLAT, VECTORS, OBJECTS, MEMORY = NAMES
+AT_ONCE = ", many rooms at once"
+"""What the labels of learners end in that learn from many rooms at once."""
 FLAT_CHANCE = "random"
 SEARCHERS: dict[str, str] = _DATA["searchers"]
 CEILING: dict[str, str] = _DATA["ceiling"]
@@ -36,7 +38,7 @@ class GeneralisationArgs(GridArgs):
     """Options of the study of generalisation."""
 
     part: tuple[Literal["sizes", "depth", "many", "many-depth"], ...] = ("sizes", "depth", "many", "many-depth")
-    """Parts: numbers of training rooms, deeper puzzles, and both again for one learner, from many rooms at once."""
+    """Parts: numbers of training rooms, deeper puzzles, and both again for learners from many rooms at once."""
     rung: str = "lattice"
     """Rung of the numbers of training rooms."""
     agents: tuple[str, ...] = ()
@@ -59,7 +61,7 @@ def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
     Raises:
         EscapeError: no such rung, or more rooms than it has.
     """
-    names = args.agents or (*(name for name in NAMES if name != MANY), *SEARCHERS, *CEILING, CHANCE, FLAT_CHANCE)
+    names = args.agents or (*NAMES, *SEARCHERS, *CEILING, CHANCE, FLAT_CHANCE)
     agents = tuple(map(AgentSpec.parse, names))
     sizes = tuple(size for size in args.sizes if size <= bench[args.rung].record.train.count)
     settings = LadderSettings(args.runs, args.primitives, args.rooms, sizes, first_seed=args.first_seed)

@@ -1,4 +1,4 @@
-"""The learner with a memory at the budget of the rung, from many rooms at once, tested in rooms it never saw."""
+"""Learners from many rooms at once, which spend a million primitives in a minute, tested in unseen rooms."""
 
 from __future__ import annotations
 
@@ -20,25 +20,24 @@ from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.options.memory import MemoryStreams
 from studies.baseline import BaselineRun
-from studies.generalisation.grids import MANY, MEMORY, make_depth_sets
-from studies.unseen import UnseenRooms, get_unseen, make_streams, make_unseen, play_unseen, stream_rooms
+from studies.generalisation.grids import AT_ONCE, make_depth_sets
+from studies.unseen import Streams, UnseenRooms, get_unseen, make_streams, make_unseen, play_unseen, stream_rooms
 
-__all__ = ["measure_deeper", "measure_many", "run_deeper", "run_many"]
+__all__ = ["STREAMS", "measure_deeper", "measure_many", "run_deeper", "run_many"]
 
 STREAMS = 256
-"""Rooms that it learns from at once; with fewer training rooms, several are the same."""
+"""Rooms that a learner learns from at once; with fewer training rooms, several are the same."""
 
 
-def measure_many(benchmark: str, rung: str, jobs: Sequence[tuple[int, int]], primitives: int, tested: int, workers: int
-                 ) -> Iterator[BaselineRun]:
+def measure_many(benchmark: str, rung: str, jobs: Sequence[tuple[str, int, int]], primitives: int, tested: int,
+                 workers: int) -> Iterator[BaselineRun]:
     """Make runs, and give each as soon as it is done.
 
     Args:
         benchmark: name.
         rung: name.
-        jobs: number of training rooms, and seed, of each run.
+        jobs: agent, number of training rooms, and seed, of each run.
         primitives: of a run, in all rooms together.
         tested: number of unseen rooms, an episode in each.
         workers: processes.
@@ -48,60 +47,62 @@ def measure_many(benchmark: str, rung: str, jobs: Sequence[tuple[int, int]], pri
             yield done.result()
 
 
-def measure_deeper(benchmark: str, seeds: Sequence[int], primitives: int, trained: int, tested: int, workers: int
-                   ) -> Iterator[list[BaselineRun]]:
+def measure_deeper(benchmark: str, jobs: Sequence[tuple[str, int]], primitives: int, trained: int, tested: int,
+                   workers: int) -> Iterator[list[BaselineRun]]:
     """Make runs in rooms of few buttons, and give the tests of each in deeper ones as soon as they are done.
 
     Args:
         benchmark: name.
-        seeds: of the runs.
+        jobs: agent and seed of each run.
         primitives: of a run, in all rooms together.
         trained: number of training rooms.
         tested: number of unseen rooms of each depth, an episode in each.
         workers: processes.
     """
     with ProcessPoolExecutor(workers, get_fork_server()) as pool:
-        for done in as_completed([pool.submit(run_deeper, benchmark, seed, primitives, trained, tested)
-                                  for seed in seeds]):
+        for done in as_completed([pool.submit(run_deeper, benchmark, *job, primitives, trained, tested)
+                                  for job in jobs]):
             yield done.result()
 
 
-def run_many(benchmark: str, rung: str, size: int, seed: int, primitives: int, tested: int) -> BaselineRun:
+def run_many(benchmark: str, rung: str, agent: str, size: int, seed: int, primitives: int, tested: int) -> BaselineRun:
     """One run; see `measure_many`."""
-    result = _train(make_streams(benchmark, rung, size, STREAMS), seed, primitives)
+    result = _train(make_streams(benchmark, rung, size, STREAMS, agent), agent, seed, primitives)
     settings = {"benchmark": benchmark, "rung": rung, "rooms": size, "seed": seed, "primitives": primitives}
     place = f"{benchmark}/{rung}"
-    line = BaselineRun("sizes", rung, f"{place}/train[:{size}] > {place}/test[:{tested}]", MANY, seed, primitives, 0,
-                       None, 0, tested, 0, result.first_escape, _compute_key(settings))
-    return _test(result, get_unseen(benchmark, rung, tested), _get_seen(benchmark, rung, min(size, tested)), line)
+    line = BaselineRun("sizes", rung, f"{place}/train[:{size}] > {place}/test[:{tested}]", agent + AT_ONCE, seed,
+                       primitives, 0, None, 0, tested, 0, result.first_escape, _compute_key(agent, settings))
+    return _test(result, agent, get_unseen(benchmark, rung, tested), _get_seen(benchmark, rung, min(size, tested)),
+                 line)
 
 
-def run_deeper(benchmark: str, seed: int, primitives: int, trained: int, tested: int) -> list[BaselineRun]:
+def run_deeper(benchmark: str, agent: str, seed: int, primitives: int, trained: int, tested: int
+               ) -> list[BaselineRun]:
     """One run and its tests; see `measure_deeper`."""
     rooms, tests, seen = _get_depths(benchmark, trained, tested)
-    result = _train(_stream_shallow(benchmark, trained, tested), seed, primitives)
-    return [_test(result, test, seen, BaselineRun(
-        "depth", test.rooms.name, f"{rooms.name} > {test.rooms.name}", MANY, seed, primitives, 0, None, 0, tested, 0,
-        result.first_escape, _compute_key({"benchmark": benchmark, "rung": test.rooms.name, "rooms": trained,
-                                           "seed": seed, "primitives": primitives}))) for test in tests]
+    result = _train(_stream_shallow(benchmark, trained, tested, agent), agent, seed, primitives)
+    settings = {"benchmark": benchmark, "rooms": trained, "seed": seed, "primitives": primitives}
+    return [_test(result, agent, test, seen, BaselineRun(
+        "depth", test.rooms.name, f"{rooms.name} > {test.rooms.name}", agent + AT_ONCE, seed, primitives, 0, None, 0,
+        tested, 0, result.first_escape, _compute_key(agent, settings | {"rung": test.rooms.name}))) for test in tests]
 
 
-def _train(streams: MemoryStreams, seed: int, primitives: int) -> TrainResult:
-    spec = AgentSpec.parse(MEMORY)
+def _train(streams: Streams, agent: str, seed: int, primitives: int) -> TrainResult:
+    spec = AgentSpec.parse(agent)
     return train(spec.name, streams, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
                  progress=False)
 
 
-def _test(result: TrainResult, unseen: UnseenRooms, seen: UnseenRooms, line: BaselineRun) -> BaselineRun:
+def _test(result: TrainResult, agent: str, unseen: UnseenRooms, seen: UnseenRooms, line: BaselineRun) -> BaselineRun:
     """The line of a run with what it reaches in unseen rooms, and in some that it was trained in."""
-    (efficiency, escapes), (known, _) = (_play(rooms, result.agent) for rooms in (unseen, seen))
+    (efficiency, escapes), (known, _) = (_play(rooms, agent, result.agent) for rooms in (unseen, seen))
     return dataclasses.replace(line, efficiency=efficiency, seen=known, escapes=escapes, progress=escapes)
 
 
-def _play(rooms: UnseenRooms, agent: Agent | None) -> tuple[float, float]:
+def _play(rooms: UnseenRooms, label: str, agent: Agent | None) -> tuple[float, float]:
     """Efficiency and escapes of an agent's weights in rooms of any number of buttons."""
     assert agent is not None  # a run without a folder gives its agent back
-    spec = AgentSpec.parse(MEMORY)
+    spec = AgentSpec.parse(label)
 
     def fit(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
         made = make_agent(spec.name, env.observation_space, env.action_space, 0, **spec.settings)
@@ -111,8 +112,8 @@ def _play(rooms: UnseenRooms, agent: Agent | None) -> tuple[float, float]:
     return play_unseen(spec, rooms, fit)
 
 
-def _compute_key(settings: dict[str, Any]) -> str:
-    return compute_digest(settings | {"streams": STREAMS, "settings": AgentSpec.parse(MEMORY).settings})
+def _compute_key(agent: str, settings: dict[str, Any]) -> str:
+    return compute_digest(settings | {"streams": STREAMS, "agent": agent, "settings": AgentSpec.parse(agent).settings})
 
 
 @lru_cache(maxsize=1)
@@ -129,6 +130,6 @@ def _get_depths(benchmark: str, trained: int, tested: int) -> tuple[InstanceSet,
 
 
 @lru_cache(maxsize=1)
-def _stream_shallow(benchmark: str, trained: int, tested: int) -> MemoryStreams:
+def _stream_shallow(benchmark: str, trained: int, tested: int, agent: str) -> Streams:
     """Rooms to train in, many at once, kept for the next run."""
-    return stream_rooms(_get_depths(benchmark, trained, tested)[0], STREAMS)
+    return stream_rooms(_get_depths(benchmark, trained, tested)[0], STREAMS, agent)

@@ -91,7 +91,7 @@ def run_once(agent: str, rung: str, rooms: int, seed: int, primitives: int, test
     Who does not learn is only tested; with 0 `streams`, one episode follows the other.
     """
     spec, (benchmark, name) = AgentSpec.parse(agent), rung.split("/")
-    train_in = (make_streams(benchmark, name, rooms, streams) if streams else
+    train_in = (make_streams(benchmark, name, rooms, streams, agent) if streams else
                 load_benchmark(benchmark)[name].train[:rooms])
     efficiency, escapes = play_agent(spec, get_unseen(benchmark, name, tested), train_in, seed, primitives)
     if spec.is_reference:

@@ -12,11 +12,11 @@ import pytest
 from hrl_escape.ladder.benchmark import load_benchmark
 from studies.baseline import BaselineRun
 from studies.generalisation.grids import (
+    AT_ONCE,
     CEILING,
     DEPTHS,
     FLAT,
     FLAT_CHANCE,
-    MANY,
     MEMORY,
     OBJECTS,
     SEARCHERS,
@@ -25,7 +25,7 @@ from studies.generalisation.grids import (
     make_depth_grid,
     make_sizes_grid,
 )
-from studies.generalisation.many import run_many
+from studies.generalisation.many import run_deeper, run_many
 from studies.ladder.calibration import CHANCE
 from tests.studies.pages import tell
 
@@ -86,20 +86,39 @@ def test_rungs_have_tables_and_commands_of_their_own_and_seeds_are_counted_by_ce
     assert "--rung chain-3 --primitives 500 --rooms 3 --runs 3\n" in page
 
 
-def test_a_learner_from_many_rooms_at_once_is_told_beside_the_others_with_its_own_budget(tmp_path: Path):
-    many = dataclasses.replace(LINE, agent=MANY, primitives=1_000_000, efficiency=0.8)
-    page = tell("generalisation", [LINE, many], tmp_path)
-    assert "the same at the rung's budget 0.80 with 1" in page and f"| `{MANY}` | 0.80 (1.00) |" in page
-    assert "1 run: 1 training seed, 500 primitives" in page
-    assert "The last learner: 1 run: 1 training seed, 1,000,000 primitives" in page
+def test_learners_from_many_rooms_at_once_stand_in_the_place_of_those_from_one(tmp_path: Path):
+    many = dataclasses.replace(LINE, agent=MEMORY + AT_ONCE, primitives=1_000_000, efficiency=0.8)
+    lines = [LINE, dataclasses.replace(LINE, agent=MEMORY, efficiency=0.4), many]
+    page = tell("generalisation", lines, tmp_path)
+    assert "options, objects, memory 0.80 with 1" in page and f"| `{MEMORY}` | 0.80 (1.00) |" in page
+    assert "2 runs: 1 training seed, 500 and 1,000,000 primitives" in page and "for some learners." in page
+    assert "Those of 1,000,000 primitives are learned from 256 rooms at once" in page and "0.40" not in page
     assert "--part many --rung pair --primitives 1000000 --rooms 3 --runs 1 --workers 2\n" in page
+    assert "--part sizes --rung pair --primitives 500 --rooms 3 --runs 1\n" in page
+    alone = tell("generalisation", [many], tmp_path)
+    assert "--part sizes" not in alone and "That is less" not in alone
+    deeper = [dataclasses.replace(line, protocol="depth", rung="8 buttons, layered", rooms="a > b") for line in lines]
+    page = tell("generalisation", deeper, tmp_path)
+    assert f"| `{MEMORY}` | - | - | 0.80 | - | 1.00 |" in page and "--part many-depth --primitives 1000000" in page
+    other = dataclasses.replace(LINE, agent=MEMORY, rung="chain-3", efficiency=0.3)
+    assert "0.30 (1.00)" in tell("generalisation", [*lines, other], tmp_path), "of another rung"
 
 
 @pytest.mark.slow
 def test_many_rooms_at_once_teach_what_helps_in_unseen_ones():
-    short, longer = (run_many("ladder-1", "chain-3", 16, 0, primitives, 8) for primitives in (2_000, 200_000))
+    short, longer = (run_many("ladder-1", "chain-3", MEMORY, 16, 0, primitives, 8) for primitives in (2_000, 200_000))
     assert longer.efficiency > short.efficiency + 0.1 and longer.escapes == 1.0
-    assert longer.rooms == "ladder-1/chain-3/train[:16] > ladder-1/chain-3/test[:8]" and longer.agent == MANY
+    assert longer.rooms == "ladder-1/chain-3/train[:16] > ladder-1/chain-3/test[:8]"
+    assert longer.agent == MEMORY + AT_ONCE
+
+
+@pytest.mark.slow
+def test_what_many_rooms_at_once_teach_helps_in_deeper_ones():
+    short, longer = (run_deeper("ladder-1", MEMORY, 0, primitives, 64, 8) for primitives in (2_000, 300_000))
+    assert [line.rung for line in longer] == list(DEPTHS) and all(line.protocol == "depth" for line in longer)
+    assert all(after.efficiency > before.efficiency + 0.1 for before, after in zip(short, longer, strict=True))
+    for agent in (FLAT, VECTORS):
+        assert run_many("ladder-1", "pair", agent, 4, 0, 2_000, 2).agent == agent + AT_ONCE
 
 
 def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: Any) -> list[BaselineRun]:
