@@ -38,7 +38,7 @@ def describe(tape: Tape) -> dict[str, Any]:
         "primitives": len(tape.action),
         "decisions": len(tape.option),
         "episodes": len(tape.room),
-        "duration": f"{durations.mean():.1f} primitives a decision, at most {durations.max()}",
+        "duration": f"{durations.mean():.1f} primitives per decision, at most {durations.max()}",
         "endings": {name: int(count) for name, count in zip(OPTION_ENDINGS, counts, strict=True) if count},
         "scores": {name: round(value, 3) for name, value in about["scores"].items()},
         "references": REFERENCE_WORDS,
@@ -87,7 +87,7 @@ def draw_card(tape: Tape) -> Figure:
         figure.suptitle(f"{tape.about['name']}: {len(paths)} episodes in the first room; all decisions", fontsize=10)
         edges = np.arange(0.5, float(np.quantile(tape.duration, 0.99)) + 1.5)
         bars.hist(np.minimum(tape.duration, edges[-1] - 0.5), bins=edges, color=palette.LINES[0])  # type: ignore[arg-type]
-        bars.set(xlabel="primitives a decision (longest 1 % last)", ylabel="decisions")
+        bars.set(xlabel="primitives of a decision (the longest 1 % in the last bar)", ylabel="decisions")
         for side in ("top", "right"):
             bars.spines[side].set_visible(False)
     return figure

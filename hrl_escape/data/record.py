@@ -147,7 +147,8 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
     rooms = parse_room_set(text := spec.list_rooms(total))
     share = -(-total // len(rooms))
     env, log, choose = _make_behaviour(spec, rooms, path.with_suffix(".medium"))
-    about = {**make_about(spec.name, spec.kind, text, rooms, env, f"hrl-escape data make {spec.name}"),
+    command = f"hrl-escape data make {spec.name}" + (f" --primitives {primitives}" if primitives else "")
+    about = {**make_about(spec.name, spec.kind, text, rooms, env, command),
              "asked_primitives": total}
     begun = load_tape(part) if part.is_file() else None
     writer = TapeWriter(begun if begun is not None and begun.about == about else None)

@@ -31,18 +31,18 @@ METRICS = {
     "train/return": "undiscounted return of a training episode, exploration included",
     "train/length": "primitives in a training episode",
     "train/decisions": "decisions in a training episode",
-    "train/success": "1 if it succeeded (info['is_success'] or info['success'] if given, else terminated), else 0",
+    "train/success": "1 if the episode succeeded (info['is_success'] or info['success'], else terminated), else 0",
     "train/episodes": "episodes that ended in a segment of training in many streams",
-    "train/successes": "those of them that succeeded",
-    "train/end": "how it ended: terminated, truncated, or budget where the run's budget cut it",
+    "train/successes": "episodes that ended in a segment with success",
+    "train/end": "how the episode ended: terminated, truncated, or budget where the run's budget cut it",
     "train/loss": "mean loss of the updates in the episode",
     "train/gradient_norm": "mean norm of the loss's gradient at the last update of a decision, before clipping",
     "train/actor_loss": "mean loss of ddpg's actor",
     "train/policy_loss": "the objective of the policy of ppo, dac, ppoc and a2oc, negated",
-    "train/value_loss": "their half squared value error, in scaled rewards",
+    "train/value_loss": "half the squared error of the values of ppo, dac, ppoc and a2oc, in scaled rewards",
     "train/high_loss": "loss of dac's choice of options",
-    "train/high_policy_loss": "its clipped objective, negated",
-    "train/high_value_loss": "its half squared value error, in scaled rewards",
+    "train/high_policy_loss": "clipped objective of dac's choice of options, negated",
+    "train/high_value_loss": "half the squared error of the values by which dac chooses options, in scaled rewards",
     "train/choice_loss": "loss of ppoc's policy over options",
     "train/choice_entropy": "mean entropy of dac's and ppoc's choice of options, in nats",
     "train/termination_loss": "loss of the terminations of ppoc and a2oc",
@@ -68,9 +68,9 @@ METRICS = {
     "eval/success": "share of evaluation episodes that succeeded",
     "eval/length": "mean primitives of an evaluation episode",
     "eval/returns": "return of each evaluation episode",
-    "eval/lengths": "primitives of each",
-    "eval/decision_counts": "decisions of each",
-    "eval/successes": "whether each succeeded",
+    "eval/lengths": "primitives of each evaluation episode",
+    "eval/decision_counts": "decisions of each evaluation episode",
+    "eval/successes": "whether each evaluation episode succeeded",
     "eval/progress": "share of the task done at best in each: the largest info['progress'] if given, else its success",
     "option/choices": "decisions of the episode by the name of what was chosen, primitives included",
     "option/primitives": "primitives of the episode by the name of what was chosen",
@@ -105,7 +105,7 @@ class SegmentRecord:
     primitives: int  # primitives trained for, at its end, of all streams together
     decisions: int  # decisions trained for, at its end
     episodes: int  # episodes that ended in it
-    successes: int  # those of them that succeeded
+    successes: int  # of these episodes
     mean_return: float | None  # their mean undiscounted return; None where none ended
     mean_length: float | None  # their mean number of primitives; None where none ended
     seconds: float = field(compare=False)
