@@ -33,11 +33,13 @@ from studies.generalisation.grids import (
     OBJECTS,
     SEARCHERS,
     TRAINED,
+    TRANSFER,
     GeneralisationArgs,
     make_depth_grid,
     make_sizes_grid,
 )
-from studies.generalisation.many import STREAMS, measure_deeper, measure_many
+from studies.generalisation.many import STREAMS, measure_courses, measure_many, run_reference
+from studies.generalisation.transfer import draw_transfers, read_transfers, tabulate_transfers, tell_transfers
 from studies.ladder.calibration import CHANCE
 from studies.page import make_table
 from studies.running import refuse_failures
@@ -56,8 +58,11 @@ def measure(study: Study, args: GeneralisationArgs, store: Store) -> None:
     """Run the parts that are asked for; in the part `depth` a line's rung is the kind of room tested in."""
     bench, out = load_benchmark(study.data["benchmark"]), args.out / "generalisation"
     for part in args.part:
-        if part in ("many", "many-depth"):
-            (_measure_many if part == "many" else _measure_deeper)(bench, args, store)
+        if part == "many":
+            _measure_many(bench, args, store)
+            continue
+        if part in ("many-depth", "transfer"):
+            _measure_courses(bench, args, store, (TRAINED,) if part == "many-depth" else TRANSFER)
             continue
         grid = make_sizes_grid(bench, args) if part == "sizes" else make_depth_grid(bench, args, out / "sets")
         comparison = run_grid(grid, out / part, LocalLauncher(args.workers))
@@ -79,14 +84,24 @@ def _measure_many(bench: Benchmark, args: GeneralisationArgs, store: Store) -> N
         print(f"{line.agent}, {_count_rooms(line)} rooms, seed {line.seed}: {line.efficiency:.3f}", file=sys.stderr)
 
 
-def _measure_deeper(bench: Benchmark, args: GeneralisationArgs, store: Store) -> None:
-    """Tests in deeper rooms that are missing, those of a run kept as soon as they are done."""
-    known = {(line.agent.removesuffix(AT_ONCE), line.seed) for line in _list_at_once(args, store, "depth")}
-    jobs = [job for agent in args.agents or (OBJECTS, MEMORY) for seed in _list_seeds(args)
-            if (job := (agent, seed)) not in known]
-    for lines in measure_deeper(bench.name, jobs, args.primitives, args.shallow_rooms, args.rooms, args.workers or 1):
+def _measure_courses(bench: Benchmark, args: GeneralisationArgs, store: Store, courses: Sequence[str]) -> None:
+    """Tests of courses that are missing, those of a run kept as soon as they are done; over rungs references first."""
+    part = "depth" if courses == (TRAINED,) else "transfer"
+    if part == "transfer":
+        there = {(line.rung, line.agent) for line in store.load() if line.protocol == part}
+        store.add(run_reference(bench.name, rung, agent, args.rooms) for rung in courses
+                  for agent in (*SEARCHERS, *CEILING, CHANCE) if (rung, agent) not in there)
+    names = {course: TRAINED if course == TRAINED else bench[course].train[: args.shallow_rooms].name
+             for course in courses}
+    known = {(line.rooms.split(" > ")[0], line.agent.removesuffix(AT_ONCE), line.seed)
+             for line in _list_at_once(args, store, part)}
+    defaults = (OBJECTS, MEMORY) if part == "depth" else (MEMORY,)
+    jobs = [(course, agent, seed) for course in courses for agent in args.agents or defaults
+            for seed in _list_seeds(args) if (names[course], agent, seed) not in known]
+    for lines in measure_courses(bench.name, jobs, args.primitives, args.shallow_rooms, args.rooms, args.workers or 1):
         store.add(lines)
-        print(", ".join(f"{line.rung}, seed {line.seed}: {line.efficiency:.3f}" for line in lines), file=sys.stderr)
+        print(lines[0].rooms.split(" > ")[0], ", ".join(f"{line.rung}: {line.efficiency:.3f}" for line in lines),
+              file=sys.stderr)
 
 
 def _list_seeds(args: GeneralisationArgs) -> range:
@@ -114,6 +129,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     kept = {rung: prefer_at_once(own) for rung, own in rungs.items()}
     cells = {rung: _group((line.agent, _count_rooms(line), line) for line in own) for rung, own in kept.items()}
     deeper = prefer_at_once(depth)
+    transfers = read_transfers([line for line in lines if line.protocol == "transfer"])
     return Page({
         "rungs": {rung: _describe_both(own) | {
             "ends": _summarise(kept[rung]), "table": _tabulate_sizes(kept[rung]),
@@ -125,8 +141,11 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
                                        CHANCE)} if depth else None,
         "advice": " ".join(dict.fromkeys(
             advice for own in cells.values() if (advice := advise(own, MEMORY, OBJECTS)))),
+        "transfers": {"told": tell_transfers(transfers), "table": tabulate_transfers(transfers), **_describe(
+            [line for line in lines if line.protocol == "transfer" and line.primitives])} if transfers else None,
         "trained": TRAINED, "own": GeneralisationArgs.primitives, "streams": STREAMS,
-    }, {"generalisation": draw_sizes(kept)} if sizes else {})
+    }, ({"generalisation": draw_sizes(kept)} if sizes else {})
+        | ({"transfer": draw_transfers(transfers)} if transfers else {}))
 
 
 def _group(lines: Iterable[tuple[str, _Key, BaselineRun]]) -> dict[tuple[str, _Key], list[BaselineRun]]:

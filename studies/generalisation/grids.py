@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias, get_args
 
 from hrl_escape.comparison.grid import AgentSpec, Grid
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
@@ -19,11 +19,12 @@ from studies.ladder.calibration import CHANCE, KNOWN
 from studies.running import GridArgs
 
 __all__ = ["AT_ONCE", "CEILING", "DEPTHS", "FLAT", "FLAT_CHANCE", "MEMORY", "OBJECTS", "NAMES", "SEARCHERS", "TRAINED",
-           "VECTORS", "GeneralisationArgs", "make_depth_grid", "make_depth_sets", "make_sizes_grid"]
+           "TRANSFER", "VECTORS", "GeneralisationArgs", "make_depth_grid", "make_depth_sets", "make_sizes_grid"]
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
 DEPTHS: dict[str, dict[str, Any]] = _DATA["depths"]
 TRAINED: str = _DATA["trained"]
+TRANSFER: tuple[str, ...] = tuple(_DATA["transfer"])
 NAMES: dict[str, str] = _DATA["names"]
 FLAT, VECTORS, OBJECTS, MEMORY = NAMES
 AT_ONCE = ", many rooms at once"
@@ -33,12 +34,16 @@ SEARCHERS: dict[str, str] = _DATA["searchers"]
 CEILING: dict[str, str] = _DATA["ceiling"]
 
 
+Part: TypeAlias = Literal["sizes", "depth", "many", "many-depth", "transfer"]
+
+
 @dataclasses.dataclass(frozen=True)
 class GeneralisationArgs(GridArgs):
     """Options of the study of generalisation."""
 
-    part: tuple[Literal["sizes", "depth", "many", "many-depth"], ...] = ("sizes", "depth", "many", "many-depth")
-    """Parts: numbers of training rooms, deeper puzzles, and both again for learners from many rooms at once."""
+    part: tuple[Part, ...] = get_args(Part)
+    """Parts: numbers of training rooms, deeper puzzles, both again for learners from many rooms at once, and of these
+    other rungs than the one trained in."""
     rung: str = "lattice"
     """Rung of the numbers of training rooms."""
     agents: tuple[str, ...] = ()
@@ -52,7 +57,7 @@ class GeneralisationArgs(GridArgs):
     rooms: int = 64
     """Rooms to be tested in."""
     shallow_rooms: int = 256
-    """Rooms of few buttons to train in, in the parts on depth."""
+    """Rooms to train in, in the parts on depth and other rungs."""
 
 
 def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 
@@ -21,10 +21,19 @@ from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet
 from studies.baseline import BaselineRun
-from studies.generalisation.grids import AT_ONCE, make_depth_sets
-from studies.unseen import Streams, UnseenRooms, get_unseen, make_streams, make_unseen, play_unseen, stream_rooms
+from studies.generalisation.grids import AT_ONCE, TRAINED, TRANSFER, make_depth_sets
+from studies.unseen import (
+    Streams,
+    UnseenRooms,
+    get_unseen,
+    make_streams,
+    make_unseen,
+    play_agent,
+    play_unseen,
+    stream_rooms,
+)
 
-__all__ = ["STREAMS", "measure_deeper", "measure_many", "run_deeper", "run_many"]
+__all__ = ["STREAMS", "get_course", "measure_courses", "measure_many", "run_course", "run_many", "run_reference"]
 
 STREAMS = 256
 """Rooms that a learner learns from at once; with fewer training rooms, several are the same."""
@@ -47,20 +56,20 @@ def measure_many(benchmark: str, rung: str, jobs: Sequence[tuple[str, int, int]]
             yield done.result()
 
 
-def measure_deeper(benchmark: str, jobs: Sequence[tuple[str, int]], primitives: int, trained: int, tested: int,
-                   workers: int) -> Iterator[list[BaselineRun]]:
-    """Make runs in rooms of few buttons, and give the tests of each in deeper ones as soon as they are done.
+def measure_courses(benchmark: str, jobs: Sequence[tuple[str, str, int]], primitives: int, trained: int, tested: int,
+                    workers: int) -> Iterator[list[BaselineRun]]:
+    """Make runs in some rooms, and give the tests of each in others as soon as they are done.
 
     Args:
         benchmark: name.
-        jobs: agent and seed of each run.
+        jobs: course, agent and seed of each run; see `get_course`.
         primitives: of a run, in all rooms together.
         trained: number of training rooms.
-        tested: number of unseen rooms of each depth, an episode in each.
+        tested: number of unseen rooms of each kind, an episode in each.
         workers: processes.
     """
     with ProcessPoolExecutor(workers, get_fork_server()) as pool:
-        for done in as_completed([pool.submit(run_deeper, benchmark, *job, primitives, trained, tested)
+        for done in as_completed([pool.submit(run_course, benchmark, *job, primitives, trained, tested)
                                   for job in jobs]):
             yield done.result()
 
@@ -76,15 +85,24 @@ def run_many(benchmark: str, rung: str, agent: str, size: int, seed: int, primit
                  line)
 
 
-def run_deeper(benchmark: str, agent: str, seed: int, primitives: int, trained: int, tested: int
+def run_course(benchmark: str, course: str, agent: str, seed: int, primitives: int, trained: int, tested: int
                ) -> list[BaselineRun]:
-    """One run and its tests; see `measure_deeper`."""
-    rooms, tests, seen = _get_depths(benchmark, trained, tested)
-    result = _train(_stream_shallow(benchmark, trained, tested, agent), agent, seed, primitives)
+    """One run and its tests; see `measure_courses`."""
+    train_in, tests, seen = get_course(benchmark, course, trained, tested)
+    result = _train(_stream_course(benchmark, course, trained, tested, agent), agent, seed, primitives)
     settings = {"benchmark": benchmark, "rooms": trained, "seed": seed, "primitives": primitives}
     return [_test(result, agent, test, seen, BaselineRun(
-        "depth", test.rooms.name, f"{rooms.name} > {test.rooms.name}", agent + AT_ONCE, seed, primitives, 0, None, 0,
-        tested, 0, result.first_escape, _compute_key(agent, settings | {"rung": test.rooms.name}))) for test in tests]
+        "depth" if course == TRAINED else "transfer", rung, f"{train_in.name} > {test.rooms.name}", agent + AT_ONCE,
+        seed, primitives, 0, None, 0, tested, 0, result.first_escape,
+        _compute_key(agent, settings | {"course": course, "rung": rung}))) for rung, test in tests.items()]
+
+
+def run_reference(benchmark: str, rung: str, agent: str, tested: int) -> BaselineRun:
+    """Tests of an agent that learns nothing, in the rooms that all courses over rungs share."""
+    unseen = get_unseen(benchmark, rung, tested)
+    efficiency, escapes = play_agent(AgentSpec.parse(agent), unseen, unseen.rooms)
+    return BaselineRun("transfer", rung, unseen.rooms.name, agent, 0, 0, efficiency, None, escapes, tested, escapes,
+                       None, compute_digest({"benchmark": benchmark, "rung": rung, "agent": agent, "rooms": tested}))
 
 
 def _train(streams: Streams, agent: str, seed: int, primitives: int) -> TrainResult:
@@ -122,14 +140,34 @@ def _get_seen(benchmark: str, rung: str, count: int) -> UnseenRooms:
     return make_unseen(load_benchmark(benchmark)[rung].train[:count])
 
 
-@lru_cache(maxsize=1)
-def _get_depths(benchmark: str, trained: int, tested: int) -> tuple[InstanceSet, list[UnseenRooms], UnseenRooms]:
-    """Rooms to train in, deeper ones to be tested in, and the first training rooms, to be tested in as well."""
-    rooms, tests = make_depth_sets(load_benchmark(benchmark), trained, tested)
-    return rooms, [make_unseen(test) for test in tests], make_unseen(rooms[:tested])
+class Course(NamedTuple):
+    """Rooms to be trained in, unseen ones to be tested in by kind, and the first of those trained in."""
+
+    train_in: InstanceSet
+    tests: dict[str, UnseenRooms]
+    seen: UnseenRooms
 
 
 @lru_cache(maxsize=1)
-def _stream_shallow(benchmark: str, trained: int, tested: int, agent: str) -> Streams:
+def get_course(benchmark: str, course: str, trained: int, tested: int) -> Course:
+    """The course of a rung, tested in all rungs of `TRANSFER`, or that of few buttons, tested in `DEPTHS`.
+
+    Args:
+        benchmark: name.
+        course: name of the rung, or `TRAINED`.
+        trained: number of training rooms.
+        tested: number of rooms of each kind to be tested in.
+    """
+    bench = load_benchmark(benchmark)
+    if course == TRAINED:
+        train_in, sets = make_depth_sets(bench, trained, tested)
+        return Course(train_in, {rooms.name: make_unseen(rooms) for rooms in sets}, make_unseen(train_in[:tested]))
+    train_in = bench[course].train[:trained]
+    return Course(train_in, {rung: get_unseen(benchmark, rung, tested) for rung in TRANSFER},
+                  make_unseen(train_in[:tested]))
+
+
+@lru_cache(maxsize=1)
+def _stream_course(benchmark: str, course: str, trained: int, tested: int, agent: str) -> Streams:
     """Rooms to train in, many at once, kept for the next run."""
-    return stream_rooms(_get_depths(benchmark, trained, tested)[0], STREAMS, agent)
+    return stream_rooms(get_course(benchmark, course, trained, tested).train_in, STREAMS, agent)

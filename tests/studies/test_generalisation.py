@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hrl_escape.ladder.benchmark import load_benchmark
@@ -20,12 +21,15 @@ from studies.generalisation.grids import (
     MEMORY,
     OBJECTS,
     SEARCHERS,
+    TRAINED,
+    TRANSFER,
     VECTORS,
     GeneralisationArgs,
     make_depth_grid,
     make_sizes_grid,
 )
-from studies.generalisation.many import run_deeper, run_many
+from studies.generalisation.many import run_course, run_many, run_reference
+from studies.generalisation.transfer import read_transfers, tell_transfers
 from studies.ladder.calibration import CHANCE
 from tests.studies.pages import tell
 
@@ -114,11 +118,60 @@ def test_many_rooms_at_once_teach_what_helps_in_unseen_ones():
 
 @pytest.mark.slow
 def test_what_many_rooms_at_once_teach_helps_in_deeper_ones():
-    short, longer = (run_deeper("ladder-1", MEMORY, 0, primitives, 64, 8) for primitives in (2_000, 300_000))
+    short, longer = (run_course("ladder-1", TRAINED, MEMORY, 0, primitives, 64, 8) for primitives in (2_000, 300_000))
     assert [line.rung for line in longer] == list(DEPTHS) and all(line.protocol == "depth" for line in longer)
     assert all(after.efficiency > before.efficiency + 0.1 for before, after in zip(short, longer, strict=True))
+    across = run_course("ladder-1", "pair", MEMORY, 0, 100_000, 16, 4)
+    assert [line.rung for line in across] == list(TRANSFER) and across[0].efficiency > 0.5
+    assert across[-1].rooms == "ladder-1/pair/train[:16] > ladder-1/lattice/test[:4]" and across[-1].efficiency > 0.1
+    (name,) = CEILING
+    assert run_reference("ladder-1", "pair", name, 4).efficiency > across[0].efficiency - 0.2
     for agent in (FLAT, VECTORS):
         assert run_many("ladder-1", "pair", agent, 4, 0, 2_000, 2).agent == agent + AT_ONCE
+
+
+def make_transfers(means: dict[tuple[str, str], float], searcher: float = 0.6) -> list[BaselineRun]:
+    """Ten seeds a pair of rungs around 0.5, or these means, with searchers beside them."""
+    rng = np.random.default_rng(0)
+    known = [dataclasses.replace(LINE, protocol="transfer", rung=rung, agent=agent, primitives=0,
+                                 efficiency=searcher - 0.1 * number)
+             for rung in TRANSFER for number, agent in enumerate(SEARCHERS)]
+    return known + [
+        dataclasses.replace(LINE, protocol="transfer", rung=target, agent=MEMORY + AT_ONCE, seed=seed, primitives=1_000,
+                            rooms=f"ladder-1/{source}/train[:8] > ladder-1/{target}/test[:4]",
+                            efficiency=means.get((source, target), 0.5) + 0.01 * rng.normal())
+        for source in TRANSFER for target in TRANSFER for seed in range(10)]
+
+
+def tell_across(means: dict[tuple[str, str], float], searcher: float = 0.6) -> list[str]:
+    found = read_transfers(make_transfers(means, searcher))
+    assert found is not None
+    return tell_transfers(found)
+
+
+def test_other_rungs_are_told_by_what_was_learned_there_and_beside_searching():
+    assert tell_across({}) == [
+        "It reaches more than the best searcher in none of 5 rungs that it was trained in and in none of 20 pairs with "
+        "another rung, and less in 25 of 25 pairs.",
+        "Of 20 pairs of two rungs, training in the other loses in 0, and gains in none."]
+    home = {(rung, rung): 0.9 for rung in TRANSFER}
+    beyond, across = tell_across(home | {("pair", "chain"): 0.95})
+    assert beyond.startswith("It reaches more than the best searcher in 5 rungs of 5 that it was trained in (`pair`, ")
+    assert "in 1 of 20 pairs with another rung (`pair` to `chain`), and less in 19 of 25 pairs." in beyond
+    assert across == ("Of 20 pairs of two rungs, training in the other loses in 19, and gains in 1: `chain` is learned "
+                      "better in `pair`.")
+    assert "less in 0 of 25 pairs" in tell_across({}, searcher=0.5)[0]
+
+
+def test_other_rungs_are_told_once_all_are_there(tmp_path: Path):
+    lines = make_transfers({("chain", "lattice"): 0.8})
+    page = tell("generalisation", [LINE, *lines], tmp_path)
+    assert "| trained in `chain` | 0.5" in page and page.count("| 0.8") == 1
+    assert "| the best searcher | 0.60 | 0.60 |" in page
+    assert "--part transfer --primitives 1000 --rooms 3 --runs 10" in page
+    assert (tmp_path / "figures" / "transfer.svg").stat().st_size > 1000
+    assert read_transfers(lines[:-1]) is None and read_transfers(lines[len(SEARCHERS):]) is None
+    assert "Other rungs" not in tell("generalisation", [LINE, *lines[:-1]])
 
 
 def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: Any) -> list[BaselineRun]:
