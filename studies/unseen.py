@@ -78,12 +78,13 @@ def make_streams(benchmark: str, rung: str, size: int, count: int, agent: str) -
     return stream_rooms(load_benchmark(benchmark)[rung].train[:size], count, agent)
 
 
-def stream_rooms(rooms: InstanceSet, count: int, agent: str) -> Streams:
+def stream_rooms(rooms: InstanceSet, count: int, agent: str, observation: str = "objects") -> Streams:
     """Rooms, many at once; see `make_streams`."""
     spec = AgentSpec.parse(agent)
     view = spec.options.to_dict()
     has_memory = view.pop("memory")
-    many = rooms.make_vec(count, options=view if spec.chooses_options else False, observation="objects", compile=True)
+    many = rooms.make_vec(count, options=view if spec.chooses_options else False, observation=observation,
+                          compile=True)
     if not has_memory:
         return many
     assert isinstance(many, BatchedOptionsEnv)  # as who remembers decisions chooses options
@@ -108,18 +109,19 @@ def play_agent(spec: AgentSpec, unseen: UnseenRooms, train_in: InstanceSet | Str
     return play_unseen(spec, unseen, make_player)
 
 
-def play_unseen(view: AgentSpec, unseen: UnseenRooms, make_player: Callable[[gymnasium.Env, StateRecorder], Agent]
-                ) -> tuple[float, float]:
+def play_unseen(view: AgentSpec, unseen: UnseenRooms, make_player: Callable[[gymnasium.Env, StateRecorder], Agent],
+                observation: str = "objects") -> tuple[float, float]:
     """Play an episode in each room; returns the mean efficiency and the share of escapes, to four digits.
 
     Args:
-        view: says what is chosen among; objects are observed.
-        unseen: the rooms.
+        view: says what is chosen among.
+        unseen: the rooms; with more fewest primitives than rooms, these come again in the same order.
         make_player: makes who plays, given the environment over these rooms and its recorder.
+        observation: by name.
     """
     tested = len(unseen.fewest)
     order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(tested)}
-    env, recorder = make_env(view, unseen.rooms, "objects", order)
+    env, recorder = make_env(view, unseen.rooms, observation, order)
     try:
         found = evaluate(make_player(env, recorder), env, tested)
     finally:

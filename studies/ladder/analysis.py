@@ -44,7 +44,8 @@ from studies.statistics import choose_holm_levels, find_visible_difference, tell
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["Args", "analyse", "describe", "measure", "tell_bar", "tell_beyond_searching", "tell_blank", "tell_visible"]
+__all__ = ["Args", "analyse", "describe", "draw", "measure", "subtract", "tabulate", "tell_bar",
+           "tell_beyond_searching", "tell_blank", "tell_visible"]
 
 Args = BaselineArgs
 _Cells: TypeAlias = Mapping[tuple[str, str], Sequence[BaselineRun]]
@@ -176,13 +177,13 @@ def _list_gains(cells: _Cells, rungs: Sequence[str]) -> dict[str, list[NDArray[n
     best, found = find_best_searchers(cells, rungs), {}
     for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives):
         if gains := [gain for rung in rungs if (other := best[rung]) is not None
-                     and len(gain := _subtract(cells.get((rung, agent), ()), cells[rung, other])) >= LEAST_RUNS]:
+                     and len(gain := subtract(cells.get((rung, agent), ()), cells[rung, other])) >= LEAST_RUNS]:
             found[agent] = gains
     return found
 
 
-def _subtract(runs: Sequence[BaselineRun], others: Sequence[BaselineRun]) -> NDArray[np.float64]:
-    """Differences of mean efficiency in the rooms that both have."""
+def subtract(runs: Sequence[BaselineRun], others: Sequence[BaselineRun]) -> NDArray[np.float64]:
+    """Differences of mean efficiency in the rooms that both have, (rooms,)."""
     ours, theirs = map(average_rooms, (runs, others))
     return np.array([ours[room] - theirs[room] for room in sorted(ours.keys() & theirs.keys())])
 
@@ -225,7 +226,7 @@ def _describe_protocol(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> di
         cells = _group(part)
         fewest = min(cells.values(), key=len)
         parts[title] = {
-            "table": _tabulate(cells, rungs), "highest": _tabulate_highest(cells, rungs),
+            "table": tabulate(cells, rungs), "highest": _tabulate_highest(cells, rungs),
             "few": len(fewest) if len(fewest) < MOST_TO_PASS and fewest[0].protocol == "per-instance" else None,
             "scores": _score(cells, rungs),
         }
@@ -285,7 +286,8 @@ def _list_options(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[st
     return commands
 
 
-def _tabulate(cells: _Cells, rungs: Sequence[str]) -> str:
+def tabulate(cells: _Cells, rungs: Sequence[str]) -> str:
+    """Efficiency, a row a rung and a column an agent; bold where it is mastered."""
     agents = _sort_agents(agent for _, agent in cells)
     rows = [(rung, [cells.get((rung, agent), ()) for agent in agents]) for rung in rungs]
     return make_table(["rung", *(f"`{agent}`" for agent in agents)],

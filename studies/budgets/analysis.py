@@ -1,0 +1,164 @@
+"""Learners at the budgets of the ladder's rungs, beside the searchers and the ceiling of the ladder's own study."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.agents.training.env_description import compute_digest
+from hrl_escape.agents.training.train import train
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
+from hrl_escape.comparison.launching.local import get_fork_server
+from hrl_escape.comparison.protocols import get_budget
+from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.errors import UnknownNameError
+from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.names import count_nouns, join_words
+from studies.baseline import BaselineRun
+from studies.ladder.analysis import draw, subtract, tabulate, tell_bar, tell_beyond_searching
+from studies.ladder.calibration import KNOWN
+from studies.running import StudyArgs, open_store
+from studies.statistics import choose_holm_levels
+from studies.store import Store
+from studies.study import Page, Study, find_study
+from studies.unseen import UnseenRooms, make_unseen, play_unseen, stream_rooms
+
+__all__ = ["Args", "analyse", "measure", "run_once", "tell_budget"]
+
+LINES = (BaselineRun,)
+PROTOCOL = "per-instance"
+Job: TypeAlias = tuple[str, int, str, int]
+"""Rung, number of the room, agent, and training seed."""
+Cells: TypeAlias = Mapping[tuple[str, str], Sequence[BaselineRun]]
+"""Runs by rung and agent."""
+
+
+@dataclass(frozen=True)
+class Args(StudyArgs):
+    """Options of the study."""
+
+    rungs: tuple[str, ...] = ()
+    """Rungs that are run; all by default."""
+    agents: tuple[str, ...] = ()
+    """Agents to run, by label; all by default."""
+    rooms: int | None = None
+    """Rooms of each rung; those of `study.toml` by default."""
+    runs: int | None = None
+    """Training seeds in each room; those of `study.toml` by default."""
+    primitives: int | None = None
+    """Training budget; each rung's own by default."""
+    workers: int | None = None
+    """Runs at a time; one a core by default."""
+    minutes: float = float("inf")
+    """Minutes after which no further run is begun."""
+
+
+def measure(study: Study, args: Args, store: Store) -> None:
+    """Make the runs that are missing, seed by seed; a line is kept as soon as its run is done.
+
+    Raises:
+        UnknownNameError: no such agent or rung.
+    """
+    data, until = study.data, time.monotonic() + 60 * args.minutes
+    for what, chosen, every in (("agent", args.agents, list(data["agents"])),
+                                ("rung", args.rungs, [rung.name for rung in load_benchmark(data["benchmark"])])):
+        if unknown := [name for name in chosen if name not in every]:
+            raise UnknownNameError(f"{what} of this study", unknown[0], every)
+    there = {line.place for line in store.load()}
+    jobs = [(rung, room, agent, seed) for seed in range(args.runs or data["runs"])
+            for rung in args.rungs or data["rungs"] for agent in args.agents or data["agents"]
+            for room in range(args.rooms or data["rooms"])
+            if (PROTOCOL, rung, f"{data['benchmark']}/{rung}/test[{room}]", agent, seed,
+                args.primitives or get_budget(rung)) not in there]
+    with ProcessPoolExecutor(args.workers, get_fork_server()) as pool:
+        for number, line in enumerate(_run(pool, study, args, jobs, until), 1):
+            store.add([line])
+            print(f"[{number}/{len(jobs)}] {line.agent}, {line.rooms}, seed {line.seed}: {line.efficiency:.3f}",
+                  file=sys.stderr)
+
+
+def _run(pool: ProcessPoolExecutor, study: Study, args: Args, jobs: Sequence[Job], until: float
+         ) -> Iterator[BaselineRun]:
+    """Results of jobs as they come; those that have not begun in time are left out."""
+    waiting = [pool.submit(run_once, dict(study.data), *job, args.primitives or get_budget(job[0]), until)
+               for job in jobs]
+    for done in as_completed(waiting):
+        if (line := done.result()) is not None:
+            yield line
+
+
+def run_once(data: Mapping[str, Any], rung: str, number: int, agent: str, seed: int, primitives: int,
+             until: float = float("inf")) -> BaselineRun | None:
+    """Train an agent in copies of a room, and play the room; None after `until`, by the monotonic clock."""
+    if time.monotonic() > until:
+        return None
+    spec = AgentSpec.parse(agent)
+    observation = "objects" if spec.settings.get("network") == "objects" else "features"
+    place = f"{data['benchmark']}/{rung}/test[{number}]"
+    room = load_benchmark(data["benchmark"])[rung].test[number : number + 1]
+    result = train(spec.name, stream_rooms(room, data["copies"], agent, observation), primitives=primitives, seed=seed,
+                   settings=spec.settings, eval_episodes=0, progress=False)
+    player = result.agent
+    assert player is not None  # a run without a folder gives its agent back
+    efficiency, escapes = play_unseen(spec, UnseenRooms(room, make_unseen(room).fewest * data["episodes"]),
+                                      lambda env, recorder: player, observation)
+    identity = {"room": room[0].id, "agent": agent, "settings": spec.settings, "seed": seed, "primitives": primitives,
+                "copies": data["copies"], "episodes": data["episodes"]}
+    return BaselineRun(PROTOCOL, rung, place, agent, seed, primitives, efficiency, None, escapes, data["episodes"],
+                       escapes, result.first_escape, compute_digest(identity))
+
+
+def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
+    """Sentences, the table and the figure of lines, beside those of the ladder's own study in the same rooms."""
+    rungs = [rung for rung in study.data["rungs"] if any(line.rung == rung for line in lines)]
+    known = [line for line in open_store(find_study("ladder"), None).load() if isinstance(line, BaselineRun)
+             and line.protocol == PROTOCOL and line.rung in rungs and line.primitives < get_budget(line.rung)
+             and (line.agent.startswith(SMDP_PREFIX) or line.agent == KNOWN)]
+    lines = [line for line in lines if line.primitives == get_budget(line.rung)]
+    cells = _group([*(line for line in known if not line.primitives), *lines])
+    headline = tell_beyond_searching(cells, rungs)
+    return Page({"headline": headline, "budget": tell_budget(cells, _group(known), rungs),
+                 "advice": tell_bar(cells, rungs), "table": tabulate(cells, rungs), "count": len(lines),
+                 "seeds": sorted({len({line.seed for line in runs}) for (_, agent), runs in cells.items()
+                                  if agent in study.data["agents"]}), **study.data},
+                {"budgets": draw(cells, rungs)}, [headline])
+
+
+def _group(lines: Sequence[BaselineRun]) -> dict[tuple[str, str], list[BaselineRun]]:
+    """Runs by rung and agent, of several budgets those of the largest."""
+    most: dict[tuple[str, str], int] = {}
+    for line in lines:
+        most[line.rung, line.agent] = max(most.get((line.rung, line.agent), 0), line.primitives)
+    cells: dict[tuple[str, str], list[BaselineRun]] = {}
+    for line in lines:
+        if line.primitives == most[line.rung, line.agent]:
+            cells.setdefault((line.rung, line.agent), []).append(line)
+    return cells
+
+
+def tell_budget(cells: Cells, former: Cells, rungs: Sequence[str]) -> str:
+    """A sentence: what learners gain over the same ones with fewer primitives, in the same rooms, rungs as strata.
+
+    All learners are one family (Holm). Empty where none was run with fewer.
+    """
+    gains = {agent: found for agent in dict.fromkeys(agent for _, agent in cells) if (found := [
+        gain for rung in rungs if any(run.primitives for run in former.get((rung, agent), ()))
+        and len(gain := subtract(cells.get((rung, agent), ()), former[rung, agent])) >= LEAST_RUNS])}
+    if not gains:
+        return ""
+    raw = [compare_pairs(own).p for own in gains.values()]
+    said = []
+    for (agent, own), p, level in zip(gains.items(), correct_by_holm(raw), choose_holm_levels(raw), strict=True):
+        test = compare_pairs(own, level)
+        words = f"{test.difference:+.2f} ({test.low:+.2f} to {test.high:+.2f}, over {count_nouns(len(own), 'rung')})"
+        verb = "is not shown to gain or lose," if p >= ALPHA else "gains" if test.difference > 0 else "loses"
+        said.append(f"`{agent}` {verb} {words}")
+    budgets = sorted({run.primitives for (_, agent), runs in former.items() if agent in gains for run in runs})
+    return (f"Beside the same learner with {join_words(f'{budget:,}' for budget in budgets)} primitives, in one room "
+            f"at a time, {join_words(said)}.")
