@@ -76,6 +76,8 @@ class Tables(NamedTuple):
     doors: Shapes  # (1, instances), out of the way if there is none
     inner_doors: Shapes  # (inner doors, instances), out of the way where there are fewer
     inner_leaves: Tensor  # true for those that are doors, which hide what is behind them, bool (inner doors, instances)
+    ways: Tensor
+    """Bits of the inner doors on the way to each target, and last to the exit, int64 (targets + 1, instances)."""
     target_counts: Tensor
     """Targets that each instance has, int64 (1, instances); the others in its columns are out of reach."""
     targets: Shapes  # outlines of targets, (targets, instances)
@@ -226,6 +228,7 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         doors=shapes([[i.door.footprint] if i.door else [] for i in instances]),
         inner_doors=shapes([[door.footprint for door in i.inner_doors] for i in instances]),
         inner_leaves=_list_leaves(instances, max(1, layout.inner_doors)).to(device),
+        ways=integers(columns([list_ways(i, layout.targets) for i in instances])),
         target_counts=integers([[len(i.targets) for i in instances]]),
         targets=targets,
         round_targets=targets.round(),
@@ -252,6 +255,12 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         headings=floats(columns(turns)),
         total=integers(len(instances)),
     )
+
+
+def list_ways(instance: RoomInstance, targets: int) -> list[int]:
+    """Bits of the inner doors on the way to each target, 0 for those that the instance lacks, and last to the exit."""
+    ways = [sum(1 << door for door in way) for way in instance.ways] or [0]
+    return [*ways[:-1], *[0] * (targets + 1 - len(ways)), ways[-1]]
 
 
 def _stack_marks(instances: Sequence[RoomInstance], targets: int) -> np.ndarray:

@@ -26,6 +26,7 @@ from hrl_escape.env.batched.tables import Layout, pick
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.puzzles.traits import Doored
 from hrl_escape.env.tensor_geometry import wrap
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.cost_to_go import count_classes, lay_grid, make_collision
@@ -223,8 +224,8 @@ def check_presses(instance: RoomInstance) -> None:
     if not instance.robot.base.turns_anywhere:
         raise UnsupportedError("batched options drive discs: use OptionsEnv over rooms with a base that is a "
                                f"{instance.robot.footprint}")
-    if instance.inner_doors:
-        raise UnsupportedError("batched options know no inner doors: use OptionsEnv over one room")
+    if instance.inner_doors and not isinstance(instance.puzzle, Doored):
+        raise UnsupportedError("batched options know no cells that shut again: use OptionsEnv over one room")
     if any(operator.action != "press" for operator in instance.symbolic_model.operators):
         raise UnsupportedError("batched options press and leave, they do not grip: use OptionsEnv over one room")
 

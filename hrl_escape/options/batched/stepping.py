@@ -17,7 +17,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.observations import observe
 from hrl_escape.env.batched.poses import TensorState
-from hrl_escape.env.batched.rules import is_in_exit, restart, step
+from hrl_escape.env.batched.rules import find_shut, is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables, pick
 from hrl_escape.env.noise import MASK, philox
 from hrl_escape.env.observations.base import BatchObservation
@@ -132,7 +132,7 @@ class AgentView(NamedTuple):
 
 def find_startable(layout: Layout, tables: Tables, state: TensorState, settings: StepSettings) -> Tensor:
     """Find the options that may start, bool (rooms, targets + 1)."""
-    can = can_start(layout, tables, state)
+    can = can_start(layout, tables, state, settings.has_ancestors)
     if not settings.degradation.missing:
         return can
     names = name_options(layout.targets)
@@ -319,17 +319,23 @@ class Choice(NamedTuple):
     cell: Tensor  # cell and heading class of the room, int64
 
 
-def can_start(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
+def can_start(layout: Layout, tables: Tables, state: TensorState, has_ancestors: bool) -> Tensor:
     """Options that may start, bool (rooms, targets + 1): presses of the targets that the room has, and the exit.
 
-    The exit may not where the robot is in it already or a shut door blocks it.
+    The exit may not where the robot is in it already or a shut door blocks it; neither may what is behind shut inner
+    doors, but for a press that presses its ancestors first.
     """
     inside = is_in_exit(layout, tables, state.instance, state.x, state.y)
     has_door = pick(layout, tables.doors, state.instance).x[0] < 1e5
     exit_ = ~inside & (~has_door | is_solved(layout, tables, state))
     counts = pick(layout, tables.target_counts, state.instance).squeeze(0).expand(len(exit_))
-    is_present = torch.arange(layout.targets, device=exit_.device) < counts.unsqueeze(1)
-    return torch.cat([is_present, exit_.unsqueeze(1)], dim=1)
+    can = torch.arange(layout.targets, device=exit_.device) < counts.unsqueeze(1)
+    if layout.inner_doors:
+        shut = find_shut(layout, tables, state)  # (inner doors, rooms)
+        bits = (shut.to(torch.int64) << torch.arange(len(shut), device=shut.device).unsqueeze(1)).sum(0)
+        is_open = (pick(layout, tables.ways, state.instance) & bits == 0).T
+        can, exit_ = can & (is_open[:, :-1] | has_ancestors), exit_ & is_open[:, -1]
+    return torch.cat([can, exit_.unsqueeze(1)], dim=1)
 
 
 def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,

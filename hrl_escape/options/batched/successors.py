@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_hand, compute_rotation
+from hrl_escape.env.batched.rules import find_shut
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, compute_distance, compute_first_contact, store, wrap
@@ -22,8 +23,11 @@ def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
 
 def is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     """Return whether the body stands in the doorway, where a shut door does not block it, bool (rooms,)."""
-    doors: Shapes = pick(layout, tables.doors, state.instance)
-    return compute_distance(state.x, state.y, doors)[0] < layout.robot.outer_radius + CONTACT_SKIN - 1e-6
+    return _stands_in(layout, state, pick(layout, tables.doors, state.instance))[0]
+
+
+def _stands_in(layout: Layout, state: TensorState, doors: Shapes) -> Tensor:
+    return compute_distance(state.x, state.y, doors) < layout.robot.outer_radius + CONTACT_SKIN - 1e-6
 
 
 def presses_by_hand(layout: Layout) -> bool:
@@ -58,6 +62,11 @@ def compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: T
     motion = (state.x, state.y, dx.unsqueeze(1), dy.unsqueeze(1), layout.robot.outer_radius + CONTACT_SKIN)
     solids: SplitShapes = pick(layout, tables.split_solids, state.instance)
     free = compute_first_contact(*motion, solids).amin(1).clamp(min=0.0)
+    if layout.inner_doors:
+        inner: Shapes = pick(layout, tables.inner_doors, state.instance)
+        is_shut = find_shut(layout, tables, state) & ~_stands_in(layout, state, inner)
+        contact = compute_first_contact(*motion, inner.split()).clamp(min=0.0)
+        free = torch.minimum(free, torch.where(is_shut, contact, 1.0).amin(1))
     if layout.has_door:
         doors: Shapes = pick(layout, tables.doors, state.instance)
         door = compute_first_contact(*motion, doors.split()).amin(1).clamp(min=0.0)

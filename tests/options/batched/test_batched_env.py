@@ -174,7 +174,8 @@ def test_without_automatic_reset_a_room_stands_still_until_it_is_reset():
 
 
 @pytest.mark.parametrize(("name", "most"), [
-    pytest.param("clutter", 0.05, marks=pytest.mark.slow), ("door", 0.05), ("coarse-steps", 0.15)])
+    pytest.param("clutter", 0.05, marks=pytest.mark.slow), ("door", 0.05), ("inner-doors", 0.05),
+    ("coarse-steps", 0.15)])
 def test_what_options_env_reaches_is_reached_in_about_as_many_primitives(name, most):
     found = compare_options([generate(all_schematics()[name], 1)], 40)
     assert found.decisions >= 40 and found.reached >= 38
