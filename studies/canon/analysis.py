@@ -507,9 +507,9 @@ class Standing:
         return [label for label in self.learners if label not in self.lost]
 
     @cached_property
-    def rooms(self) -> int:
-        """The most rooms of a kind that an agent was run in."""
-        return max(len(runs) for (kind, _), runs in self.cells.items() if kind in self.kinds)
+    def rooms(self) -> dict[str, int]:
+        """For each kind the most rooms that an agent was run in."""
+        return {kind: max(len(runs) for (own, _), runs in self.cells.items() if own == kind) for kind in self.kinds}
 
     @cached_property
     def best(self) -> dict[str, str]:
@@ -575,7 +575,7 @@ def tell_standing(found: Standing) -> dict[str, Any]:
         "kinds": [f"{words[kind]} (`{kind}`)" for kind in kinds],
         "left_out": [f"{words[kind]} (`{kind}`)" for kind in words if kind not in kinds],
         "unfit": tell_unfit(found),
-        "rooms": found.rooms,
+        "rooms": sorted(set(found.rooms.values())),
         "searchers": data["searchers"], "budget": data["primitives"], "efficient": data["efficient"],
         "learners": len(found.learners), "episodes": REFERENCE_EPISODES,
         "trials": [words[room.rpartition("/")[0]]
@@ -597,7 +597,7 @@ def tell_cell(found: Standing, kind: str, label: str) -> str:
     runs = found.cells.get((kind, label))
     if not runs:
         return ""
-    return f"{average(runs):.2f}" + (f" ({len(runs)})" if len(runs) < found.rooms else "")
+    return f"{average(runs):.2f}" + (f" ({len(runs)})" if len(runs) < found.rooms[kind] else "")
 
 
 def tell_difference(contrast: Contrast | None) -> str:
