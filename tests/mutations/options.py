@@ -7,6 +7,22 @@ TESTS = "options/test_options_env.py"
 
 MUTATIONS = [
     Mutation(
+        "an option of a batch may begin though a door bars its way",
+        "options/batched/stepping.py",
+        "can & (is_open[:, :-1] | has_ancestors)",
+        "can",
+        "options/batched/test_batched_kinds.py::"
+        "test_doors_between_rooms_open_for_good_and_mask_what_is_behind_them[press]",
+    ),
+    Mutation(
+        "options of a batch take open doors between rooms for walls",
+        "options/batched/successors.py",
+        "is_shut = find_shut(layout, tables, state) & ~_stands_in(layout, state, inner)",
+        "is_shut = ~_stands_in(layout, state, inner)",
+        "options/batched/test_batched_kinds.py::"
+        "test_doors_between_rooms_open_for_good_and_mask_what_is_behind_them[press]",
+    ),
+    Mutation(
         "episodes of a batch begin only where all have ended",
         "options/batched/stepping.py",
         "not (looks and not has_ended.any())",

@@ -200,6 +200,27 @@ MUTATIONS = [
         "studies/test_why.py::test_the_headline_claims_what_the_sentences_below_claim",
     ),
     Mutation(
+        "learners of the canon that were run in fewer rooms are compared in rooms of their own",
+        "studies/canon/analysis.py",
+        "average({room: own[room] for room in rooms})",
+        "average(own)",
+        "studies/test_canon.py::test_learners_of_fewer_rooms_are_held_against_others_in_these_rooms_alone",
+    ),
+    Mutation(
+        "runs of any number of primitives count as runs at a rung's own budget",
+        "studies/budgets/analysis.py",
+        "if line.primitives == get_budget(line.rung)]",
+        "]",
+        "studies/test_budgets.py::test_runs_with_another_budget_than_the_rungs_own_do_not_count",
+    ),
+    Mutation(
+        "training in another rung is held against the searcher of the rung trained in",
+        "studies/generalisation/transfer.py",
+        "values - found.get_best(pair[1])[1]",
+        "values - found.get_best(pair[0])[1]",
+        "studies/test_generalisation.py::test_other_rungs_are_told_by_what_was_learned_there_and_beside_searching",
+    ),
+    Mutation(
         "looking ahead tells that the exit is shut before it was tried",
         "studies/price/lookahead.py",
         "(before.puzzle != after.puzzle or not exit_.contains(before.x, before.y))",

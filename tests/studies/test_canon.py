@@ -199,15 +199,15 @@ def test_what_being_told_the_graph_brings_is_a_sentence_of_its_own():
 def test_learners_of_fewer_rooms_are_held_against_others_in_these_rooms_alone():
     """From the eleventh room on, which one learner is not run in, nothing escapes, neither searchers nor others."""
     lines = [dataclasses.replace(line, efficiency=0.0, escapes=0.0) if "/test[1" in line.room and "[1]" not in line.room
-             else line for line in make_lines(change({MODEL: 0.8, DAC: 0.9}), rooms=20)]
+             else line for line in make_lines(change({MODEL: 0.97, DAC: 0.85}), rooms=20)]
     page = tell([line for line in lines if line.agent != DAC or line.efficiency])
     assert "Mean efficiency over 20 rooms of each kind, or as many as stand in brackets:" in page
     some = tell([line for line in lines if line.kind == PAIR or int(re.findall(r"\[(\d+)", line.room)[0]) < 10])
     assert "Mean efficiency over 10 or 20 rooms of each kind" in some
-    assert re.search(rf"\| `{re.escape(DAC)}` \| 0\.4\d \| 0\.9\d? \|", some), "in every kind as many as all others"
+    assert re.search(rf"\| `{re.escape(DAC)}` \| 0\.4\d \| 0\.8\d \|", some), "in every kind as many as all others"
     assert re.search(rf"\| `{re.escape(DAC)}` \| 0\.\d\d \(10\) \| 0\.\d\d \(10\) \| \*\*\+0\.[12]\d \(", page)
-    assert re.search(rf"\| `{re.escape(MODEL)}` \| 0\.[34]\d \| 0\.[34]\d \|", page), "over all rooms"
-    assert f"One learner leads in every kind of rooms: `{DAC}`." in page, "by the rooms that all have"
+    assert re.search(rf"\| `{re.escape(MODEL)}` \| 0\.[45]\d \| 0\.[45]\d \|", page), "over all rooms"
+    assert f"One learner leads in every kind of rooms: `{MODEL}`." in page, "by the rooms that all have"
     assert re.search(rf"\(`{re.escape(DAC)}` \+0\.[12]\d\)", page), "beside the searcher in its rooms"
 
 

@@ -161,6 +161,13 @@ def test_other_rungs_are_told_by_what_was_learned_there_and_beside_searching():
     assert across == ("Of 20 pairs of two rungs, training in the other loses in 19, and gains in 1: `chain` is learned "
                       "better in `pair`.")
     assert "less in 0 of 25 pairs" in tell_across({}, searcher=0.5)[0]
+    lines = [dataclasses.replace(line, efficiency=0.1) if line.rung == "pair" and not line.primitives else line
+             for line in make_transfers({})]
+    found = read_transfers(lines)
+    assert found is not None
+    told = tell_transfers(found)[0]
+    assert "it was trained in (`pair`) and in 4 of 20 pairs" in told
+    assert "`lattice` to `pair`" in told and "`pair` to `lattice`" not in told, "the searcher of the rung tested in"
 
 
 def test_other_rungs_are_told_once_all_are_there(tmp_path: Path):
