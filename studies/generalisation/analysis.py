@@ -38,7 +38,7 @@ from studies.generalisation.grids import (
     make_depth_grid,
     make_sizes_grid,
 )
-from studies.generalisation.many import STREAMS, measure_courses, measure_many, run_reference
+from studies.generalisation.many import STREAMS, measure_courses, measure_many, name_rooms, run_reference
 from studies.generalisation.transfer import draw_transfers, read_transfers, tabulate_transfers, tell_transfers
 from studies.ladder.calibration import CHANCE
 from studies.page import make_table
@@ -91,7 +91,7 @@ def _measure_courses(bench: Benchmark, args: GeneralisationArgs, store: Store, c
         there = {(line.rung, line.agent) for line in store.load() if line.protocol == part}
         store.add(run_reference(bench.name, rung, agent, args.rooms) for rung in courses
                   for agent in (*SEARCHERS, *CEILING, CHANCE) if (rung, agent) not in there)
-    names = {course: TRAINED if course == TRAINED else bench[course].train[: args.shallow_rooms].name
+    names = {course: TRAINED if course == TRAINED else name_rooms(bench.name, course, "train", args.shallow_rooms)
              for course in courses}
     known = {(line.rooms.split(" > ")[0], line.agent.removesuffix(AT_ONCE), line.seed)
              for line in _list_at_once(args, store, part)}

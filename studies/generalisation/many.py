@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import gymnasium
 
@@ -33,7 +33,8 @@ from studies.unseen import (
     stream_rooms,
 )
 
-__all__ = ["STREAMS", "get_course", "measure_courses", "measure_many", "run_course", "run_many", "run_reference"]
+__all__ = ["STREAMS", "get_course", "measure_courses", "measure_many", "name_rooms", "run_course", "run_many",
+           "run_reference"]
 
 STREAMS = 256
 """Rooms that a learner learns from at once; with fewer training rooms, several are the same."""
@@ -78,9 +79,9 @@ def run_many(benchmark: str, rung: str, agent: str, size: int, seed: int, primit
     """One run; see `measure_many`."""
     result = _train(make_streams(benchmark, rung, size, STREAMS, agent), agent, seed, primitives)
     settings = {"benchmark": benchmark, "rung": rung, "rooms": size, "seed": seed, "primitives": primitives}
-    place = f"{benchmark}/{rung}"
-    line = BaselineRun("sizes", rung, f"{place}/train[:{size}] > {place}/test[:{tested}]", agent + AT_ONCE, seed,
-                       primitives, 0, None, 0, tested, 0, result.first_escape, _compute_key(agent, settings))
+    rooms = f"{name_rooms(benchmark, rung, 'train', size)} > {name_rooms(benchmark, rung, 'test', tested)}"
+    line = BaselineRun("sizes", rung, rooms, agent + AT_ONCE, seed, primitives, 0, None, 0, tested, 0,
+                       result.first_escape, _compute_key(agent, settings))
     return _test(result, agent, get_unseen(benchmark, rung, tested), _get_seen(benchmark, rung, min(size, tested)),
                  line)
 
@@ -88,21 +89,32 @@ def run_many(benchmark: str, rung: str, agent: str, size: int, seed: int, primit
 def run_course(benchmark: str, course: str, agent: str, seed: int, primitives: int, trained: int, tested: int
                ) -> list[BaselineRun]:
     """One run and its tests; see `measure_courses`."""
-    train_in, tests, seen = get_course(benchmark, course, trained, tested)
+    _, tests, seen = get_course(benchmark, course, trained, tested)
     result = _train(_stream_course(benchmark, course, trained, tested, agent), agent, seed, primitives)
-    settings = {"benchmark": benchmark, "rooms": trained, "seed": seed, "primitives": primitives}
-    return [_test(result, agent, test, seen, BaselineRun(
-        "depth" if course == TRAINED else "transfer", rung, f"{train_in.name} > {test.rooms.name}", agent + AT_ONCE,
-        seed, primitives, 0, None, 0, tested, 0, result.first_escape,
-        _compute_key(agent, settings | {"course": course, "rung": rung}))) for rung, test in tests.items()]
+    settings = {"benchmark": benchmark, "rooms": trained, "seed": seed, "primitives": primitives, "course": course}
+
+    def test(rung: str) -> BaselineRun:
+        rooms = (f"{course} > {rung}" if course == TRAINED else
+                 f"{name_rooms(benchmark, course, 'train', trained)} > {name_rooms(benchmark, rung, 'test', tested)}")
+        line = BaselineRun("depth" if course == TRAINED else "transfer", rung, rooms, agent + AT_ONCE, seed, primitives,
+                           0, None, 0, tested, 0, result.first_escape, _compute_key(agent, settings | {"rung": rung}))
+        return _test(result, agent, tests[rung], seen, line)
+
+    return [test(rung) for rung in tests]
+
+
+def name_rooms(benchmark: str, rung: str, half: Literal["train", "test"], count: int) -> str:
+    """The first rooms of a rung's half, in a line."""
+    return f"{benchmark}/{rung}/{half}[:{count}]"
 
 
 def run_reference(benchmark: str, rung: str, agent: str, tested: int) -> BaselineRun:
     """Tests of an agent that learns nothing, in the rooms that all courses over rungs share."""
     unseen = get_unseen(benchmark, rung, tested)
     efficiency, escapes = play_agent(AgentSpec.parse(agent), unseen, unseen.rooms)
-    return BaselineRun("transfer", rung, unseen.rooms.name, agent, 0, 0, efficiency, None, escapes, tested, escapes,
-                       None, compute_digest({"benchmark": benchmark, "rung": rung, "agent": agent, "rooms": tested}))
+    key = compute_digest({"benchmark": benchmark, "rung": rung, "agent": agent, "rooms": tested})
+    return BaselineRun("transfer", rung, name_rooms(benchmark, rung, "test", tested), agent, 0, 0, efficiency, None,
+                       escapes, tested, escapes, None, key)
 
 
 def _train(streams: Streams, agent: str, seed: int, primitives: int) -> TrainResult:
