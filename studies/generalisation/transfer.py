@@ -97,14 +97,14 @@ def _sort(differences: Mapping[tuple[str, str], Efficiencies]) -> tuple[list[tup
 
 
 def tabulate_transfers(found: Transfers) -> str:
-    """Mean efficiency: a row a rung trained in, a column a rung tested in; then the best searcher and the ceiling."""
+    """Mean efficiency: a row a rung trained in, a column a rung tested in; then those that learn nothing."""
     rows: list[list[Any]] = [[f"trained in `{source}`", *(f"{found.learned[source, target].mean():.2f}"
                                                           for target in TRANSFER)] for source in TRANSFER]
     rows.append(["the best searcher", *(f"{found.get_best(target)[1]:.2f}" for target in TRANSFER)])
     for name in CEILING:
-        if any((target, name) in found.known for target in TRANSFER):
-            rows.append([f"the ceiling, `{name}`", *(f"{found.known[target, name]:.2f}" if (target, name) in found.known
-                                                     else "-" for target in TRANSFER)])
+        cells = [f"{found.known[target, name]:.2f}" if (target, name) in found.known else "-" for target in TRANSFER]
+        if set(cells) != {"-"}:
+            rows.append([f"`{name}`, which knows how graphs are drawn", *cells])
     return make_table(["", *(f"`{target}`" for target in TRANSFER)], rows)
 
 
