@@ -28,7 +28,7 @@ TRANSFER: tuple[str, ...] = tuple(_DATA["transfer"])
 NAMES: dict[str, str] = _DATA["names"]
 FLAT, VECTORS, OBJECTS, MEMORY = NAMES
 AT_ONCE = ", many rooms at once"
-"""What the labels of learners end in that learn from many rooms at once."""
+"""End of the labels of learners that learn from many rooms at once."""
 FLAT_CHANCE = "random"
 SEARCHERS: dict[str, str] = _DATA["searchers"]
 CEILING: dict[str, str] = _DATA["ceiling"]

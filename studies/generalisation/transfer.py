@@ -82,7 +82,7 @@ def tell_transfers(found: Transfers) -> list[str]:
 
 
 def _subtract(found: Transfers, source: str, target: str) -> Efficiencies:
-    """What training elsewhere brings, seed by seed."""
+    """Efficiency after training elsewhere less that after training there, seed by seed, (seeds,)."""
     other, own = found.learned[source, target], found.learned[target, target]
     count = min(len(other), len(own))
     return other[:count] - own[:count]
