@@ -21,7 +21,7 @@ from hrl_escape.errors import UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun
-from studies.ladder.analysis import draw, subtract, tabulate, tell_bar, tell_beyond_searching
+from studies.ladder.analysis import draw, group_runs, subtract, tabulate, tell_bar, tell_beyond_searching
 from studies.ladder.calibration import KNOWN
 from studies.running import StudyArgs, open_store
 from studies.statistics import choose_holm_levels
@@ -121,25 +121,13 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
              and line.protocol == PROTOCOL and line.rung in rungs and line.primitives < get_budget(line.rung)
              and (line.agent.startswith(SMDP_PREFIX) or line.agent == KNOWN)]
     lines = [line for line in lines if line.primitives == get_budget(line.rung)]
-    cells = _group([*(line for line in known if not line.primitives), *lines])
+    cells = group_runs([*(line for line in known if not line.primitives), *lines])
     headline = tell_beyond_searching(cells, rungs)
-    return Page({"headline": headline, "budget": tell_budget(cells, _group(known), rungs),
+    return Page({"headline": headline, "budget": tell_budget(cells, group_runs(known), rungs),
                  "advice": tell_bar(cells, rungs), "table": tabulate(cells, rungs), "count": len(lines),
                  "seeds": sorted({len({line.seed for line in runs}) for (_, agent), runs in cells.items()
                                   if agent in study.data["agents"]}), **study.data},
                 {"budgets": draw(cells, rungs)}, [headline])
-
-
-def _group(lines: Sequence[BaselineRun]) -> dict[tuple[str, str], list[BaselineRun]]:
-    """Runs by rung and agent, of several budgets those of the largest."""
-    most: dict[tuple[str, str], int] = {}
-    for line in lines:
-        most[line.rung, line.agent] = max(most.get((line.rung, line.agent), 0), line.primitives)
-    cells: dict[tuple[str, str], list[BaselineRun]] = {}
-    for line in lines:
-        if line.primitives == most[line.rung, line.agent]:
-            cells.setdefault((line.rung, line.agent), []).append(line)
-    return cells
 
 
 def tell_budget(cells: Cells, former: Cells, rungs: Sequence[str]) -> str:

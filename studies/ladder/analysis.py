@@ -44,7 +44,7 @@ from studies.statistics import choose_holm_levels, find_visible_difference, tell
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["Args", "analyse", "describe", "draw", "measure", "subtract", "tabulate", "tell_bar",
+__all__ = ["Args", "analyse", "describe", "draw", "group_runs", "measure", "subtract", "tabulate", "tell_bar",
            "tell_beyond_searching", "tell_blank", "tell_visible"]
 
 Args = BaselineArgs
@@ -86,7 +86,7 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
     tower = [line for line in lines if line.protocol == TOWER]
     lines = [line for line in lines if line.protocol != TOWER]
     alone = _part([line for line in lines if line.protocol == "per-instance"])
-    over = _group(alone.get("Over options", ()))
+    over = group_runs(alone.get("Over options", ()))
     return Page({
         "PASSED_ESCAPES": PASSED_ESCAPES, "PASSED_EFFICIENCY": PASSED_EFFICIENCY, "MOST_TO_PASS": MOST_TO_PASS,
         "TOWER_HORIZON": TOWER_HORIZON,
@@ -96,7 +96,7 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
         "has_three_parents": any("+three-parents" in line.agent for line in lines),
         "protocols": {name: _describe_protocol(own, rungs) for name in ("per-instance", "generalise")
                       if (own := [line for line in lines if line.protocol == name])},
-        "calibration": tell_calibration(_group(next(iter(alone.values()))), rungs, noisy) if alone else [],
+        "calibration": tell_calibration(group_runs(next(iter(alone.values()))), rungs, noisy) if alone else [],
         "tower": _describe_tower(tower, max(map(get_budget, rungs))), "commands": _list_options(lines, rungs),
     }, {"ladder": draw(over, rungs)} if over else {})
 
@@ -223,7 +223,7 @@ def _describe_protocol(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> di
              if 0 < max((line.primitives for line in lines if line.rung == rung), default=0) < get_budget(rung)]
     parts = {}
     for title, part in _part(lines).items():
-        cells = _group(part)
+        cells = group_runs(part)
         fewest = min(cells.values(), key=len)
         parts[title] = {
             "table": tabulate(cells, rungs), "highest": _tabulate_highest(cells, rungs),
@@ -236,7 +236,7 @@ def _describe_protocol(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> di
 
 def _find_mastery(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> dict[str, Any]:
     """The highest rung that a learner masters, and who does; else whether any learner has runs enough on one."""
-    cells = _group([line for line in lines if line.protocol == "per-instance"] or lines)
+    cells = group_runs([line for line in lines if line.protocol == "per-instance"] or lines)
     learners = {agent: _find_highest(cells, agent, rungs)
                 for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives)}
     top = max((rung for rung in learners.values() if rung is not None), key=list(rungs).index, default=None)
@@ -253,7 +253,7 @@ def _part(lines: Sequence[BaselineRun]) -> dict[str, list[BaselineRun]]:
     return {title: part for title, part in parts.items() if part}
 
 
-def _group(lines: Sequence[BaselineRun]) -> _Cells:
+def group_runs(lines: Sequence[BaselineRun]) -> _Cells:
     """Runs by rung and agent, of several budgets those of the largest; agents in the order of the baselines."""
     cells: dict[tuple[str, str], list[BaselineRun]] = {}
     agents = _sort_agents(line.agent for line in lines)
