@@ -154,7 +154,8 @@ def test_ladder_scores_are_over_the_largest_table_without_gaps():
     score = compute_ladder_score(units, np.random.default_rng(0))
     assert f"| `smdp-dqn` | 0.50 | {score.low:.2f} to {score.high:.2f} |" in page
     assert "| `smdp-ppo` | 1.00 |" not in page, "on one rung only"
-    assert "less than the rung's own budget on `low` (100,000), `middle` (100,000) and `high` (100,000)." in page
+    assert ("less than the rung's own budget on `low` (100,000), `middle` (100,000) and `high` (100,000); "
+            "[learners with these budgets](budgets.md)") in page
     longer = [dataclasses.replace(line, primitives=100 * line.primitives) for line in lines]
     assert "less than the rung\'s own" not in tell(longer, RUNGS)
 
