@@ -125,6 +125,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     headline = tell_beyond_searching(cells, rungs)
     return Page({"headline": headline, "budget": tell_budget(cells, group_runs(known), rungs),
                  "advice": tell_bar(cells, rungs), "table": tabulate(cells, rungs), "count": len(lines),
+                 "missing": [rung for rung in study.data["rungs"] if rung not in rungs],
                  "seeds": sorted({len({line.seed for line in runs}) for (_, agent), runs in cells.items()
                                   if agent in study.data["agents"]}), **study.data},
                 {"budgets": draw(cells, rungs)}, [headline])

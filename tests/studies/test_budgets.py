@@ -41,6 +41,7 @@ def test_who_beats_the_best_searcher_is_the_headline(tmp_path: Path):
                      r"\+0\.\d\d to \+0\.\d\d, over 2 rungs\)\.\*\*", page)
     assert "| rung | `smdp-random+no-primitives` |" in page and f"`{MEMORY}` |" in page
     assert "| `lattice-5` | 0.20 (10) |" in page, "who learns nothing, from the study of the ladder"
+    assert "Not run yet: `reach`, `doors`, `drift`, `code`, " in page and "`switchboard`." in page
     assert (tmp_path / "figures/budgets.svg").stat().st_size > 5_000
     assert "**No learner is shown to beat the best searcher" in tell("budgets", make_lines(lambda agent, rung: 0.5))
 
