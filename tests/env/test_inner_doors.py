@@ -37,7 +37,7 @@ from hrl_escape.env.sampling.certificate import find_unmet, make_floors
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, PlanningFailed, UnsupportedError
 from hrl_escape.ladder.keys import compute_task_key
-from hrl_escape.options import BatchedOptionsEnv, OptionsEnv
+from hrl_escape.options import OptionsEnv
 from hrl_escape.planning import RoomPlanner, find_best_known
 from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.synthesis.situation import Situations
@@ -273,7 +273,5 @@ def test_impossible_doors_are_refused():
 
 
 def test_parts_that_know_no_inner_doors_say_so():
-    with pytest.raises(UnsupportedError, match="inner doors"):
-        BatchedOptionsEnv(2, instance=make_room())
     with pytest.raises(UnsupportedError, match="inner doors"):
         Situations(make_room())

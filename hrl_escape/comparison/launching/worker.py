@@ -1,8 +1,8 @@
 """Process of one run: one torch thread, its own output file, and no life beyond its parent's.
 
 Everything heavy is imported here, so that a fork server that preloads this module starts each process in milliseconds;
-so are the 800 modules that torch imports with its first optimiser. What the first plan would load in every process is
-loaded here too: Numba's tables of types and functions, and its kernels from their cache.
+so are the 800 modules that torch imports with its first optimiser. Numba's tables of types and functions, which the
+first kernel would build in every process, are built here too.
 """
 
 from __future__ import annotations
@@ -23,26 +23,17 @@ from numba.core.registry import cpu_target
 import hrl_escape.agents.training.train
 import hrl_escape.options.best_with_options
 import hrl_escape.options.memory
-import hrl_escape.options.options_env
-import hrl_escape.synthesis.hierarchy_env  # noqa: F401  # preloaded, like those above, for the processes forked from here
+import hrl_escape.options.options_env  # noqa: F401  # preloaded, like those above, for the processes forked from here
 from hrl_escape.comparison.grid import GridRun
 from hrl_escape.comparison.runs import execute_run, get_run_folder
-from hrl_escape.env.presets import get_preset
-from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError, FileWriteError, RunBusyError
 from hrl_escape.files import make_folder, open_for_writing
-from hrl_escape.planning.best_known import list_start_states
-from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.processes import die_with_parent
-from hrl_escape.version import find_versions
 
 NUMBA: Any = cpu_target
 """Without the type of its cached properties, which pyright does not see through."""
 NUMBA.typing_context.refresh()
 NUMBA.target_context.refresh()
-find_versions()  # keeps them
-_room = generate(get_preset("paper-one-button"), 0)
-RoomPlanner(_room).plan(list_start_states(_room)[0], "button-1")
 
 ORPHAN_SECONDS = 20.0
 """Longest wait for a process of a killed comparison to let go of its run."""
