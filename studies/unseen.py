@@ -27,7 +27,7 @@ from hrl_escape.options.memory import MemoryStreams
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 
 __all__ = ["Streams", "UnseenRooms", "count_fewest", "get_unseen", "make_streams", "make_unseen",
-           "play_agent", "play_unseen", "stream_rooms"]
+           "play_agent", "play_unseen", "stream_rooms", "train_agent"]
 
 
 Streams: TypeAlias = EscapeRoomVectorEnv | BatchedOptionsEnv | MemoryStreams
@@ -91,6 +91,15 @@ def stream_rooms(rooms: InstanceSet, count: int, agent: str, observation: str = 
     return MemoryStreams(many)
 
 
+def train_agent(spec: AgentSpec, train_in: gymnasium.Env | Streams, primitives: int, seed: int
+                ) -> tuple[Agent, int | None]:
+    """Train an agent without evaluations; returns it, and the primitives at its first escape, None without one."""
+    result = train(spec.name, train_in, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
+                   progress=False)
+    assert result.agent is not None  # a run without a folder gives its agent back
+    return result.agent, result.first_escape
+
+
 def play_agent(spec: AgentSpec, unseen: UnseenRooms, train_in: InstanceSet | Streams, seed: int = 0,
                primitives: int = 1) -> tuple[float, float]:
     """Train an agent in some rooms and play the others; who does not learn is only tested. See `play_unseen`."""
@@ -99,11 +108,9 @@ def play_agent(spec: AgentSpec, unseen: UnseenRooms, train_in: InstanceSet | Str
         if spec.is_reference:
             return make_reference(spec.name, env, recorder)
         own = make_env(spec, train_in, "objects")[0] if isinstance(train_in, InstanceSet) else train_in
-        player = train(spec.name, own, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
-                       progress=False).agent
+        player, _ = train_agent(spec, own, primitives, seed)
         if isinstance(own, gymnasium.Env):
             own.close()
-        assert player is not None  # a run without a folder gives its agent back
         return player
 
     return play_unseen(spec, unseen, make_player)

@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.training.env_description import compute_digest
-from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
 from hrl_escape.comparison.launching.local import get_fork_server
@@ -27,7 +26,7 @@ from studies.running import StudyArgs, open_store
 from studies.statistics import choose_holm_levels
 from studies.store import Store
 from studies.study import Page, Study, find_study
-from studies.unseen import UnseenRooms, make_unseen, play_unseen, stream_rooms
+from studies.unseen import UnseenRooms, make_unseen, play_unseen, stream_rooms, train_agent
 
 __all__ = ["Args", "analyse", "measure", "run_once", "tell_budget"]
 
@@ -102,16 +101,13 @@ def run_once(data: Mapping[str, Any], rung: str, number: int, agent: str, seed: 
     observation = "objects" if spec.settings.get("network") == "objects" else "features"
     place = f"{data['benchmark']}/{rung}/test[{number}]"
     room = load_benchmark(data["benchmark"])[rung].test[number : number + 1]
-    result = train(spec.name, stream_rooms(room, data["copies"], agent, observation), primitives=primitives, seed=seed,
-                   settings=spec.settings, eval_episodes=0, progress=False)
-    player = result.agent
-    assert player is not None  # a run without a folder gives its agent back
+    player, first_escape = train_agent(spec, stream_rooms(room, data["copies"], agent, observation), primitives, seed)
     efficiency, escapes = play_unseen(spec, UnseenRooms(room, make_unseen(room).fewest * data["episodes"]),
                                       lambda env, recorder: player, observation)
     identity = {"room": room[0].id, "agent": agent, "settings": spec.settings, "seed": seed, "primitives": primitives,
                 "copies": data["copies"], "episodes": data["episodes"]}
     return BaselineRun(PROTOCOL, rung, place, agent, seed, primitives, efficiency, None, escapes, data["episodes"],
-                       escapes, result.first_escape, compute_digest(identity))
+                       escapes, first_escape, compute_digest(identity))
 
 
 def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
@@ -125,7 +121,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     headline = tell_beyond_searching(cells, rungs)
     return Page({"headline": headline, "budget": tell_budget(cells, group_runs(known), rungs),
                  "advice": tell_bar(cells, rungs), "table": tabulate(cells, rungs), "count": len(lines),
-                 "missing": [rung for rung in study.data["rungs"] if rung not in rungs],
+                 "run": rungs, "missing": [rung for rung in study.data["rungs"] if rung not in rungs],
                  "seeds": sorted({len({line.seed for line in runs}) for (_, agent), runs in cells.items()
                                   if agent in study.data["agents"]}), **study.data},
                 {"budgets": draw(cells, rungs)}, [headline])
@@ -145,9 +141,11 @@ def tell_budget(cells: Cells, former: Cells, rungs: Sequence[str]) -> str:
     said = []
     for (agent, own), p, level in zip(gains.items(), correct_by_holm(raw), choose_holm_levels(raw), strict=True):
         test = compare_pairs(own, level)
-        words = f"{test.difference:+.2f} ({test.low:+.2f} to {test.high:+.2f}, over {count_nouns(len(own), 'rung')})"
-        verb = "is not shown to gain or lose," if p >= ALPHA else "gains" if test.difference > 0 else "loses"
-        said.append(f"`{agent}` {verb} {words}")
+        change, low, high = test.difference, test.low, test.high
+        verb = "is not shown to gain or lose," if p >= ALPHA else "gains" if change > 0 else "loses"
+        if p < ALPHA and change < 0:
+            change, low, high = -change, -high, -low
+        said.append(f"`{agent}` {verb} {change:.2f} ({low:.2f} to {high:.2f}, over {count_nouns(len(own), 'rung')})")
     budgets = sorted({run.primitives for (_, agent), runs in former.items() if agent in gains for run in runs})
     return (f"Beside the same learner with {join_words(f'{budget:,}' for budget in budgets)} primitives, in one room "
             f"at a time, {join_words(said)}.")

@@ -46,7 +46,7 @@ from studies.running import refuse_failures
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["Args", "analyse", "draw_sizes", "measure", "prefer_at_once"]
+__all__ = ["Args", "analyse", "draw_sizes", "measure", "prefer_at_once", "split_at_once"]
 
 Args = GeneralisationArgs
 _CHANCES = dict.fromkeys(NAMES, CHANCE) | {FLAT: FLAT_CHANCE}
@@ -114,11 +114,19 @@ def _list_at_once(args: GeneralisationArgs, store: Store, part: str) -> list[Bas
             and (line.protocol, line.primitives, line.episodes) == (part, args.primitives, args.rooms)]
 
 
+def split_at_once(lines: Sequence[BaselineRun]) -> tuple[list[BaselineRun], list[BaselineRun]]:
+    """Lines of learners from many rooms at once, by their own labels, and all others but theirs on the same rungs."""
+    at_once = [dataclasses.replace(line, agent=line.agent.removesuffix(AT_ONCE)) for line in lines
+               if line.agent.endswith(AT_ONCE)]
+    there = {(line.rung, line.agent) for line in at_once}
+    return at_once, [line for line in lines
+                     if not line.agent.endswith(AT_ONCE) and (line.rung, line.agent) not in there]
+
+
 def prefer_at_once(lines: Sequence[BaselineRun]) -> list[BaselineRun]:
     """Lines of a part, of each learner those from many rooms at once where there are any, by its own label."""
-    at_once = {(line.rung, line.agent) for line in lines if line.agent.endswith(AT_ONCE)}
-    return [dataclasses.replace(line, agent=line.agent.removesuffix(AT_ONCE)) for line in lines
-            if (line.rung, line.agent + AT_ONCE) not in at_once]
+    at_once, alone = split_at_once(lines)
+    return sorted([*at_once, *alone], key=lambda line: line.place)
 
 
 def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
@@ -161,8 +169,7 @@ def _describe_both(lines: Sequence[BaselineRun]) -> dict[str, Any]:
 
     Besides, those of learners from many rooms at once, and those of all others; None where there are none.
     """
-    parts = {"at_once": [line for line in lines if line.agent.endswith(AT_ONCE)],
-             "alone": [line for line in prefer_at_once(lines) if line in lines]}
+    parts = dict(zip(("at_once", "alone"), split_at_once(lines), strict=True))
     return _describe(prefer_at_once(lines)) | {name: _describe(own) if own else None for name, own in parts.items()}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache
@@ -13,8 +12,6 @@ import gymnasium
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.agents.training.env_description import compute_digest
-from hrl_escape.agents.training.results import TrainResult
-from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import get_fork_server
@@ -31,6 +28,7 @@ from studies.unseen import (
     play_agent,
     play_unseen,
     stream_rooms,
+    train_agent,
 )
 
 __all__ = ["STREAMS", "get_course", "measure_courses", "measure_many", "name_rooms", "run_course", "run_many",
@@ -77,28 +75,32 @@ def measure_courses(benchmark: str, jobs: Sequence[tuple[str, str, int]], primit
 
 def run_many(benchmark: str, rung: str, agent: str, size: int, seed: int, primitives: int, tested: int) -> BaselineRun:
     """One run; see `measure_many`."""
-    result = _train(make_streams(benchmark, rung, size, STREAMS, agent), agent, seed, primitives)
+    made, first_escape = train_agent(
+        AgentSpec.parse(agent), make_streams(benchmark, rung, size, STREAMS, agent), primitives, seed)
     settings = {"benchmark": benchmark, "rung": rung, "rooms": size, "seed": seed, "primitives": primitives}
     rooms = f"{name_rooms(benchmark, rung, 'train', size)} > {name_rooms(benchmark, rung, 'test', tested)}"
-    line = BaselineRun("sizes", rung, rooms, agent + AT_ONCE, seed, primitives, 0, None, 0, tested, 0,
-                       result.first_escape, _compute_key(agent, settings))
-    return _test(result, agent, get_unseen(benchmark, rung, tested), _get_seen(benchmark, rung, min(size, tested)),
-                 line)
+    efficiency, escapes = _play(get_unseen(benchmark, rung, tested), agent, made)
+    seen, _ = _play(_get_seen(benchmark, rung, min(size, tested)), agent, made)
+    return BaselineRun("sizes", rung, rooms, agent + AT_ONCE, seed, primitives, efficiency, seen, escapes, tested,
+                       escapes, first_escape, _compute_key(agent, settings))
 
 
 def run_course(benchmark: str, course: str, agent: str, seed: int, primitives: int, trained: int, tested: int
                ) -> list[BaselineRun]:
     """One run and its tests; see `measure_courses`."""
-    _, tests, seen = get_course(benchmark, course, trained, tested)
-    result = _train(_stream_course(benchmark, course, trained, tested, agent), agent, seed, primitives)
+    _, tests, known = get_course(benchmark, course, trained, tested)
+    made, first_escape = train_agent(
+        AgentSpec.parse(agent), _stream_course(benchmark, course, trained, tested, agent), primitives, seed)
+    seen, _ = _play(known, agent, made)
     settings = {"benchmark": benchmark, "rooms": trained, "seed": seed, "primitives": primitives, "course": course}
 
     def test(rung: str) -> BaselineRun:
         rooms = (f"{course} > {rung}" if course == TRAINED else
                  f"{name_rooms(benchmark, course, 'train', trained)} > {name_rooms(benchmark, rung, 'test', tested)}")
-        line = BaselineRun("depth" if course == TRAINED else "transfer", rung, rooms, agent + AT_ONCE, seed, primitives,
-                           0, None, 0, tested, 0, result.first_escape, _compute_key(agent, settings | {"rung": rung}))
-        return _test(result, agent, tests[rung], seen, line)
+        efficiency, escapes = _play(tests[rung], agent, made)
+        return BaselineRun("depth" if course == TRAINED else "transfer", rung, rooms, agent + AT_ONCE, seed, primitives,
+                           efficiency, seen, escapes, tested, escapes, first_escape,
+                           _compute_key(agent, settings | {"rung": rung}))
 
     return [test(rung) for rung in tests]
 
@@ -117,21 +119,8 @@ def run_reference(benchmark: str, rung: str, agent: str, tested: int) -> Baselin
                        escapes, tested, escapes, None, key)
 
 
-def _train(streams: Streams, agent: str, seed: int, primitives: int) -> TrainResult:
-    spec = AgentSpec.parse(agent)
-    return train(spec.name, streams, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
-                 progress=False)
-
-
-def _test(result: TrainResult, agent: str, unseen: UnseenRooms, seen: UnseenRooms, line: BaselineRun) -> BaselineRun:
-    """The line of a run with what it reaches in unseen rooms, and in some that it was trained in."""
-    (efficiency, escapes), (known, _) = (_play(rooms, agent, result.agent) for rooms in (unseen, seen))
-    return dataclasses.replace(line, efficiency=efficiency, seen=known, escapes=escapes, progress=escapes)
-
-
-def _play(rooms: UnseenRooms, label: str, agent: Agent | None) -> tuple[float, float]:
+def _play(rooms: UnseenRooms, label: str, agent: Agent) -> tuple[float, float]:
     """Efficiency and escapes of an agent's weights in rooms of any number of buttons."""
-    assert agent is not None  # a run without a folder gives its agent back
     spec = AgentSpec.parse(label)
 
     def fit(env: gymnasium.Env, recorder: StateRecorder) -> Agent:

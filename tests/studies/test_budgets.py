@@ -41,6 +41,7 @@ def test_who_beats_the_best_searcher_is_the_headline(tmp_path: Path):
                      r"\+0\.\d\d to \+0\.\d\d, over 2 rungs\)\.\*\*", page)
     assert "| rung | `smdp-random+no-primitives` |" in page and f"`{MEMORY}` |" in page
     assert "| `lattice-5` | 0.20 (10) |" in page, "who learns nothing, from the study of the ladder"
+    assert "python -m studies budgets --rungs lattice-5 lattice --runs 1 --workers 2" in page
     assert "Not run yet: `reach`, `doors`, `drift`, `code`, " in page and "`switchboard`." in page
     assert (tmp_path / "figures/budgets.svg").stat().st_size > 5_000
     assert "**No learner is shown to beat the best searcher" in tell("budgets", make_lines(lambda agent, rung: 0.5))
@@ -60,9 +61,9 @@ def group(lines: list[BaselineRun]) -> dict[tuple[str, str], list[BaselineRun]]:
 def test_what_more_primitives_bring_is_told_room_by_room():
     former = group(make_lines(lambda agent, rung: 0.5, primitives=20_000))
     told = tell_budget(group(make_lines(lambda agent, rung: {PPO: 0.8, DQN: 0.5}.get(agent, 0.3))), former, RUNGS)
-    assert told.startswith(f"Beside the same learner with 20,000 primitives, in one room at a time, `{PPO}` gains +0.3")
+    assert told.startswith(f"Beside the same learner with 20,000 primitives, in one room at a time, `{PPO}` gains 0.3")
     assert f"`{DQN}` is not shown to gain or lose, " in told
-    assert re.search(rf"`{re.escape(DAC)}` loses -0\.[12]\d", told)
+    assert re.search(rf"`{re.escape(DAC)}` loses 0\.[12]\d \(0\.[12]\d to 0\.2\d, over 2 rungs\)", told)
     assert told.count("over 2 rungs") == 4
     del former["lattice", PPO], former["lattice-5", PPO]
     assert f"`{PPO}`" not in tell_budget(group(make_lines(lambda agent, rung: 0.8)), former, RUNGS)

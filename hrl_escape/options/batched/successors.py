@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_hand, compute_rotation
+from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_hand, compute_rotation, place_base
 from hrl_escape.env.batched.rules import find_shut
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
@@ -23,11 +23,8 @@ def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
 
 def is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     """Return whether the body stands in the doorway, where a shut door does not block it, bool (rooms,)."""
-    return _stands_in(layout, state, pick(layout, tables.doors, state.instance))[0]
-
-
-def _stands_in(layout: Layout, state: TensorState, doors: Shapes) -> Tensor:
-    return compute_distance(state.x, state.y, doors) < layout.robot.outer_radius + CONTACT_SKIN - 1e-6
+    doors: Shapes = pick(layout, tables.doors, state.instance)
+    return place_base(layout, tables, state, CONTACT_SKIN).stands_in(doors)[0]
 
 
 def presses_by_hand(layout: Layout) -> bool:
@@ -64,7 +61,7 @@ def compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: T
     free = compute_first_contact(*motion, solids).amin(1).clamp(min=0.0)
     if layout.inner_doors:
         inner: Shapes = pick(layout, tables.inner_doors, state.instance)
-        is_shut = find_shut(layout, tables, state) & ~_stands_in(layout, state, inner)
+        is_shut = find_shut(layout, tables, state) & ~place_base(layout, tables, state, CONTACT_SKIN).stands_in(inner)
         contact = compute_first_contact(*motion, inner.split()).clamp(min=0.0)
         free = torch.minimum(free, torch.where(is_shut, contact, 1.0).amin(1))
     if layout.has_door:
