@@ -112,7 +112,8 @@ def compare_options(instances: Sequence[RoomInstance], decisions: int, *, seed: 
                                     f"primitives, {info['duration']} by OptionsEnv")
                 continue
             found.planned, found.taken = found.planned + info["duration"], found.taken + duration
-            others = pressed & ~(1 << action) & (2 ** len(instance.targets) - 1)
+            own = getattr(single.options[action], "targets", ())
+            others = pressed & ~sum(1 << target for target in own) & (2 ** len(instance.targets) - 1)
             found.side_presses += bool(others) and not info["option"]["also_pressed"]
         single.close()
     found.seconds.append(time.process_time() - begun)

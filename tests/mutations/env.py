@@ -277,6 +277,13 @@ MUTATIONS = [
         "env/puzzles/test_blocks_world.py",
     ),
     Mutation(
+        "in the batch blocks that a room has not stand on its first tower",
+        "env/batched/puzzles/forms.py",
+        "torch.where(blocks < tables[\"counts\"], state >> 4 * blocks & 15, -1)",
+        "state >> 4 * blocks & 15",
+        "env/batched/test_puzzles.py::test_so_it_does_where_rooms_have_different_numbers_of_targets",
+    ),
+    Mutation(
         "in the batch the held block goes under the tower",
         "env/batched/puzzles/forms.py",
         "torch.where(stands, top, base) << 4 * block, taken)",

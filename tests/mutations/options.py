@@ -37,6 +37,20 @@ MUTATIONS = [
         "options/test_memory_streams.py::test_every_room_remembers_its_own_decisions",
     ),
     Mutation(
+        "a batch takes a grip that slipped for one that was done",
+        "options/batched/stepping.py",
+        "(primitive == act) & has_acted(layout, fields.aims, goal, state, after))",
+        "primitive == act)",
+        "options/batched/test_grips.py::test_a_slip_while_gripping_is_gripped_again",
+    ),
+    Mutation(
+        "a batch grips wherever there is anything to grip",
+        "options/batched/aims.py",
+        "can[number] |= fits",
+        "can[number] = True",
+        "options/batched/test_grips.py::test_acts_are_possible_and_done_where_the_planner_says_so",
+    ),
+    Mutation(
         "a batch follows a plan on after a slip",
         "options/batched/env.py",
         "kept = 1 if self._room.layout.dynamics.is_random else PLAN_LENGTH",

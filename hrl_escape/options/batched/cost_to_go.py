@@ -32,6 +32,7 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.cost_to_go import count_classes, lay_grid, make_collision
 from hrl_escape.floor.dijkstra import choose_points
 from hrl_escape.floor.sweeps import make_sweep_scene
+from hrl_escape.options.batched.aims import Aims, check_goals, make_aims
 from hrl_escape.options.batched.value_iteration import AT_GOAL, UNREACHABLE, encode_values, iterate_values, trace_moves
 from hrl_escape.planning.arm.reacher import Reacher
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
@@ -136,6 +137,7 @@ class CostFields(NamedTuple):
     offsets: Tensor  # heading offsets that the fields are for, rad, float64 (1, instances)
     classes: Tensor  # heading classes, int64 ()
     postures: Postures  # those that press by hand
+    aims: Aims  # what options go for and do there
 
 
 _CACHE: OrderedDict[str, InstanceFields] = OrderedDict()
@@ -219,20 +221,19 @@ class FieldGrid:
         return heading, near[which]
 
 
-def check_presses(instance: RoomInstance) -> None:
-    """Refuse a room that needs more than presses and the exit, by a disc. Raises `UnsupportedError`."""
+def check_room(instance: RoomInstance) -> None:
+    """Refuse a room that a batch has no fields or goals for. Raises `UnsupportedError`."""
     if not instance.robot.base.turns_anywhere:
         raise UnsupportedError("batched options drive discs: use OptionsEnv over rooms with a base that is a "
                                f"{instance.robot.footprint}")
     if instance.inner_doors and not isinstance(instance.puzzle, Doored):
         raise UnsupportedError("batched options know no cells that shut again: use OptionsEnv over one room")
-    if any(operator.action != "press" for operator in instance.symbolic_model.operators):
-        raise UnsupportedError("batched options press and leave, they do not grip: use OptionsEnv over one room")
+    check_goals(instance)
 
 
 def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """Compute an instance's fields, some tenths of a second, or recall them by its id. Raises `UnsupportedError`."""
-    check_presses(instance)
+    check_room(instance)
     with _LOCK:
         found = _CACHE.get(instance.id)
         if found is None:
@@ -299,6 +300,7 @@ def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> Cos
         classes=torch.tensor(each[0].values.shape[2], device=device),
         postures=_stack_postures([fields.postures for fields in each], len(instances[0].frame.target_names),
                                  instances[0].robot.joints, device),
+        aims=make_aims(instances, device),
     )
 
 

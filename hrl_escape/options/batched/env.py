@@ -38,7 +38,8 @@ from hrl_escape.errors import (
     UnsupportedError,
     show_value,
 )
-from hrl_escape.options.batched.cost_to_go import CostFields, check_presses, stack_fields
+from hrl_escape.options.batched.aims import check_goals, read_targets
+from hrl_escape.options.batched.cost_to_go import CostFields, check_room, stack_fields
 from hrl_escape.options.batched.hand_policy import weigh_postures
 from hrl_escape.options.batched.stepping import (
     ENDINGS,
@@ -60,9 +61,10 @@ from hrl_escape.options.batched.stepping import (
 )
 from hrl_escape.options.batched.successors import presses_by_hand
 from hrl_escape.options.degraded import OptionDegradation
+from hrl_escape.options.meta_actions import name_object
 from hrl_escape.options.option import FLAVOURS
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.goals import ExitGoal, PressGoal
+from hrl_escape.planning.goals import Goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.spaces import PointingDiscrete, make_vector_space
 
@@ -73,9 +75,10 @@ class HostPlanner:
     def __init__(self, room: TensorRoom) -> None:
         self._room = room
         self._planners: dict[int, RoomPlanner] = {}
+        self._goals = [check_goals(instance) for instance in room.instances]  # of the options, by number
 
-    def order(self, running: OpenDecisions, where: Tensor, targets: Tensor) -> OpenDecisions:
-        """List the ancestors of the presses of `targets`, int64 (rooms,), and these presses, in the order of options.
+    def order(self, running: OpenDecisions, where: Tensor, options: Tensor) -> OpenDecisions:
+        """List the ancestors of options, int64 (rooms,), and these options, in the order to carry them out.
 
         `where` are the rooms that need an order, bool (rooms,); their next goal is still `NOT_ASKED` where the
         preconditions cannot be met.
@@ -83,7 +86,7 @@ class HostPlanner:
         at = where.nonzero().squeeze(1)
         if not len(at):
             return running
-        found = [self._find_order(*room) for room in self._read(at, targets)]
+        found = [self._find_order(*room) for room in self._read(at, options)]
         found = [goals if len(goals) <= ORDER_LENGTH else [*goals[:ORDER_LENGTH], NOT_ASKED] for goals in found]
         device = where.device
         order, goal, left = running.order.clone(), running.goal.clone(), running.order_left.clone()
@@ -109,26 +112,28 @@ class HostPlanner:
         plan[:, at], left[at], has_failed[at] = _align(plans, PLAN_LENGTH, 0).to(plan), lengths, lengths == 0
         return running._replace(plan=plan, plan_left=left), has_failed
 
-    def _read(self, at: Tensor, goal: Tensor) -> Iterator[tuple[RoomPlanner, RoomState, int]]:
-        """Planner, state and goal of the rooms numbered `at`, int64 (some,); `goal` is that of all, int64 (rooms,)."""
+    def _read(self, at: Tensor, goal: Tensor) -> Iterator[tuple[RoomPlanner, RoomState, Sequence[Goal], int]]:
+        """Planner, state, goals and the number of the goal of the rooms numbered `at`, int64 (some,).
+
+        `goal` are the numbers of all rooms, int64 (rooms,).
+        """
         states = self._room.get_room_states(at.tolist())
         for number, state, aim in zip(self._room.state.instance[at].tolist(), states, goal[at].tolist(), strict=True):
             if number not in self._planners:
                 self._planners[number] = get_planner(self._room.instances[number])
-            yield self._planners[number], state, aim
+            yield self._planners[number], state, self._goals[number], aim
 
     @staticmethod
-    def _find_order(planner: RoomPlanner, state: RoomState, target: int) -> list[int]:
+    def _find_order(planner: RoomPlanner, state: RoomState, goals: Sequence[Goal], number: int) -> list[int]:
         try:
-            goals = planner.orders.find_ancestors(state, PressGoal(target))
+            return [goals.index(goal) for goal in planner.orders.find_ancestors(state, goals[number])]
         except PlanningFailed:
             return []
-        return [goal.target for goal in goals if isinstance(goal, PressGoal)]
 
-    def _find_plan(self, planner: RoomPlanner, state: RoomState, goal: int) -> tuple[int, ...]:
-        planned = PressGoal(goal) if goal < self._room.layout.targets else ExitGoal()
+    @staticmethod
+    def _find_plan(planner: RoomPlanner, state: RoomState, goals: Sequence[Goal], number: int) -> tuple[int, ...]:
         try:
-            return planner.routes.find_route(state, planned).primitives
+            return planner.routes.find_route(state, goals[number]).primitives
         except PlanningFailed:
             return ()
 
@@ -142,7 +147,7 @@ class PostureChooser:
     """Chooses postures for the rooms of a batch, by a compiled kernel or not."""
 
     def __init__(self, room: TensorRoom, fields: CostFields, is_compiled: bool) -> None:
-        self._room = room
+        self._room, self._aims = room, fields.aims
         self._part = max(room.count // _PARTS, 1) if is_compiled else 0
         self._weigh: Callable[[TensorState, Tensor, Tensor], Tensor]
         if is_compiled:
@@ -154,11 +159,13 @@ class PostureChooser:
 
     def choose(self, running: OpenDecisions, where: Tensor) -> OpenDecisions:
         """Choose postures in the rooms of `where`, bool (rooms,), whose press begins or has made no progress."""
-        is_press = running.goal < self._room.layout.targets
+        layout, targets = self._room.layout, self._room.layout.targets
+        goal = read_targets(layout, self._aims, self._room.state.instance, running.goal.clamp(min=0))
+        is_press = (running.goal >= 0) & (goal < targets)
         rooms = (where & is_press & ((running.age == 0) | (running.stalled > 0))).nonzero().squeeze(1)
         if len(rooms) == 0:
             return running
-        goal = running.goal.clamp(0, self._room.layout.targets - 1)
+        goal = goal.clamp(max=targets - 1)
         # a compiled kernel takes a fixed number of rooms
         part = self._part or len(rooms)
         padded = torch.cat([rooms, rooms.new_zeros(-len(rooms) % part)])
@@ -190,7 +197,8 @@ class BatchedOptionsEnv:
     """Many rooms whose robots choose among options and primitives, each at its own pace.
 
     Actions are those of `OptionsEnv` on the same instance, with the same numbers, names and masks: primitives
-    (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`. `OptionsEnv` follows plans; options
+    (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`, where robots press, grip and release;
+    pushes, and maps whose doors shut again, are left to it. `OptionsEnv` follows plans; options
     here are greedy on cost-to-go fields, computed once per instance, and ask the planner only where these lead
     nowhere. They reach the same goals in about as many primitives. A press by hand weighs base against joints: it
     goes where the hand touches the target in one of 64 postures, by the least sum of what base and arm have left.
@@ -265,20 +273,21 @@ class BatchedOptionsEnv:
             self.room.layout = dataclasses.replace(self.room.layout, draws=True)
         layout = self.room.layout
         for room in self.room.instances:
-            check_presses(room)
+            check_room(room)
         self._fields = stack_fields(self.room.instances, self.device)
         self._host_planner = HostPlanner(self.room)
         names = layout.actions.names if include_primitives else ()
-        self.action_names = (*names, *name_options(layout.targets))
+        goals = check_goals(self.room.instances[0])
+        self.action_names = (*names, *name_options(len(goals)))
         self.actions = len(self.action_names)
-        targets = self.room.instances[0].frame.target_names
-        self.action_space = PointingDiscrete(self.actions, (*(None for _ in names), *targets, "exit"))
+        about = (name_object(goal, self.room.instances[0]) for goal in goals)
+        self.action_space = PointingDiscrete(self.actions, (*(None for _ in names), *about))
         self.observation_space = make_vector_space(self.room.low, self.room.high, self.room.rows, self.room.words)
         fail_after = math.ceil(FAIL_AFTER / (1.0 - layout.dynamics.slip)) if layout.dynamics.slip < 1.0 else FAIL_AFTER
         self._arguments = {"options": options, "include_primitives": include_primitives, "discount": self.gamma,
                            "flavour": flavour, "interruptible": interruptible, "max_duration": max_duration,
                            "autoreset": autoreset}
-        self._settings = StepSettings(load_observation(observation), len(names), self.gamma, fail_after,
+        self._settings = StepSettings(load_observation(observation), len(names), len(goals), self.gamma, fail_after,
                                       max_duration or 2**31 - 1, autoreset, interruptible,
                                       degradation.flavour == "press-with-ancestors", degradation)
         self._view: AgentView | None = None
@@ -341,7 +350,8 @@ class BatchedOptionsEnv:
             seeds = seeds + torch.arange(self.count, device=self.device)
         self.room.reset(seeds, where)
         with torch.no_grad():
-            self._view = make_view(self.room.layout, self.room.tables, self.room.state, self._settings)
+            self._view = make_view(self.room.layout, self.room.tables, self._fields.aims, self.room.state,
+                                   self._settings)
             fresh = make_decisions(self._view.observation)
             if where is not None and self._running is not None:
                 fresh = self._running._replace(action=torch.where(where, -1, self._running.action),
@@ -415,7 +425,7 @@ class BatchedOptionsEnv:
         where = where & (running.run >= settings.degradation.detour)
         option = (running.action - settings.primitives).clamp(min=0)
         if settings.has_ancestors:
-            can = find_startable(layout, self.room.tables, self.room.state, settings)
+            can = find_startable(layout, self.room.tables, self._fields.aims, self.room.state, settings)
             where = where & ((running.run > 0) | torch.gather(can, 1, option.unsqueeze(1)).squeeze(1))
         if settings.has_ancestors:
             running = self._host_planner.order(running, where & (running.goal == NOT_ASKED), option)

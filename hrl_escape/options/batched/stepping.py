@@ -22,6 +22,7 @@ from hrl_escape.env.batched.tables import Layout, Tables, pick
 from hrl_escape.env.noise import MASK, philox
 from hrl_escape.env.observations.base import BatchObservation
 from hrl_escape.env.tensor_geometry import wrap
+from hrl_escape.options.batched.aims import Aims, find_possible, has_acted, read_acts, read_targets
 from hrl_escape.options.batched.cost_to_go import (
     OTHER_PRESS_COST,
     CostFields,
@@ -95,7 +96,7 @@ class OpenDecisions(NamedTuple):
     pressed: Tensor  # bits of the targets pressed so far, int64
     option: Tensor  # action of the option that runs, or was interrupted and may be continued, int64; -1 for none
     run: Tensor  # primitives of its run so far, interruptions included, int32
-    goal: Tensor  # target of the option, the number of targets for the exit, or `NOT_ASKED`, int64
+    goal: Tensor  # number of the option that it carries out now, itself or a part, or `NOT_ASKED`, int64
     age: Tensor  # primitives since it took up this goal, int32
     postures: Tensor  # candidate postures for a press by hand, int64 (`CHOSEN`, rooms)
     order: Tensor  # goals to follow, or `NOT_ASKED` to ask again, aligned to the end, int8 (`ORDER_LENGTH`, rooms)
@@ -114,6 +115,7 @@ class StepSettings(NamedTuple):
 
     observation: BatchObservation  # what agents see
     primitives: int  # primitives that are actions
+    options: int  # options that are actions, the exit's last
     gamma: float  # discount per primitive
     fail_after: int  # primitives without progress after which an option fails
     max_duration: int  # primitives after which it is ended
@@ -130,19 +132,19 @@ class AgentView(NamedTuple):
     mask: Tensor
 
 
-def find_startable(layout: Layout, tables: Tables, state: TensorState, settings: StepSettings) -> Tensor:
-    """Find the options that may start, bool (rooms, targets + 1)."""
-    can = can_start(layout, tables, state, settings.has_ancestors)
+def find_startable(layout: Layout, tables: Tables, aims: Aims, state: TensorState, settings: StepSettings) -> Tensor:
+    """Find the options that may start, bool (rooms, options)."""
+    can = can_start(layout, tables, aims, state, settings.has_ancestors)
     if not settings.degradation.missing:
         return can
-    names = name_options(layout.targets)
+    names = name_options(settings.options)
     return can & torch.tensor([not settings.degradation.lacks(name) for name in names], device=can.device)
 
 
-def make_view(layout: Layout, tables: Tables, state: TensorState, settings: StepSettings,
+def make_view(layout: Layout, tables: Tables, aims: Aims, state: TensorState, settings: StepSettings,
               option: Tensor | None = None) -> AgentView:
     """Observe every room and list its legal actions; an interrupted `option`, int64 (rooms,), may be continued."""
-    options = find_startable(layout, tables, state, settings)
+    options = find_startable(layout, tables, aims, state, settings)
     mask = torch.cat([torch.ones_like(options[:, :1]).expand(-1, settings.primitives), options], dim=1)
     if option is not None and settings.interruptible:
         mask = mask | (torch.arange(mask.shape[1], device=mask.device) == option.unsqueeze(1))
@@ -167,16 +169,23 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     goal = running.goal.clamp(min=0)
     is_wasting = is_option & (running.run < settings.degradation.detour)
     is_new = running.run == 0
-    fails = is_new & ~torch.gather(find_startable(layout, tables, state, settings), 1, option.unsqueeze(1)).squeeze(1)
+    can = find_startable(layout, tables, fields.aims, state, settings)
+    fails = is_new & ~torch.gather(can, 1, option.unsqueeze(1)).squeeze(1)
     if settings.degradation.failure:
-        drawn = _draw_uniform(settings.degradation, name_options(layout.targets), option, FAILURE, state)
+        drawn = _draw_uniform(settings.degradation, name_options(settings.options), option, FAILURE, state)
         fails = fails | (is_new & (drawn < settings.degradation.failure))
 
     planned = _read_aligned(running.plan, running.plan_left)
-    choice = choose_primitive(layout, tables, fields, state, goal, running.postures, running.cells, running.costs)
+    target = read_targets(layout, fields.aims, state.instance, goal)
+    choice = choose_primitive(layout, tables, fields, state, target, running.postures, running.cells, running.costs)
     is_lost = (running.age == 0) & (choice.cost >= UNREACHABLE)
     has_failed = is_option & (fails | (~is_wasting & (is_lost | (running.goal == NOT_ASKED))))
-    primitive = torch.where(is_option, torch.where(running.plan_left > 0, planned, choice.primitive), running.action)
+    primitive = torch.where(running.plan_left > 0, planned, choice.primitive)
+    own = target.clamp(max=max(layout.targets - 1, 0))
+    if len(fields.aims.acts):
+        act = read_acts(layout, fields.aims, state.instance, goal)
+        primitive = torch.where((act >= 0) & ((state.touching >> own) & 1 != 0), act, primitive)
+    primitive = torch.where(is_option, primitive, running.action)
     if settings.degradation.detour:
         to, fro = layout.actions.turns[:2]
         primitive = torch.where(is_wasting, torch.where(running.run % 2 == 0, to, fro), primitive)
@@ -190,15 +199,17 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
         discount=running.discount * settings.gamma, duration=running.duration + 1, pressed=running.pressed | pressed,
         run=running.run + 1,
     )
-    is_press = goal < layout.targets
-    has_pressed = (pressed >> goal.clamp(max=max(layout.targets - 1, 0))) & 1 != 0
-    is_there = torch.where(is_press, has_pressed, is_in_exit(layout, tables, after.instance, after.x, after.y))
+    is_there = torch.where(target < layout.targets, (pressed >> own) & 1 != 0,
+                           is_in_exit(layout, tables, after.instance, after.x, after.y))
+    if len(fields.aims.acts):
+        is_there = torch.where(act < 0, is_there,
+                               (primitive == act) & has_acted(layout, fields.aims, goal, state, after))
     is_there = is_there & ~is_wasting
     is_done = is_there & (running.order_left == 0)
     if settings.degradation.early_stop:
         # an option asks after each primitive of its own; one of several parts, after each part
-        drawn = _draw_uniform(settings.degradation, name_options(layout.targets), option, STOP, after)
-        has_parts = settings.has_ancestors & (option < layout.targets)
+        drawn = _draw_uniform(settings.degradation, name_options(settings.options), option, STOP, after)
+        has_parts = settings.has_ancestors & (option < settings.options - 1)
         is_done = is_done | ((drawn < settings.degradation.early_stop) & (is_wasting | is_there | ~has_parts))
 
     has_ended = (terminated | truncated) & ~is_over
@@ -214,7 +225,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     if settings.has_ancestors:
         running = _take_next_goal(running, is_there & ~is_left & ~is_over)
 
-    final = make_view(layout, tables, after, settings, running.option)
+    final = make_view(layout, tables, fields.aims, after, settings, running.option)
     decisions = Transitions(
         where, running.observation, running.action, running.reward, running.discounted_reward, running.duration,
         running.discount, final.observation, final.mask, terminated & ~is_over, truncated & ~is_over,
@@ -222,7 +233,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     )
     if settings.autoreset and not (looks and not has_ended.any()):
         after = restart(layout, tables, after, has_ended)
-        final = make_view(layout, tables, after, settings, running.option)
+        final = make_view(layout, tables, fields.aims, after, settings, running.option)
     return after, running._replace(action=torch.where(where, -1, running.action)), final, decisions
 
 
@@ -261,7 +272,7 @@ def begin_decisions(layout: Layout, settings: StepSettings, running: OpenDecisio
     option = torch.where(action >= settings.primitives, action, -1)
     goal = action - settings.primitives
     if settings.has_ancestors:
-        goal = torch.where(goal < layout.targets, NOT_ASKED, goal)
+        goal = torch.where(goal < settings.options - 1, NOT_ASKED, goal)
     fresh = make_decisions(observation)._replace(action=action, option=option, goal=goal)
     is_new_run = where & ((option < 0) | (option != running.option))
     return OpenDecisions(*(
@@ -285,9 +296,9 @@ def make_decisions(observation: Tensor) -> OpenDecisions:
     )
 
 
-def name_options(targets: int) -> tuple[str, ...]:
-    """Names of the batched options of rooms with a number of targets, in the order of their actions."""
-    return (*(f"meta-{n + 1:02d}" for n in range(targets)), "meta-exit")
+def name_options(count: int) -> tuple[str, ...]:
+    """Names of a number of batched options, in the order of their actions."""
+    return (*(f"meta-{n + 1:02d}" for n in range(count - 1)), "meta-exit")
 
 
 def _draw_uniform(degradation: OptionDegradation, names: Sequence[str], option: Tensor, purpose: int,
@@ -319,11 +330,11 @@ class Choice(NamedTuple):
     cell: Tensor  # cell and heading class of the room, int64
 
 
-def can_start(layout: Layout, tables: Tables, state: TensorState, has_ancestors: bool) -> Tensor:
-    """Options that may start, bool (rooms, targets + 1): presses of the targets that the room has, and the exit.
+def can_start(layout: Layout, tables: Tables, aims: Aims, state: TensorState, has_ancestors: bool) -> Tensor:
+    """Options that may start, bool (rooms, options): those at targets that the room has, and the exit.
 
     The exit may not where the robot is in it already or a shut door blocks it; neither may what is behind shut inner
-    doors, but for a press that presses its ancestors first.
+    doors, but for a press that presses its ancestors first, nor a grip or release that the puzzle's state forbids.
     """
     inside = is_in_exit(layout, tables, state.instance, state.x, state.y)
     has_door = pick(layout, tables.doors, state.instance).x[0] < 1e5
@@ -335,7 +346,11 @@ def can_start(layout: Layout, tables: Tables, state: TensorState, has_ancestors:
         bits = (shut.to(torch.int64) << torch.arange(len(shut), device=shut.device).unsqueeze(1)).sum(0)
         is_open = (pick(layout, tables.ways, state.instance) & bits == 0).T
         can, exit_ = can & (is_open[:, :-1] | has_ancestors), exit_ & is_open[:, -1]
-    return torch.cat([can, exit_.unsqueeze(1)], dim=1)
+    can = torch.cat([can, exit_.unsqueeze(1)], dim=1)
+    if not len(aims.acts):
+        return can
+    targets = read_targets(layout, aims, state.instance.unsqueeze(1), torch.arange(len(aims.acts), device=can.device))
+    return torch.gather(can, 1, targets) & find_possible(layout, aims, state)
 
 
 def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,

@@ -92,13 +92,17 @@ def _list_events(targets: int) -> Iterator[tuple[int, tuple[int, ...]]]:
 
 
 @lru_cache(maxsize=1024)
-def tabulate(puzzle: Puzzle) -> PuzzleTable:
+def tabulate(puzzle: Puzzle, pairs: bool = True, most: int = MOST_TABULATED) -> PuzzleTable:
     """Make the table of a puzzle.
+
+    Args:
+        puzzle: the puzzle.
+        pairs: check that several targets touched at once do what the table says; without, it is one of single targets.
+        most: most states.
 
     Raises:
         UnsupportedError: it has none: it watches every primitive, its rules read more than what is pressed, gripped
-            and drawn, several targets at once are not one after the other, or there are more than `MOST_TABULATED`
-            states.
+            and drawn, several targets at once are not one after the other, or there are more than `most` states.
     """
     try:
         if puzzle.is_watching:
@@ -107,14 +111,14 @@ def tabulate(puzzle: Puzzle) -> PuzzleTable:
             raise _UnseenError("moves push things")
         if puzzle.is_random and not puzzle.chances:
             raise _UnseenError("they read contacts.uniform and list no chances")
-        return _tabulate(puzzle)
+        return _tabulate(puzzle, pairs, most)
     except _UnseenError as why:
         raise UnsupportedError(
             f"puzzle {puzzle.kind!r} has no tensor form, and none can be made of its rules, for {why}: use the Bullet "
             "engine (gymnasium.make, or make_vec with vectorization_mode='sync'), or register_tensor_puzzle") from None
 
 
-def _tabulate(puzzle: Puzzle) -> PuzzleTable:
+def _tabulate(puzzle: Puzzle, pairs: bool, most: int) -> PuzzleTable:
     targets, chances = len(puzzle.target_names), (0.0, *puzzle.chances)
     numbers: dict[Hashable, int] = {}
     for state in puzzle.list_starts():
@@ -127,8 +131,8 @@ def _tabulate(puzzle: Puzzle) -> PuzzleTable:
         for _, _, contacts in trials:
             state = puzzle.update(before, contacts)
             if state not in numbers:
-                if len(numbers) == MOST_TABULATED:
-                    raise _UnseenError(f"they have more than {MOST_TABULATED:,} states")
+                if len(numbers) == most:
+                    raise _UnseenError(f"they have more than {most:,} states")
                 numbers[state] = len(numbers)
                 states.append(state)
             after.append(numbers[state])
@@ -147,7 +151,8 @@ def _tabulate(puzzle: Puzzle) -> PuzzleTable:
         np.array([get_trait(puzzle, Barring).get_shut(state) for state in states], dtype=np.uint64).view(np.int64),
         np.array([puzzle.is_solved(state) for state in states]),
         np.array([puzzle.is_failed(state) for state in states]))
-    _check_pairs(puzzle, table, chances)
+    if pairs:
+        _check_pairs(puzzle, table, chances)
     return table
 
 

@@ -337,16 +337,27 @@ class _BlocksWorldTensorPuzzle(TensorPuzzle):
     """Tensor form of `BlocksWorldPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[BlocksWorldPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """`wanted`: what each block must stand on, -1 for anything, and `clear` (blocks, instances); `free_hand`."""
-        wanted = [[dict(puzzle.goal).get(block, -1) for puzzle in puzzles] for block in range(len(frame.target_names))]
-        clear = [[block in puzzle.clear for puzzle in puzzles] for block in range(len(frame.target_names))]
+        """`wanted`: what each block must stand on, -1 for anything, and `clear` (blocks, instances); `free_hand`.
+
+        `counts` are the numbers of blocks. Where they differ, `order` (numbers, instances) says where the observation
+        numbers of each instance are among those of one with most blocks, of which there is one more that is 0.
+        """
+        most, counts = len(frame.target_names), [len(puzzle.names) for puzzle in puzzles]
+        wanted = [[dict(puzzle.goal).get(block, -1) for puzzle in puzzles] for block in range(most)]
+        clear = [[block in puzzle.clear for puzzle in puzzles] for block in range(most)]
+        parts = np.arange(2 * most * (most + 1)).reshape(2, most, most + 1)
+        order = np.full((parts.size, len(puzzles)), parts.size)
+        for column, count in enumerate(counts):
+            own = parts[:, :count, [*range(count), most]].ravel()
+            order[: len(own), column] = own
         return {"wanted": np.array(wanted, dtype=np.int64), "clear": np.array(clear, dtype=bool),
-                "free_hand": np.array([puzzle.free_hand for puzzle in puzzles], dtype=bool)}
+                "free_hand": np.array([puzzle.free_hand for puzzle in puzzles], dtype=bool),
+                "counts": np.array(counts, dtype=np.int64), "order": order if min(counts) < most else order[:0]}
 
     def _list_towers(self, tables: PuzzleTables, state: Tensor) -> tuple[Tensor, Tensor]:
-        """List the blocks under each, int64 (blocks, rooms), and the blocks' own numbers (blocks, 1)."""
+        """Blocks under each, int64 (blocks, rooms), -1 for an absent one, and the blocks' own numbers (blocks, 1)."""
         blocks = torch.arange(tables["wanted"].shape[0], device=state.device).unsqueeze(1)
-        return state >> 4 * blocks & 15, blocks
+        return torch.where(blocks < tables["counts"], state >> 4 * blocks & 15, -1), blocks
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
         towers, blocks = self._list_towers(tables, state)
@@ -386,7 +397,10 @@ class _BlocksWorldTensorPuzzle(TensorPuzzle):
         for block in range(targets):
             wanted = (tables["wanted"][block] == blocks).expand(-1, state.shape[0])
             seen += [wanted, tables["clear"][block].expand(1, state.shape[0])]
-        return torch.cat(seen).to(torch.float32)
+        if not len(tables["order"]):
+            return torch.cat(seen).to(torch.float32)
+        every = torch.cat([*seen, torch.zeros_like(seen[0][:1])]).to(torch.float32)
+        return every.gather(0, tables["order"].expand(-1, state.shape[0]))
 
 
 class _PuddleWorldTensorPuzzle(TensorPuzzle):

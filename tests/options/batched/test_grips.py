@@ -1,0 +1,150 @@
+"""Batched options that grip and release, room by room beside `OptionsEnv`, and state by state beside the planner."""
+
+import dataclasses
+import itertools
+
+import pytest
+import torch
+
+from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle, tabulate
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.options.batched.aims import NEVER, check_goals, make_aims
+from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
+from hrl_escape.options.degraded import OptionDegradation
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.goals import ExitGoal, GripGoal, is_reached, make_goal
+from hrl_escape.planning.planner import get_planner
+from tests.options.batched.test_batched_kinds import replay
+
+ROOMS = {
+    "taxi": lambda: [generate(get_preset("taxi"), 0)],
+    "foraging": lambda: [generate(get_preset("foraging"), 0)],
+    "towers": lambda: [generate(get_preset("blocks-world"), seed) for seed in range(2)],
+    "towers by hand": lambda: [generate(get_preset("blocks-world", hand=True), 0)],
+    "two and three blocks": lambda: [load_benchmark("ladder-1")["freight"].train[place] for place in range(4)],
+}
+
+
+def is_grip(goal):
+    return isinstance(goal, GripGoal)
+
+
+@pytest.mark.parametrize("name", ROOMS)
+@pytest.mark.parametrize("arguments", [
+    {}, {"flavour": "press-with-ancestors"}, {"options": OptionDegradation(detour=3, missing=0.3, seed=1)},
+], ids=["whole", "with ancestors", "worse"])
+def test_each_room_does_what_options_env_does(name, arguments):
+    rooms, arguments = ROOMS[name](), {**arguments, "include_primitives": False, "discount": 0.9}
+    env = BatchedOptionsEnv(4 * len(rooms), instance=rooms, **arguments)
+    made = replay(env, 10)
+    singles = [OptionsEnv(EscapeRoomEnv(instance=room), **arguments) for room in env.room.instances]
+    acted, planned, taken = 0, 0, 0
+    for number, state, mask, done in made:
+        single = singles[number % len(rooms)]
+        assert (single.action_names, single.action_space.about) == (env.action_names, env.action_space.about)
+        single.reset(seed=number)
+        single.unwrapped.set_state(state)
+        single.resume()
+        assert single.action_masks().tolist() == mask
+        _, reward, terminated, truncated, info = single.step(int(done.action))
+        assert (ENDINGS[done.ended], bool(done.terminated), bool(done.truncated)) == (
+            info["option"]["ended"], terminated, truncated)
+        k, extra = int(done.duration), int(done.duration) - info["duration"]
+        assert float(done.reward) == pytest.approx(reward - extra, abs=1e-4)
+        assert float(done.discount) == pytest.approx(0.9**k, rel=1e-5)
+        planned, taken = planned + info["duration"], taken + k
+        is_act = is_grip(check_goals(single.unwrapped.instance)[int(done.action)])
+        acted += is_act and info["option"]["ended"] == "reached"
+    assert acted > 5, "things were gripped and released"
+    assert abs(taken - planned) <= (0.08 if "hand" in name else 0.05 if "flavour" in arguments else 0.01) * planned
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_acts_are_possible_and_done_where_the_planner_says_so(name):
+    """Every state of every puzzle beside `can_start` and `is_reached` in a real room."""
+    rooms = ROOMS[name]()
+    aims, counted = make_aims(rooms, torch.device("cpu")), 0
+    for column, room in enumerate(rooms):
+        planner, puzzle, form = get_planner(room), room.puzzle, get_tensor_puzzle(room.puzzle.kind)
+        env = EscapeRoomEnv(instance=room)
+        env.reset(seed=0)
+        kind, words = int(aims.kinds[column]), aims.words.tolist()
+        for state, (number, goal) in itertools.product(tabulate(puzzle, pairs=False).states,
+                                                       enumerate(check_goals(room))):
+            place, here = words.index(form.encode(puzzle, state)), env.get_state()._replace(puzzle=state)
+            if not is_grip(goal) or goal.target >= len(room.targets):
+                assert bool(aims.can[number, kind, place]) == (not is_grip(goal))
+                continue
+            assert bool(aims.can[number, kind, place]) == planner.routes.can_start(here, goal)
+            for outcome, chance in enumerate((0.0, *puzzle.chances)):
+                sign = 1 if goal.action == "grip" else -1
+                contacts = Contacts((), uniform=chance, touching=(goal.target,), grip=sign)
+                then, word = puzzle.update(here.puzzle, contacts), int(aims.after[outcome, number, kind, place])
+                assert (word != NEVER) == is_reached(goal, here, here._replace(puzzle=then), planner.rules)
+                assert word == NEVER or form.decode(puzzle, word) == then
+                counted += word != NEVER
+        env.close()
+    assert counted >= 12
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ROOMS)
+def test_the_planners_order_of_grips_and_releases_escapes(name, compiled):
+    """Each room is told the options of its plan, one after the other."""
+    rooms = ROOMS[name]()
+    env = BatchedOptionsEnv(3 * len(rooms), instance=rooms, include_primitives=False, compile=compiled)
+    env.reset(torch.arange(env.count) + 5)
+    goals, has_escaped = [check_goals(room) for room in env.room.instances], torch.zeros(env.count, dtype=torch.bool)
+    choice = torch.full((env.count,), -1)
+    for _ in range(400):
+        for room in (env.is_waiting & ~has_escaped).nonzero().squeeze(1).tolist():
+            number = int(env.room.state.instance[room])
+            planner, state = get_planner(env.room.instances[number]), env.room.get_room_state(room)
+            goal = ExitGoal() if planner.rules.instance.puzzle.is_solved(state.puzzle) else make_goal(
+                planner.rules.instance.symbolic_model.find_fewest(
+                    planner.rules.instance.puzzle.symbolic.get_facts(state.puzzle))[0], planner.rules.instance)
+            choice[room] = goals[number].index(goal)
+        done = env.step(choice)
+        assert (done.ended[done.where & ~has_escaped] <= ENDINGS.index("episode-over")).all()
+        has_escaped |= done.where & done.success
+        choice[done.where] = -1
+        if has_escaped.all():
+            break
+    assert has_escaped.all()
+
+
+def test_a_slip_while_gripping_is_gripped_again():
+    config = get_preset("taxi")
+    room = generate(dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, slip=0.5)), 0)
+    env = BatchedOptionsEnv(32, instance=room, include_primitives=False)
+    env.reset(torch.arange(32))
+    generator, acts = torch.Generator().manual_seed(0), torch.tensor([is_grip(goal) for goal in check_goals(room)])
+    begun, made = env.room.state.puzzle.clone(), 0
+    for _ in range(300):
+        wanted = env.action_mask.float() * (1 + 9 * acts)
+        done = env.step(torch.multinomial(wanted, 1, generator=generator)[:, 0])
+        assert not (done.where & (done.ended == ENDINGS.index("planning-failed"))).any()
+        is_act = done.where & (done.ended == ENDINGS.index("reached")) & acts[done.action]
+        assert (env.room.state.puzzle != begun)[is_act & ~done.truncated].all(), "only then is it done"
+        made += int(is_act.sum())
+        begun = torch.where(done.where, env.room.state.puzzle, begun)
+    assert made > 100
+
+
+@pytest.mark.parametrize(("config", "message"), [
+    (get_preset("taxi", fickle=True), "watches no primitive, unlike this 'taxi'"),
+    (get_preset("blocks-world", count=12), "at most 20,000 states"),
+])
+def test_rooms_whose_acts_cannot_be_tried_are_refused(config, message):
+    with pytest.raises(UnsupportedError, match=f"{message}.*OptionsEnv"):
+        BatchedOptionsEnv(2, config)
+
+
+def test_a_batch_has_no_pushes():
+    with pytest.raises(UnsupportedError, match="push nothing.*OptionsEnv"):
+        check_goals(generate(get_preset("push-block"), 0))
