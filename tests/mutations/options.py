@@ -39,8 +39,8 @@ MUTATIONS = [
     Mutation(
         "a batch takes a grip that slipped for one that was done",
         "options/batched/stepping.py",
-        "(primitive == act) & has_acted(layout, fields.aims, goal, state, after))",
-        "primitive == act)",
+        "(primitive == act) & has_acted(layout, fields.aims, goal, state, after)",
+        "primitive == act",
         "options/batched/test_grips.py::test_a_slip_while_gripping_is_gripped_again",
     ),
     Mutation(

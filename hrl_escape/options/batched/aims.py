@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -25,12 +25,14 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.meta_actions import list_goals
-from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal
+from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal
 
 MOST_TRIED = 20_000
 """Most states of a puzzle in which acts are tried, some seconds."""
 NEVER = -(1 << 63)
 """Stands for the state after an act that does not reach its goal: no puzzle has this word."""
+_SIGNS = {"grip": 1, "release": -1}
+BatchGoal: TypeAlias = PressGoal | GripGoal | ExitGoal
 
 
 class Aims(NamedTuple):
@@ -44,19 +46,15 @@ class Aims(NamedTuple):
     after: Tensor  # states that reach the goal of an act, or `NEVER`, int64 (outcomes, options, kinds, states)
 
 
-def check_goals(instance: RoomInstance) -> tuple[Goal, ...]:
+def check_goals(instance: RoomInstance) -> tuple[BatchGoal, ...]:
     """Goals of a room's options, in the order of their numbers. Raises `UnsupportedError` where a batch has none."""
-    goals = (*list_goals(instance), ExitGoal())
-    for goal in goals:
-        if not isinstance(goal, (PressGoal, ExitGoal)) and getattr(goal, "action", "") not in ("grip", "release"):
+    goals = list[BatchGoal]()
+    for goal in (*list_goals(instance), ExitGoal()):
+        if not (isinstance(goal, (PressGoal, ExitGoal)) or (isinstance(goal, GripGoal) and goal.action in _SIGNS)):
             raise UnsupportedError("batched options press, grip, release and leave, and push nothing: use OptionsEnv "
                                    "over one room")
-    return goals
-
-
-def does_grip(goals: Sequence[Goal]) -> bool:
-    """Return whether any of some goals is to grip or release."""
-    return any(isinstance(goal, GripGoal) for goal in goals)
+        goals.append(goal)
+    return tuple(goals)
 
 
 def make_aims(instances: Sequence[RoomInstance], device: torch.device) -> Aims:
@@ -66,7 +64,7 @@ def make_aims(instances: Sequence[RoomInstance], device: torch.device) -> Aims:
         UnsupportedError: the instances differ in the number of options, or a puzzle's states cannot be tried.
     """
     every = [check_goals(instance) for instance in instances]
-    if not any(map(does_grip, every)):
+    if not any(isinstance(goal, GripGoal) for goals in every for goal in goals):
         none = torch.zeros((0, 0), dtype=torch.int64, device=device)
         return Aims(none, none, none.flatten(), none.flatten(), none.unsqueeze(0).bool(), none.view(0, 0, 0, 0))
     if len({len(goals) for goals in every}) > 1:
@@ -74,7 +72,7 @@ def make_aims(instances: Sequence[RoomInstance], device: torch.device) -> Aims:
     exit_ = len(instances[0].frame.target_names)
     targets = [[exit_ if isinstance(goal, ExitGoal) else goal.target for goal in goals] for goals in every]
     primitives = [[room.robot.actions.find(goal.action) if isinstance(goal, GripGoal) else -1 for goal in goals]
-            for room, goals in zip(instances, every, strict=True)]
+                  for room, goals in zip(instances, every, strict=True)]
     tried = [_try_acts(room.puzzle, goals) for room, goals in zip(instances, every, strict=True)]
     kinds = {acts: number for number, acts in enumerate(dict.fromkeys(tried))}
     words = np.unique(np.concatenate([acts.words for acts in kinds]))
@@ -91,13 +89,13 @@ def make_aims(instances: Sequence[RoomInstance], device: torch.device) -> Aims:
 class _Acts:
     """`words`, `can` and `after` of `Aims` for puzzles of one kind."""
 
-    words: NDArray[np.int64]  # int64 (states,)
+    words: NDArray[np.int64]  # ascending, int64 (states,)
     can: NDArray[np.bool_]  # bool (options, states)
     after: NDArray[np.int64]  # int64 (outcomes, options, states)
 
 
 @lru_cache(maxsize=1024)
-def _try_acts(puzzle: Puzzle, goals: tuple[Goal, ...]) -> _Acts:
+def _try_acts(puzzle: Puzzle, goals: tuple[BatchGoal, ...]) -> _Acts:
     """Try all acts in all states of a puzzle; puzzles that do the same give the same object."""
     try:
         table = tabulate(puzzle, pairs=False, most=MOST_TRIED)
@@ -115,11 +113,8 @@ def _try_acts(puzzle: Puzzle, goals: tuple[Goal, ...]) -> _Acts:
     can = np.ones((len(goals), len(words)), dtype=np.bool_)
     after = np.full((table.after.shape[2], len(goals), len(words)), NEVER, dtype=np.int64)
 
-    def all_hold(which: Any, rows: Any = slice(None)) -> NDArray[np.bool_]:
-        return facts[rows][:, [names[fact] for fact in which]].all(axis=1)
-
-    def any_holds(which: Any, rows: Any = slice(None)) -> NDArray[np.bool_]:
-        return facts[rows][:, [names[fact] for fact in which]].any(axis=1)
+    def count_held(which: Iterable[str], rows: Any = slice(None)) -> NDArray[np.int64]:
+        return facts[rows][:, [names[fact] for fact in which]].sum(axis=1)
 
     for number, goal in enumerate(goals):
         if not isinstance(goal, GripGoal):
@@ -127,18 +122,20 @@ def _try_acts(puzzle: Puzzle, goals: tuple[Goal, ...]) -> _Acts:
         can[number] = False
         if goal.target >= count:  # a target of other rooms
             continue
-        grip = GRIPS.index(1 if goal.action == "grip" else -1)
+        grip = GRIPS.index(_SIGNS[goal.action])
         event = table.after[count + grip * (count + 1) + 1 + goal.target]  # (states, outcomes)
         for op in model.operators:
             if (op.action, op.target) != (goal.action, puzzle.target_names[goal.target]):
                 continue
-            fits = all_hold(op.preconditions) & ~any_holds(op.forbidden)
+            fits = (count_held(op.preconditions) == len(op.preconditions)) & (count_held(op.forbidden) == 0)
             can[number] |= fits
             for outcome, then in enumerate(event.T):
-                is_reached = all_hold(op.add, then)
+                is_reached = count_held(op.add, then) == len(op.add)
                 if puzzle.is_random and op.delete:
-                    is_reached |= ~any_holds(op.delete, then)
+                    is_reached |= count_held(op.delete, then) == 0
                 after[outcome, number] = np.where(fits & is_reached, words[then], after[outcome, number])
+    order = np.argsort(words)
+    words, can, after = words[order], can[:, order], after[..., order]
     acts = _Acts(words, can, after)
     return _ALIKE.setdefault((words.tobytes(), can.tobytes(), after.tobytes()), acts)
 

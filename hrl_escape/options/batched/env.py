@@ -38,7 +38,7 @@ from hrl_escape.errors import (
     UnsupportedError,
     show_value,
 )
-from hrl_escape.options.batched.aims import check_goals, read_targets
+from hrl_escape.options.batched.aims import BatchGoal, check_goals, read_targets
 from hrl_escape.options.batched.cost_to_go import CostFields, check_room, stack_fields
 from hrl_escape.options.batched.hand_policy import weigh_postures
 from hrl_escape.options.batched.stepping import (
@@ -64,7 +64,6 @@ from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.meta_actions import name_object
 from hrl_escape.options.option import FLAVOURS
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.goals import Goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.spaces import PointingDiscrete, make_vector_space
 
@@ -112,7 +111,7 @@ class HostPlanner:
         plan[:, at], left[at], has_failed[at] = _align(plans, PLAN_LENGTH, 0).to(plan), lengths, lengths == 0
         return running._replace(plan=plan, plan_left=left), has_failed
 
-    def _read(self, at: Tensor, goal: Tensor) -> Iterator[tuple[RoomPlanner, RoomState, Sequence[Goal], int]]:
+    def _read(self, at: Tensor, goal: Tensor) -> Iterator[tuple[RoomPlanner, RoomState, Sequence[BatchGoal], int]]:
         """Planner, state, goals and the number of the goal of the rooms numbered `at`, int64 (some,).
 
         `goal` are the numbers of all rooms, int64 (rooms,).
@@ -124,14 +123,14 @@ class HostPlanner:
             yield self._planners[number], state, self._goals[number], aim
 
     @staticmethod
-    def _find_order(planner: RoomPlanner, state: RoomState, goals: Sequence[Goal], number: int) -> list[int]:
+    def _find_order(planner: RoomPlanner, state: RoomState, goals: Sequence[BatchGoal], number: int) -> list[int]:
         try:
             return [goals.index(goal) for goal in planner.orders.find_ancestors(state, goals[number])]
         except PlanningFailed:
             return []
 
     @staticmethod
-    def _find_plan(planner: RoomPlanner, state: RoomState, goals: Sequence[Goal], number: int) -> tuple[int, ...]:
+    def _find_plan(planner: RoomPlanner, state: RoomState, goals: Sequence[BatchGoal], number: int) -> tuple[int, ...]:
         try:
             return planner.routes.find_route(state, goals[number]).primitives
         except PlanningFailed:

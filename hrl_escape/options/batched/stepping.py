@@ -182,8 +182,8 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     has_failed = is_option & (fails | (~is_wasting & (is_lost | (running.goal == NOT_ASKED))))
     primitive = torch.where(running.plan_left > 0, planned, choice.primitive)
     own = target.clamp(max=max(layout.targets - 1, 0))
-    if len(fields.aims.acts):
-        act = read_acts(layout, fields.aims, state.instance, goal)
+    act = read_acts(layout, fields.aims, state.instance, goal) if len(fields.aims.acts) else None
+    if act is not None:
         primitive = torch.where((act >= 0) & ((state.touching >> own) & 1 != 0), act, primitive)
     primitive = torch.where(is_option, primitive, running.action)
     if settings.degradation.detour:
@@ -201,9 +201,9 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     )
     is_there = torch.where(target < layout.targets, (pressed >> own) & 1 != 0,
                            is_in_exit(layout, tables, after.instance, after.x, after.y))
-    if len(fields.aims.acts):
-        is_there = torch.where(act < 0, is_there,
-                               (primitive == act) & has_acted(layout, fields.aims, goal, state, after))
+    if act is not None:
+        has_done = (primitive == act) & has_acted(layout, fields.aims, goal, state, after)
+        is_there = torch.where(act < 0, is_there, has_done)
     is_there = is_there & ~is_wasting
     is_done = is_there & (running.order_left == 0)
     if settings.degradation.early_stop:

@@ -90,6 +90,7 @@ def test_acts_are_possible_and_done_where_the_planner_says_so(name):
                 counted += word != NEVER
         env.close()
     assert counted >= 12
+    assert len(aims.can[0]) == len({len(room.targets) for room in rooms}), "towers of as many blocks share a table"
 
 
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
