@@ -29,7 +29,6 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, InstanceFileError, StateError, UnsupportedError
-from hrl_escape.options.batched.cost_to_go import compute_instance_fields
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.areas import compute_goal_area, get_presser
 from hrl_escape.planning.goals import ExitGoal, PoseGoal, PressGoal, is_reached, parse_goal
@@ -85,8 +84,6 @@ def test_what_a_rectangle_does_not_do_is_refused_in_one_message(monkeypatch):
         generate(change(get_preset("door-key"), footprint="rectangle", body_length=0.8, body_width=0.6), 0)
     with pytest.raises(ConfigError, match="body_length / 2 = 0.6"):
         dataclasses.replace(ROBOT, mount_forward=0.7)
-    with pytest.raises(UnsupportedError, match="base that is a rectangle"):
-        compute_instance_fields(generate(SMALL, 0))
     monkeypatch.setitem(planners._FACTORIES, "of-places", lambda collision: lambda problem: None)
     with pytest.raises(UnsupportedError, match="poses of a rectangular base are planned by"):
         Navigator(generate(SMALL, 0)).plan((0.0, 0.0), ExitGoal(), "of-places")

@@ -37,6 +37,20 @@ MUTATIONS = [
         "options/test_memory_streams.py::test_every_room_remembers_its_own_decisions",
     ),
     Mutation(
+        "fields of a rectangular base turn where there is no room",
+        "options/batched/value_iteration.py",
+        "if can_turn[turn, to, begin + cell]:",
+        "if can_turn.shape[0]:",
+        "options/batched/test_rectangles.py::test_a_corridor_in_which_it_cannot_turn_has_ways_at_one_heading_only",
+    ),
+    Mutation(
+        "fields of a rectangular base press with a disc round it",
+        "options/batched/cost_to_go.py",
+        "get_presser(goal, instance).kind >= 0 for goal in goals",
+        "False for goal in goals",
+        "options/batched/test_rectangles.py::test_every_cost_is_one_more_than_the_best_that_a_primitive_leads_to",
+    ),
+    Mutation(
         "a batch takes a grip that slipped for one that was done",
         "options/batched/stepping.py",
         "(primitive == act) & has_acted(layout, fields.aims, goal, state, after)",

@@ -58,7 +58,7 @@ class Base(ABC):
     size: tuple[float, ...]  # distances of its sides from its axis, m; each grows by the clearance
     turns_anywhere: ClassVar[bool] = False
     """True if it covers the same floor at every heading. Parts that ignore headings need such a base: puzzles with
-    inner doors or props, batched options, paths of places and their smoothing, repaired fields."""
+    inner doors or props, paths of places and their smoothing, repaired fields."""
     symmetry: ClassVar[int] = 1
     """Number of headings, evenly spread over a full turn, at which it covers the same; 0 if all do."""
     front_field: ClassVar[str]  # name of the setting that gives the distance to its front, for messages

@@ -77,6 +77,12 @@ def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> 
     return _complete_motion(layout, tables, state, moved, _find_grip(layout, action))
 
 
+def move_base(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> TensorState:
+    """States after base primitives (rooms,) without noise or slips; touching is that of the new pose. Pure."""
+    moved = _turn(layout, tables, _translate(layout, tables, state, action, None), action, None)
+    return moved._replace(touching=compute_touching(layout, tables, moved))
+
+
 def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor, uniform: Tensor
            ) -> Tensor:
     """Actions after slips, integers (rooms,); -1 where a slip does nothing."""

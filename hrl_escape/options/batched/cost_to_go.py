@@ -30,10 +30,18 @@ from hrl_escape.env.puzzles.traits import Doored
 from hrl_escape.env.tensor_geometry import wrap
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.cost_to_go import count_classes, lay_grid, make_collision
-from hrl_escape.floor.dijkstra import choose_points
-from hrl_escape.floor.sweeps import make_sweep_scene
+from hrl_escape.floor.dijkstra import choose_headings, choose_points
+from hrl_escape.floor.sweeps import SweepScene, make_presser, make_sweep_scene
 from hrl_escape.options.batched.aims import Aims, check_goals, make_aims
-from hrl_escape.options.batched.value_iteration import AT_GOAL, UNREACHABLE, encode_values, iterate_values, trace_moves
+from hrl_escape.options.batched.value_iteration import (
+    AT_GOAL,
+    UNREACHABLE,
+    Targets,
+    encode_values,
+    iterate_values,
+    trace_moves,
+)
+from hrl_escape.planning.areas import get_presser
 from hrl_escape.planning.arm.reacher import Reacher
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 
@@ -165,13 +173,37 @@ class FieldGrid:
         choose_points(scene, self.low, self.size, self.shape[1], 0, self.shape[0],
                       np.ones_like(self._standing), self._points, self._standing)
         self._angles = np.arange(headings) * rules.turn_step + offset
-        moves = rules.actions.compute_moves(np.cos(self._angles), np.sin(self._angles))
+        angles = np.arange(headings + 1) * rules.turn_step + offset
+        turns = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         self._turn_steps = rules.actions.turn_steps
+        self._fits, self._can_turn = self._choose_headings(scene, turns, rules.turn_step)
         pressed = () if by_hand else instance.targets
-        reaches = np.array([instance.compute_press_reach(target) for target in pressed], dtype=np.float64)
-        self._moves = trace_moves(scene, self._points, self._standing, self.shape[1], self.low, self.size, moves,
-                                  stack_footprints([target.footprint for target in pressed]), reaches,
-                                  np.array([exit_.x_min, exit_.x_max, exit_.y_min, exit_.y_max]))
+        goals = [PressGoal(number) for number in range(len(pressed))]
+        targets = Targets(stack_footprints([target.footprint for target in pressed]),
+                          np.array([instance.compute_press_reach(target) for target in pressed], dtype=np.float64),
+                          np.array([get_presser(goal, instance).kind >= 0 for goal in goals], dtype=np.bool_),
+                          make_presser(instance.robot.base))
+        moves = rules.actions.compute_moves(turns[:-1, 0], turns[:-1, 1])
+        self._moves = trace_moves(scene, self._points, self._fits, turns, self.shape[1], self.low, self.size, moves,
+                                  targets, np.array([exit_.x_min, exit_.x_max, exit_.y_min, exit_.y_max]))
+
+    def _choose_headings(self, scene: SweepScene, turns: NDArray[np.float64], turn_step: float
+                         ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """True where the body fits, (cells, headings), and where each turn is free, (turns, headings, cells).
+
+        A base that turns anywhere has (cells, 1), and no turns.
+        """
+        headings, cells = len(self._angles), len(self._points)
+        if scene.kind < 0:
+            return self._standing[:, None], np.zeros((0, headings, cells), dtype=np.bool_)
+        fits, can_turn = np.zeros((2, cells, headings), dtype=np.bool_)
+        choose_headings(scene, self._points, self._standing, turns, turn_step, 0, cells, fits.ravel(),
+                        can_turn.ravel())
+        free = np.ones((len(self._turn_steps), cells, headings), dtype=np.bool_)
+        for number, step in enumerate(self._turn_steps.tolist()):
+            for before in range(min(step, 0), max(step, 0)):  # single turns on the way
+                free[number] &= np.roll(can_turn, -before, axis=1)
+        return fits, np.ascontiguousarray(free.transpose(0, 2, 1))
 
     def compute_fields(self, goals: Sequence[tuple[Goal, bool]]) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
         """`values` and `scales` of `InstanceFields`; a goal's flag says that entering the exit ends the episode."""
@@ -201,7 +233,7 @@ class FieldGrid:
                  ) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
         """Find fields, (headings, cells, fields), from those of their states that are goals; see `iterate_values`."""
         values = values.reshape(len(values), -1)
-        iterate_values(values, self._moves, self._turn_steps, own, np.array(leaving, dtype=np.float32),
+        iterate_values(values, self._moves, self._turn_steps, self._can_turn, own, np.array(leaving, dtype=np.float32),
                        np.float32(OTHER_PRESS_COST), np.float32(_TOLERANCE), _SWEEPS)
         return encode_values(values, len(own))
 
@@ -217,15 +249,13 @@ class FieldGrid:
         away = compute_distance_many(self._points, outline)
         near = np.flatnonzero(self._standing & (away <= math.hypot(*hand[:2]) + reach))
         places = (self._points[near] + offsets[:, None]).reshape(-1, 2)
-        heading, which = np.nonzero((compute_distance_many(places, outline) <= reach).reshape(len(offsets), -1))
+        touches = (compute_distance_many(places, outline) <= reach).reshape(len(offsets), -1)
+        heading, which = np.nonzero(touches & self._fits[near].T)
         return heading, near[which]
 
 
 def check_room(instance: RoomInstance) -> None:
     """Refuse a room that a batch has no fields or goals for. Raises `UnsupportedError`."""
-    if not instance.robot.base.turns_anywhere:
-        raise UnsupportedError("batched options drive discs: use OptionsEnv over rooms with a base that is a "
-                               f"{instance.robot.footprint}")
     if instance.inner_doors and not isinstance(instance.puzzle, Doored):
         raise UnsupportedError("batched options know no cells that shut again: use OptionsEnv over one room")
     check_goals(instance)

@@ -32,15 +32,11 @@ from hrl_escape.options.batched.cost_to_go import (
 )
 from hrl_escape.options.batched.hand_policy import CHOSEN, Reach, estimate_arm_costs, estimate_hand_costs, find_reach
 from hrl_escape.options.batched.successors import (
-    compute_moves,
-    compute_resting_hand,
-    find_touched_by_body,
-    find_touched_by_hand,
+    find_ends,
     is_in_doorway,
     is_solved,
     make_column,
     presses_by_hand,
-    rotate,
 )
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 from hrl_escape.options.degraded import FAILURE, STOP, OptionDegradation
@@ -319,7 +315,6 @@ def _draw_uniform(degradation: OptionDegradation, names: Sequence[str], option: 
 MEMORY = 8
 """Number of cells whose cost a room remembers."""
 _FINE_HEADINGS = 16  # robots with coarser turns look two primitives ahead: fields are less precise for them
-_BLOCKED = 0.01  # moves shorter than this do not count, m
 
 
 class Choice(NamedTuple):
@@ -387,11 +382,8 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
     solved = is_solved(layout, tables, state)
     is_press = goal < layout.targets
     is_open = solved | is_in_doorway(layout, tables, state)
-    free, x, y = compute_moves(layout, tables, state, is_open)
+    x, y, touched, is_blocked = find_ends(layout, tables, state, is_open)
     turn = make_column(layout, state, "turn", torch.int64)
-    touched = (find_touched_by_hand(layout, tables, instance, compute_resting_hand(layout, state), x, y,
-                                    *rotate(layout, tables, state, turn))
-               if reach is not None else find_touched_by_body(layout, tables, state, x, y))
     own = torch.where(is_press, 1 << goal.clamp(max=max(layout.targets - 1, 0)), 0)
     begun = touched & ~state.touching
     arrived = is_in_exit(layout, tables, instance, x, y)
@@ -416,8 +408,7 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
                                           touched, turn)
     after = torch.where(hit, 0.0, after) + OTHER_PRESS_COST * (begun & ~own != 0)
     after = after + UNREACHABLE * (arrived & solved & is_press)
-    is_blocked = (free * make_column(layout, state, "length", free.dtype) < _BLOCKED) & (turn == 0) & ~hit
-    return torch.where(is_blocked, 2 * UNREACHABLE, after)
+    return torch.where(is_blocked & ~hit, 2 * UNREACHABLE, after)
 
 
 def _estimate_from_successors(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,

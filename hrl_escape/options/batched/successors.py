@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_hand, compute_rotation, place_base
-from hrl_escape.env.batched.rules import find_shut
+from hrl_escape.env.batched.rules import find_shut, move_base
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, compute_distance, compute_first_contact, store, wrap
@@ -47,6 +47,41 @@ def make_column(layout: Layout, state: TensorState, name: str, dtype: torch.dtyp
     """Column of one attribute (`forward`, `left`, `length`, `turn`) of the base primitives, shape (primitives, 1)."""
     values = [getattr(primitive, name) for primitive in layout.actions.primitives[:len(layout.actions.base)]]
     return torch.tensor(values, dtype=dtype, device=state.x.device).unsqueeze(1)
+
+
+_BLOCKED = 0.01  # moves shorter than this do not count, m
+
+
+class Ends(NamedTuple):
+    """Ends of every base primitive from the present state of every room; all fields (primitives, rooms)."""
+
+    x: Tensor  # m, float64
+    y: Tensor  # m, float64
+    touched: Tensor  # bits of the targets touched there, int64
+    is_blocked: Tensor  # true where the base stays as it is, bool
+
+
+def find_ends(layout: Layout, tables: Tables, state: TensorState, is_open: Tensor) -> Ends:
+    """Find where base primitives lead: `is_open`, bool (rooms,), is true where the exit's door blocks nothing."""
+    if not layout.robot.base.turns_anywhere:
+        return _step_ends(layout, tables, state)
+    free, x, y = compute_moves(layout, tables, state, is_open)
+    turn = make_column(layout, state, "turn", torch.int64)
+    touched = (find_touched_by_hand(layout, tables, state.instance, compute_resting_hand(layout, state), x, y,
+                                    *rotate(layout, tables, state, turn))
+               if presses_by_hand(layout) else find_touched_by_body(layout, tables, state, x, y))
+    return Ends(x, y, touched, (free * make_column(layout, state, "length", free.dtype) < _BLOCKED) & (turn == 0))
+
+
+def _step_ends(layout: Layout, tables: Tables, state: TensorState) -> Ends:
+    """The same by the engine, a copy of the rooms for each primitive, for bases that do not turn anywhere."""
+    count, rooms = len(layout.actions.base), state.x.shape[0]
+    before = TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
+    actions = torch.arange(count, device=state.x.device).repeat_interleave(rooms)
+    after = move_base(layout, tables, before, actions)
+    is_blocked = torch.hypot(after.x - before.x, after.y - before.y) < _BLOCKED
+    is_blocked = is_blocked & (after.heading_steps == before.heading_steps)
+    return Ends(*(field.view(count, rooms) for field in (after.x, after.y, after.touching, is_blocked)))
 
 
 def compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: Tensor

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.floor.sweeps import get_shape, is_clear_of_all, measure_distance, sweep
+from hrl_escape.floor.sweeps import Presser, get_shape, is_clear_of_all, is_touched, measure_distance, sweep_body
 from hrl_escape.kernels import kernel, kernel_part
 
 UNREACHABLE = 10_000.0
@@ -48,13 +48,34 @@ class Moves(NamedTuple):
     outside: NDArray[np.bool_]  # True unless the move ends in the exit, bool (special, translations)
 
 
+class Targets(NamedTuple):
+    """What the body presses."""
+
+    shapes: NDArray[np.float64]  # rows of `stack_footprints`, float64 (targets, 7)
+    reaches: NDArray[np.float64]  # largest distance of its axis at which each is touched, m, float64 (targets,)
+    by_base: NDArray[np.bool_]  # True where the `base` must touch it, bool (targets,); else that distance decides
+    base: Presser
+
+
 @kernel_part
-def _find_touched(x, y, targets, reaches, near):
-    """Bits of the targets of `near` that the body touches at a place, or comes within those reaches of."""
+def _find_near(x, y, targets, margin):
+    """Bits of the targets that the body may touch somewhere within a distance of a place."""
     bits = np.uint64(0)
-    for k in range(targets.shape[0]):
+    for k in range(targets.reaches.shape[0]):
+        if measure_distance(x, y, get_shape(targets.shapes[k])) <= targets.reaches[k] + margin:
+            bits |= np.uint64(1) << np.uint64(k)
+    return bits
+
+
+@kernel_part
+def _find_touched(x, y, turn, targets, near):
+    """Bits of the targets of `near` that the body touches at a place and heading."""
+    bits = np.uint64(0)
+    for k in range(targets.reaches.shape[0]):
         bit = np.uint64(1) << np.uint64(k)
-        if near & bit and measure_distance(x, y, get_shape(targets[k])) <= reaches[k]:
+        if near & bit and (is_touched(x, y, turn, targets.base, get_shape(targets.shapes[k]), targets.reaches[k])
+                           if targets.by_base[k] else
+                           measure_distance(x, y, get_shape(targets.shapes[k])) <= targets.reaches[k]):
             bits |= bit
     return bits
 
@@ -77,31 +98,33 @@ def _trace_free(size, rows, moves):
 
 
 @kernel
-def _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shares, targets, reaches, way_out):
+def _trace_listed(scene, points, fits, turns, rows, low, size, moves, offsets, shares, targets, way_out):
     """`listed`, `corners`, `weights`, `special`, `begun` and `outside` of `Moves`."""
     cells, classes, translations = points.shape[0], moves.shape[0], moves.shape[1]
-    columns = cells // rows
+    columns, layers = cells // rows, fits.shape[1]
     lengths = np.empty(translations)
     for m in range(translations):
         lengths[m] = math.hypot(moves[0, m, 0], moves[0, m, 1])
     length = lengths.max()
     edge = int(math.ceil(length / size)) + 1
-    near, here = np.zeros(cells, dtype=np.uint64), np.zeros(cells, dtype=np.uint64)
+    near, here = np.zeros(cells, dtype=np.uint64), np.zeros((cells, layers), dtype=np.uint64)
     listed = np.full((classes, cells), _ABSENT, dtype=np.int32)
     count = specials = 0
     for cell in range(cells):
-        if not standing[cell]:
+        if not fits[cell].any():
             continue
         x, y = points[cell, 0], points[cell, 1]
-        near[cell] = _find_touched(x, y, targets, reaches + length + 1e-6, ~np.uint64(0))
-        here[cell] = _find_touched(x, y, targets, reaches, near[cell])
+        near[cell] = _find_near(x, y, targets, length + 1e-6)
+        for c in range(layers):
+            here[cell, c] = _find_touched(x, y, turns[c], targets, near[cell])
         away = max(way_out[0] - x, x - way_out[1], way_out[2] - y, y - way_out[3]) - length - 1e-6
         i, j = cell // rows, cell % rows
         is_inside = edge <= min(i, j, columns - 1 - i, rows - 1 - j)
         if near[cell] == 0 and away > 0.0 and is_inside and is_clear_of_all(scene, x, y, length + 3.0 * size):
             listed[:, cell] = _FREE
         else:
-            listed[:, cell] = 0
+            for c in range(classes):
+                listed[c, cell] = 0 if fits[cell, c % layers] else _ABSENT
             count += classes
             specials += classes if near[cell] != 0 or away <= 0.0 else 0
     corners = np.full((count, translations), _ABSENT, dtype=np.int32)
@@ -121,11 +144,11 @@ def _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shar
         corners[at] = _ABSENT
         for m in range(translations):
             dx, dy = moves[c, m, 0], moves[c, m, 1]
-            fraction = sweep(scene, x, y, dx, dy, lengths[m])
+            fraction = sweep_body(scene, x, y, turns[c], dx, dy, lengths[m])
             if fraction * lengths[m] < _BLOCKED:
                 continue
             ex, ey = x + fraction * dx, y + fraction * dy
-            bits = _find_touched(ex, ey, targets, reaches, near[cell]) & ~here[cell]
+            bits = _find_touched(ex, ey, turns[c], targets, near[cell]) & ~here[cell, c % layers]
             is_free = is_centre and fraction == 1.0
             is_out = not (way_out[0] <= ex <= way_out[1] and way_out[2] <= ey <= way_out[3])
             if bits != 0 or not is_out:
@@ -142,9 +165,9 @@ def _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shar
             total = 0.0
             for k in range(4):
                 weight = (a if k // 2 else 1.0 - a) * (b if k % 2 else 1.0 - b)
-                fits = standing[(to_i + k // 2) * rows + to_j + k % 2]
-                weights[at, m, k] = weight if fits else 0.0
-                total += weight if fits else 0.0
+                does_fit = fits[(to_i + k // 2) * rows + to_j + k % 2, c % layers]
+                weights[at, m, k] = weight if does_fit else 0.0
+                total += weight if does_fit else 0.0
                 is_free &= abs(weights[at, m, k] - shares[c, m, k]) < 1e-6
             if is_free:
                 corners[at, m] = _FREE
@@ -161,29 +184,29 @@ def _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shar
     return listed, corners[:at], weights[:at], special[:at], begun[:row], outside[:row]
 
 
-def trace_moves(scene, points, standing, rows, low, size, moves, targets, reaches, way_out) -> Moves:
-    """Find the ends of all moves of a disc from every cell's representative place.
+def trace_moves(scene, points, fits, turns, rows, low, size, moves, targets, way_out) -> Moves:
+    """Find the ends of all moves from every cell's representative place.
 
     Args:
         scene: the room.
         points: a representative place in each cell, shape (cells, 2), m; the centre where nothing is near.
-        standing: True where the body fits, shape (cells,).
+        fits: True where the body fits at each heading class, shape (cells, classes), or (cells, 1) if that is all one.
+        turns: cosine and sine of the heading classes, shape (classes or more, 2).
         rows: cells along y; a cell's index is i * rows + j.
         low: corner of the grid, shape (2,), m.
         size: side of a cell, m.
         moves: displacements, shape (classes, translations, 2), m.
-        targets: rows of `stack_footprints`, shape (targets, 7).
-        reaches: distance at which each is touched, shape (targets,), m.
+        targets: what the body presses, a `Targets`.
         way_out: x_min, x_max, y_min, y_max of the exit, m.
     """
     offsets, shares = _trace_free(size, rows, moves)
-    tables = _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shares, targets, reaches, way_out)
+    tables = _trace_listed(scene, points, fits, turns, rows, low, size, moves, offsets, shares, targets, way_out)
     longest = max(math.hypot(*move) for move in moves[0].tolist())
     return Moves(rows, math.ceil(longest / size) + 1, offsets, shares, *tables)
 
 
 @kernel
-def iterate_values(values, moves, turn_steps, own, leaving, penalty, tolerance, most):
+def iterate_values(values, moves, turn_steps, can_turn, own, leaving, penalty, tolerance, most):
     """Value iteration of several fields at once, in place, until no value changes.
 
     Sweeps go over the grid in turn from each of its corners, tile by tile. The states in a tile's column are backed up
@@ -194,6 +217,7 @@ def iterate_values(values, moves, turn_steps, own, leaving, penalty, tolerance, 
             goal is a set of states. Costs that are too low would take more sweeps to grow than those to fall.
         moves: from `trace_moves`.
         turn_steps: heading classes by which each turn advances, shape (turns,); the first two are 1 and -1.
+        can_turn: True where each turn is free, shape (turns, classes, cells); (0, ...) if all are.
         own: bit of the target that a move of each field is to touch, 0 for the exit, uint64 (fields,).
         leaving: cost of entering the exit without the goal, float32 (fields,); `UNREACHABLE` where the episode ends.
         penalty: cost of touching another target, float32.
@@ -216,8 +240,8 @@ def iterate_values(values, moves, turn_steps, own, leaving, penalty, tolerance, 
             if i >= columns or (number > 1 and not _is_stale(changed, i, tj, side, number - 1)):
                 continue
             first, last = tj * side, min(tj * side + side, rows)
-            if _back_up(values, moves, turn_steps, own, leaving, penalty, tolerance, i * rows + first, last - first,
-                        fresh):
+            if _back_up(values, moves, turn_steps, can_turn, own, leaving, penalty, tolerance,
+                        i * rows + first, last - first, fresh):
                 changed[i, tj] = number
                 is_done = False
         if is_done:
@@ -235,7 +259,7 @@ def _is_stale(changed, i, tj, side, since):
 
 
 @kernel_part
-def _back_up(values, moves, turn_steps, own, leaving, penalty, tolerance, begin, count, fresh):
+def _back_up(values, moves, turn_steps, can_turn, own, leaving, penalty, tolerance, begin, count, fresh):
     """Back up `count` cells in a row from cell `begin` on; returns True if a value has changed."""
     fields, classes, translations = own.shape[0], moves.listed.shape[0], moves.offsets.shape[1]
     for c in range(classes):
@@ -264,12 +288,12 @@ def _back_up(values, moves, turn_steps, own, leaving, penalty, tolerance, begin,
         for k in range(classes):
             c = k
             for _ in range(around if turn else 0):
-                _take_less_after_turn(fresh[c, :length], fresh[(c - turn + classes) % classes, :length])
-                c = (c - turn + classes) % classes
+                source, c = c, (c - turn + classes) % classes
+                _take_less_after_turn(fresh, source, c, can_turn, t, begin, count, fields)
     for k in range(around):  # turns to either side, as far round as pays
-        _take_less_after_turn(fresh[k % classes, :length], fresh[(k + 1) % classes, :length])
+        _take_less_after_turn(fresh, k % classes, (k + 1) % classes, can_turn, 1, begin, count, fields)
     for k in range(around, 0, -1):
-        _take_less_after_turn(fresh[k % classes, :length], fresh[(k - 1) % classes, :length])
+        _take_less_after_turn(fresh, k % classes, (k - 1) % classes, can_turn, 0, begin, count, fields)
     changes = 0
     for c in range(classes):
         new, old = fresh[c, :length], values[c, begin * fields:begin * fields + length]
@@ -322,8 +346,19 @@ def _keep_goal(old, best):
 
 
 @kernel_part
-def _take_less_after_turn(source, best):
-    """Lower `best` to the costs of turning first."""
+def _take_less_after_turn(fresh, source, to, can_turn, turn, begin, count, fields):
+    """Lower the costs at the heading class `to` to those of turning to the class `source` first, where that is free."""
+    if can_turn.shape[0] == 0:
+        _take_less_by_one(fresh[source, :count * fields], fresh[to, :count * fields])
+        return
+    for cell in range(count):
+        if can_turn[turn, to, begin + cell]:
+            _take_less_by_one(fresh[source, cell * fields:(cell + 1) * fields],
+                              fresh[to, cell * fields:(cell + 1) * fields])
+
+
+@kernel_part
+def _take_less_by_one(source, best):
     for n in range(best.shape[0]):
         best[n] = min(best[n], source[n] + _ONE)
 
