@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import sys
 import time
 from collections.abc import Sequence
@@ -18,8 +19,12 @@ from collections.abc import Sequence
 import torch
 
 from benchmarks.findings import list_batched_rooms, load_findings
+from hrl_escape.env.config import ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Panels
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import write_json
@@ -27,6 +32,15 @@ from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
 
 MOST_MORE = 0.05
+_BOX = RoomConfig(room=ShapeConfig(width=8, depth=8), obstacles=ObstaclesConfig(count=4),
+                  robot=RobotConfig(footprint="rectangle", body_length=1.2, body_width=0.6),
+                  puzzle=ButtonsConfig(count=2, buttons=Panels(width=0.8)))
+OWN = {
+    "blocks-world-hand": get_preset("blocks-world", hand=True),
+    "rectangle": _BOX,
+    "rectangle-turning": dataclasses.replace(_BOX, robot=dataclasses.replace(_BOX.robot, drive="differential")),
+}
+"""Rooms beside the presets: a hand that grips, and rectangular bases."""
 
 
 @dataclasses.dataclass
@@ -134,7 +148,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     good = True
     print(f"{'room':20} {'decisions':>9} {'reached':>8} {'missed':>7} {'planned':>8} {'taken':>8} {'more':>7} "
           f"{'side presses':>12} {'fields s':>8} {'batch s':>8} {'single s':>8}")
-    for name, config in list_batched_rooms(chosen.rooms):
+    own = ((name, config) for name, config in OWN.items() if not chosen.rooms or name in chosen.rooms)
+    for name, config in itertools.chain(list_batched_rooms(chosen.rooms), own):
         known = load_findings(chosen.json).get(name, {})
         if settings.items() <= known.items():
             found = OptionAgreement(**{f.name: known[f.name] for f in dataclasses.fields(OptionAgreement)})

@@ -4,7 +4,8 @@ Fields of one instance are found together by value iteration (`value_iteration.p
 kept for later batches. The goal of a press by the body is a move that begins to touch the target. Arms of kinematic
 rooms pass through everything, so the cost-to-go of a press by hand is the least, over a few dozen postures, of the
 joint steps to a posture and the way of the base to where the hand then touches. Postures whose hands are close share a
-field, and the base's place is shifted by the offset between their hands.
+field, and the base's place is shifted by the offset between their hands. Bases that cannot turn just anywhere have
+fields of where they fit and turn; that a turn may press is left to the look before the next primitive.
 """
 
 from __future__ import annotations
@@ -185,7 +186,8 @@ class FieldGrid:
                           make_presser(instance.robot.base))
         moves = rules.actions.compute_moves(turns[:-1, 0], turns[:-1, 1])
         self._moves = trace_moves(scene, self._points, self._fits, turns, self.shape[1], self.low, self.size, moves,
-                                  targets, np.array([exit_.x_min, exit_.x_max, exit_.y_min, exit_.y_max]))
+                                  targets, np.array([exit_.x_min, exit_.x_max, exit_.y_min, exit_.y_max]),
+                                  instance.dynamics.blocked == "stay")
 
     def _choose_headings(self, scene: SweepScene, turns: NDArray[np.float64], turn_step: float
                          ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -302,6 +304,7 @@ def _compute(instance: RoomInstance) -> InstanceFields:
 
 def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> CostFields:
     """Put the fields of several instances on a device; equal instances share theirs."""
+    aims = make_aims(instances, device)  # first, as it may refuse
     each = [compute_instance_fields(instance) for instance in instances]
     unique = {id(fields): fields for fields in each}
     firsts, total = {}, 0
@@ -330,7 +333,7 @@ def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> Cos
         classes=torch.tensor(each[0].values.shape[2], device=device),
         postures=_stack_postures([fields.postures for fields in each], len(instances[0].frame.target_names),
                                  instances[0].robot.joints, device),
-        aims=make_aims(instances, device),
+        aims=aims,
     )
 
 

@@ -2,7 +2,7 @@
 
 Every step runs one primitive in every room and returns the decisions that ended with it, with the SMDP fields of
 `OptionsEnv`; a room takes its next decision as soon as the last one ends. The rules are the batched engine's; one step
-is `stepping.py`. The rooms' planners on the host order presses, for options that press ancestors first, and find
+is `stepping.py`. The rooms' planners on the host order goals, for options that carry out ancestors first, and find
 primitives where the fields make no progress.
 """
 
@@ -196,11 +196,12 @@ class BatchedOptionsEnv:
     """Many rooms whose robots choose among options and primitives, each at its own pace.
 
     Actions are those of `OptionsEnv` on the same instance, with the same numbers, names and masks: primitives
-    (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`, where robots press, grip and release;
-    pushes, and maps whose doors shut again, are left to it. `OptionsEnv` follows plans; options
-    here are greedy on cost-to-go fields, computed once per instance, and ask the planner only where these lead
-    nowhere. They reach the same goals in about as many primitives. A press by hand weighs base against joints: it
-    goes where the hand touches the target in one of 64 postures, by the least sum of what base and arm have left.
+    (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`. Robots press, grip and release; a
+    puzzle in which they grip has at most 20,000 states and watches no primitive. Pushes, and maps whose doors shut
+    again, are left to `OptionsEnv`, whose options follow plans. Here they are greedy on cost-to-go fields, computed
+    once per instance, and ask the planner only where these lead nowhere; they reach the same goals in about as many
+    primitives. A press by hand weighs base against joints: it goes where the hand touches the target in one of 64
+    postures, by the least sum of what base and arm have left.
 
     A learner's loop::
 
@@ -223,7 +224,7 @@ class BatchedOptionsEnv:
         include_primitives: whether primitives are actions too.
         discount: gamma per primitive, in [0, 1]; readable as `gamma`.
         flavour: with `options=None`: `press`, or `press-with-ancestors`, for which the planner is asked for the order
-            of the presses as such a decision begins.
+            of goals as such a decision begins.
         interruptible: return to the agent after every primitive of an option, `interrupted`; choosing the same option
             again continues it, choosing another drops it.
         max_duration: primitives after which an option is ended (`timeout`), interruptions included; None for no limit.

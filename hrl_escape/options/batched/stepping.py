@@ -95,7 +95,7 @@ class OpenDecisions(NamedTuple):
     goal: Tensor  # number of the option that it carries out now, itself or a part, or `NOT_ASKED`, int64
     age: Tensor  # primitives since it took up this goal, int32
     postures: Tensor  # candidate postures for a press by hand, int64 (`CHOSEN`, rooms)
-    order: Tensor  # goals to follow, or `NOT_ASKED` to ask again, aligned to the end, int8 (`ORDER_LENGTH`, rooms)
+    order: Tensor  # goals to follow, or `NOT_ASKED` to ask again, aligned to the end, int16 (`ORDER_LENGTH`, rooms)
     order_left: Tensor  # number of goals left in `order`, int32
     least: Tensor  # lowest cost-to-go that the option has met, float32
     stalled: Tensor  # primitives since then, int32
@@ -117,7 +117,7 @@ class StepSettings(NamedTuple):
     max_duration: int  # primitives after which it is ended
     autoreset: bool  # begin the next episode as one ends
     interruptible: bool  # ask the agent again after every primitive of an option
-    has_ancestors: bool  # options press the ancestors of their target first
+    has_ancestors: bool  # options carry out the ancestors of their goal first
     degradation: OptionDegradation  # amounts by which options are degraded
 
 
@@ -285,7 +285,7 @@ def make_decisions(observation: Tensor) -> OpenDecisions:
         action=word - 1, observation=observation, reward=number, discounted_reward=number, discount=number + 1.0,
         duration=count, pressed=word, option=word - 1, run=count, goal=word, age=count,
         postures=word.expand(CHOSEN, -1).clone(),
-        order=count.to(torch.int8).expand(ORDER_LENGTH, -1).clone(), order_left=count,
+        order=count.to(torch.int16).expand(ORDER_LENGTH, -1).clone(), order_left=count,
         least=number + math.inf, stalled=count,
         cells=word.expand(MEMORY, -1) - 1, costs=number.expand(MEMORY, -1).clone(),
         plan=count.to(torch.int8).expand(PLAN_LENGTH, -1).clone(), plan_left=count,
@@ -328,14 +328,15 @@ class Choice(NamedTuple):
 def can_start(layout: Layout, tables: Tables, aims: Aims, state: TensorState, has_ancestors: bool) -> Tensor:
     """Options that may start, bool (rooms, options): those at targets that the room has, and the exit.
 
-    The exit may not where the robot is in it already or a shut door blocks it; neither may what is behind shut inner
-    doors, but for a press that presses its ancestors first, nor a grip or release that the puzzle's state forbids.
+    The exit may not where the robot is in it already or a shut door blocks it. What is behind shut inner doors may only
+    where its ancestors come first; elsewhere a grip or release may not that the puzzle's state forbids.
     """
     inside = is_in_exit(layout, tables, state.instance, state.x, state.y)
     has_door = pick(layout, tables.doors, state.instance).x[0] < 1e5
     exit_ = ~inside & (~has_door | is_solved(layout, tables, state))
     counts = pick(layout, tables.target_counts, state.instance).squeeze(0).expand(len(exit_))
     can = torch.arange(layout.targets, device=exit_.device) < counts.unsqueeze(1)
+    is_open = None
     if layout.inner_doors:
         shut = find_shut(layout, tables, state)  # (inner doors, rooms)
         bits = (shut.to(torch.int64) << torch.arange(len(shut), device=shut.device).unsqueeze(1)).sum(0)
@@ -345,7 +346,10 @@ def can_start(layout: Layout, tables: Tables, aims: Aims, state: TensorState, ha
     if not len(aims.acts):
         return can
     targets = read_targets(layout, aims, state.instance.unsqueeze(1), torch.arange(len(aims.acts), device=can.device))
-    return torch.gather(can, 1, targets) & find_possible(layout, aims, state)
+    possible = find_possible(layout, aims, state)
+    if is_open is not None and has_ancestors:
+        possible = possible | ~torch.gather(is_open, 1, targets)
+    return torch.gather(can, 1, targets) & possible
 
 
 def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,

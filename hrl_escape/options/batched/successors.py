@@ -74,7 +74,7 @@ def find_ends(layout: Layout, tables: Tables, state: TensorState, is_open: Tenso
 
 
 def _step_ends(layout: Layout, tables: Tables, state: TensorState) -> Ends:
-    """The same by the engine, a copy of the rooms for each primitive, for bases that do not turn anywhere."""
+    """The same by the engine, a copy of the rooms for each primitive, for bases that cannot turn just anywhere."""
     count, rooms = len(layout.actions.base), state.x.shape[0]
     before = TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
     actions = torch.arange(count, device=state.x.device).repeat_interleave(rooms)

@@ -98,7 +98,7 @@ def _trace_free(size, rows, moves):
 
 
 @kernel
-def _trace_listed(scene, points, fits, turns, rows, low, size, moves, offsets, shares, targets, way_out):
+def _trace_listed(scene, points, fits, turns, rows, low, size, moves, offsets, shares, targets, way_out, is_whole):
     """`listed`, `corners`, `weights`, `special`, `begun` and `outside` of `Moves`."""
     cells, classes, translations = points.shape[0], moves.shape[0], moves.shape[1]
     columns, layers = cells // rows, fits.shape[1]
@@ -145,7 +145,7 @@ def _trace_listed(scene, points, fits, turns, rows, low, size, moves, offsets, s
         for m in range(translations):
             dx, dy = moves[c, m, 0], moves[c, m, 1]
             fraction = sweep_body(scene, x, y, turns[c], dx, dy, lengths[m])
-            if fraction * lengths[m] < _BLOCKED:
+            if fraction * lengths[m] < _BLOCKED or (is_whole and fraction < 1.0):
                 continue
             ex, ey = x + fraction * dx, y + fraction * dy
             bits = _find_touched(ex, ey, turns[c], targets, near[cell]) & ~here[cell, c % layers]
@@ -184,7 +184,7 @@ def _trace_listed(scene, points, fits, turns, rows, low, size, moves, offsets, s
     return listed, corners[:at], weights[:at], special[:at], begun[:row], outside[:row]
 
 
-def trace_moves(scene, points, fits, turns, rows, low, size, moves, targets, way_out) -> Moves:
+def trace_moves(scene, points, fits, turns, rows, low, size, moves, targets, way_out, is_whole) -> Moves:
     """Find the ends of all moves from every cell's representative place.
 
     Args:
@@ -198,9 +198,11 @@ def trace_moves(scene, points, fits, turns, rows, low, size, moves, targets, way
         moves: displacements, shape (classes, translations, 2), m.
         targets: what the body presses, a `Targets`.
         way_out: x_min, x_max, y_min, y_max of the exit, m.
+        is_whole: True where moves are made whole or not at all.
     """
     offsets, shares = _trace_free(size, rows, moves)
-    tables = _trace_listed(scene, points, fits, turns, rows, low, size, moves, offsets, shares, targets, way_out)
+    tables = _trace_listed(scene, points, fits, turns, rows, low, size, moves, offsets, shares, targets, way_out,
+                           is_whole)
     longest = max(math.hypot(*move) for move in moves[0].tolist())
     return Moves(rows, math.ceil(longest / size) + 1, offsets, shares, *tables)
 

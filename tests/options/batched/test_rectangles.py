@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from benchmarks.options_conformance import compare_options
+from hrl_escape.env.config import DynamicsConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.primitives import Move
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.batched.cost_to_go import OTHER_PRESS_COST, compute_instance_fields
 from tests.env.test_rectangular_base import NARROW, ROBOT, SMALL, change, make_corridor
@@ -20,6 +22,9 @@ ARM = dataclasses.replace(ARM, robot=dataclasses.replace(ARM.robot, footprint="r
 DOOR = dataclasses.replace(SMALL, exit=dataclasses.replace(SMALL.exit, door=True))
 KINDS = {"strafing": (SMALL, 0.05), "by half metres": (NARROW, 0.03),
          "quarter turns": (change(SMALL, turn_step_deg=90.0), 0.03),
+         "whole moves": (dataclasses.replace(SMALL, dynamics=DynamicsConfig(blocked="stay")), 0.05),
+         "turns of 30 degrees": (change(SMALL, moves=(Move("spin", turn=3), Move("unspin", turn=-3))), 0.05),
+         "noise": (dataclasses.replace(SMALL, dynamics=DynamicsConfig(noise=0.05)), 0.08),
          "differential": (change(SMALL, drive="differential"), 0.12), "by hand": (ARM, 0.06), "door": (DOOR, 0.05)}
 """Schematic, and the largest share of primitives that a batch may take more."""
 UNREACHABLE = 10_000.0
@@ -29,7 +34,7 @@ UNREACHABLE = 10_000.0
 def test_options_reach_what_options_env_reaches_in_about_as_many_primitives(kind):
     config, more = KINDS[kind]
     found = compare_options([generate(config, seed) for seed in range(3)], 40)
-    assert found.missed == []
+    assert len(found.missed) <= (kind == "noise"), "noise leads to other poses, some of which no plan leaves"
     assert found.reached > 100
     assert found.more <= more
     assert found.side_presses <= 1

@@ -97,7 +97,7 @@ def tabulate(puzzle: Puzzle, pairs: bool = True, most: int = MOST_TABULATED) -> 
 
     Args:
         puzzle: the puzzle.
-        pairs: check that several targets touched at once do what the table says; without, it is one of single targets.
+        pairs: check that several targets touched at once do what the table says; if false, it holds for single ones.
         most: most states.
 
     Raises:

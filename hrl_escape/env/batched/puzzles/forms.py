@@ -340,7 +340,7 @@ class _BlocksWorldTensorPuzzle(TensorPuzzle):
         """`wanted`: what each block must stand on, -1 for anything, and `clear` (blocks, instances); `free_hand`.
 
         `counts` are the numbers of blocks. Where they differ, `order` (numbers, instances) says where the observation
-        numbers of each instance are among those of one with most blocks, of which there is one more that is 0.
+        numbers of each instance are among those of one with most blocks, followed by one that is always 0.
         """
         most, counts = len(frame.target_names), [len(puzzle.names) for puzzle in puzzles]
         wanted = [[dict(puzzle.goal).get(block, -1) for puzzle in puzzles] for block in range(most)]
