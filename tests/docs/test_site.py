@@ -113,6 +113,7 @@ TUTORIALS = {
              r"left to go: \[3. 0.\] left to go: \[2. 0.\] option-keyboard: first escape after \d+ primitives",
     "own_agent": r"own network: return -1000 untrained, [56]\d at the end variant: .* own agent: .*, [56]\d at the end",
     "generalise": r"learner: [12]\d of 20 escapes, (\d+) primitives .*chance: .*searcher: 20 of 20 .*planner: 20 of 20",
+    "many_rooms": r"16 rooms at once: 3\d,\d+ primitives in \d+ s .*an unseen room: escaped after \d+ primitives",
     "plan_arm": r"[1-9]\d postures, joint margin .* places of the arm tested on the way escape: [12]\d primitives",
     "torchrl_options": r"5,120 decisions: +[1-9]\d+ escapes .* targets of long walks: -?\d+\.\d with durations",
     "own_play": r"142 primitives, 16 decisions, 3 episodes.* smdp-fitted-q: return 64 after 36 primitives",

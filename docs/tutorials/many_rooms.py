@@ -1,0 +1,69 @@
+"""Learn from many rooms at once.
+
+A batch steps many rooms together, and options run in it. They last differently long, so no room waits for another: each
+takes its next decision when its last one ends. Here are 24 primitives of eight rooms in which blocks are gripped, each
+bar a decision.
+"""
+
+import time
+
+import torch
+
+from hrl_escape import train
+from hrl_escape.comparison import record_episode
+from hrl_escape.figures import get_figure_class
+from hrl_escape.ladder import load_benchmark
+from hrl_escape.options import DecisionMemory, MemoryStreams
+
+freight = load_benchmark("ladder-1")["freight"].train[:8]
+batch = freight.make_vec(8, options={"include_primitives": False}, compile=False)
+batch.reset(0)
+torch.manual_seed(0)
+decisions, began = [], torch.zeros(8, dtype=torch.int64)
+for step in range(1, 25):
+    legal = batch.action_mask.float()
+    done = batch.step(torch.multinomial(legal, 1).squeeze(1))  # read only where a room waits
+    decisions += [(room, int(began[room]), step, batch.action_names[done.action[room]])
+                  for room in done.where.nonzero().squeeze(1).tolist()]
+    began[done.where] = step
+
+
+def draw(bars):
+    """One row a room, one bar a decision, named by its option."""
+    figure = get_figure_class()(figsize=(8, 3), layout="constrained")
+    axes = figure.subplots()
+    for room, begin, end, name in bars:
+        color = f"C{batch.action_names.index(name) % 10}"
+        axes.barh(room, end - begin, left=begin, edgecolor="white", color=color)
+        axes.text(begin + 0.2, room, name.removeprefix("meta-"), va="center", fontsize=7)
+    axes.set(xlabel="primitives", ylabel="room")
+    return figure
+
+
+draw(decisions)
+
+# An agent learns from the same as in one room: observation, action, $R$, $k$, $\gamma^k$, legal actions. `train` takes
+# a batch in place of an environment; `MemoryStreams` writes into the rows of `objects` what each episode has tried. The
+# rooms are 16 of a rung's training set, and each episode draws one of them.
+
+pair = load_benchmark("ladder-1")["pair"]
+arguments = {"options": {"include_primitives": False}, "observation": "objects"}
+rooms = pair.train[:16]
+unseen = DecisionMemory(pair.test.make_env(**arguments))
+rows = {"settings": {"network": "objects"}, "eval_env": unseen, "eval_every": 10_000, "progress": False}
+start = time.perf_counter()
+many = train("smdp-ppo", MemoryStreams(rooms.make_vec(16, **arguments, compile=False)), primitives=30_000, **rows)
+print(f"16 rooms at once: {many.primitives:,} primitives in {time.perf_counter() - start:.0f} s")
+many
+
+# It was tested in rooms that it has never seen. One of these episodes:
+
+episode = record_episode(many.agent, unseen, seed=1)
+print(f"an unseen room: {'escaped' if episode.success else 'stuck'} after {len(episode.states) - 1} primitives")
+episode
+
+# With `compile=True`, the default, a step is one compiled kernel: that takes half a minute once, and pays from a few
+# hundred rooms on. In a shell it is `hrl-escape train smdp-ppo --memory --observation objects --settings
+# network=objects --batch 256`. Budgets of a million primitives, and learners in other rungs than their own, are the
+# subject of [generalisation](../results/generalisation.md); learners at the ladder's own budgets that of
+# [budgets](../results/budgets.md).
