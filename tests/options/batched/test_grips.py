@@ -9,7 +9,8 @@ import torch
 from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle, tabulate
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.base import Contacts, register_puzzle
+from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
 from hrl_escape.env.puzzles.taxi import Ride
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnsupportedError
@@ -29,6 +30,39 @@ ROOMS = {
     "towers by hand": lambda: [generate(get_preset("blocks-world", hand=True), 0)],
     "two and three blocks": lambda: [load_benchmark("ladder-1")["freight"].train[place] for place in range(4)],
 }
+
+
+@dataclasses.dataclass(frozen=True)
+class GrippedConfig(ButtonsConfig):
+    """Buttons of which every second one is gripped instead of pressed."""
+
+    kind = "gripped-buttons"
+
+    def make_puzzle(self, rng):
+        puzzle = super().make_puzzle(rng)
+        return GrippedButtons(**{field.name: getattr(puzzle, field.name) for field in dataclasses.fields(puzzle)})
+
+
+@dataclasses.dataclass(frozen=True)
+class GrippedButtons(ButtonsPuzzle):
+    """The rules of buttons, where a grip on one of them counts as its press."""
+
+    kind = "gripped-buttons"
+
+    def update(self, state, contacts):
+        if contacts.grip > 0:  # the first of those touched at which it does anything
+            after = (super(GrippedButtons, self).update(state, Contacts((target,)))
+                     for target in contacts.touching if target % 2)
+            return next((other for other in after if other != state), state)
+        return super().update(state, Contacts(tuple(target for target in contacts.pressed if target % 2 == 0)))
+
+    def make_symbolic_model(self):
+        model = super().make_symbolic_model()
+        return dataclasses.replace(model, operators=tuple(
+            dataclasses.replace(op, action="grip") if number % 2 else op for number, op in enumerate(model.operators)))
+
+
+register_puzzle(GrippedConfig, GrippedButtons)
 
 
 def is_grip(goal):
@@ -68,6 +102,27 @@ def test_each_room_does_what_options_env_does(name, arguments):
         acted += is_act and info["option"]["ended"] == "reached"
     assert acted > 3, "things were gripped and released"
     assert abs(taken - planned) <= (0.08 if "hand" in name else 0.05 if "flavour" in arguments else 0.01) * planned
+
+
+@pytest.mark.parametrize("flavour", ["press", "press-with-ancestors"])
+def test_what_is_gripped_behind_shut_doors_waits_for_its_ancestors(flavour):
+    """A puzzle with presses, grips and doors between rooms, which is none of the package's."""
+    config = get_preset("inner-doors")
+    puzzle = GrippedConfig(**{field.name: getattr(config.puzzle, field.name)
+                              for field in dataclasses.fields(config.puzzle)})
+    config = dataclasses.replace(config, puzzle=puzzle, robot=dataclasses.replace(config.robot, gripper=True))
+    room, arguments = generate(config, 1), {"flavour": flavour, "include_primitives": False}
+    env = BatchedOptionsEnv(3, instance=room, **arguments)
+    single, masks = OptionsEnv(EscapeRoomEnv(instance=room), **arguments), []
+    for number, state, mask, done in replay(env, 10):
+        single.reset(seed=number)
+        single.unwrapped.set_state(state)
+        single.resume()
+        assert single.action_masks().tolist() == mask
+        info = single.step(int(done.action))[4]
+        assert ENDINGS[done.ended] == info["option"]["ended"]
+        masks.append([can for can, goal in zip(mask, check_goals(room), strict=True) if is_grip(goal)])
+    assert any(map(any, masks)) == (flavour == "press-with-ancestors"), "ten choices at random open no such way"
 
 
 @pytest.mark.parametrize("name", ROOMS)
