@@ -29,7 +29,7 @@ def make_run(agent: str, rung: str, room: int, efficiency: float, primitives: in
 
 def make_lines(efficiency: Callable[[str, str], float], primitives: int | None = None) -> list[BaselineRun]:
     """A run of each learner in ten rooms of two rungs around these efficiencies, at the rungs' own budgets."""
-    rng = np.random.default_rng(primitives)
+    rng = np.random.default_rng(primitives or 0)
     return [make_run(agent, rung, room, float(np.clip(efficiency(agent, rung) + 0.02 * rng.normal(), 0, 1)),
                      primitives or get_budget(rung))
             for agent in STUDY.data["agents"] for rung in RUNGS for room in range(10)]
@@ -61,7 +61,8 @@ def group(lines: list[BaselineRun]) -> dict[tuple[str, str], list[BaselineRun]]:
 def test_what_more_primitives_bring_is_told_room_by_room():
     former = group(make_lines(lambda agent, rung: 0.5, primitives=20_000))
     told = tell_budget(group(make_lines(lambda agent, rung: {PPO: 0.8, DQN: 0.5}.get(agent, 0.3))), former, RUNGS)
-    assert told.startswith(f"Beside the same learner with 20,000 primitives, in one room at a time, `{PPO}` gains 0.3")
+    assert re.match("Beside the same learner with 20,000 primitives, in one room at a time, "
+                    rf"`{re.escape(PPO)}` gains 0\.(29|30|31) ", told)
     assert f"`{DQN}` is not shown to gain or lose, " in told
     assert re.search(rf"`{re.escape(DAC)}` loses 0\.[12]\d \(0\.[12]\d to 0\.2\d, over 2 rungs\)", told)
     assert told.count("over 2 rungs") == 4

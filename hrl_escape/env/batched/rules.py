@@ -77,7 +77,7 @@ def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> 
     return _complete_motion(layout, tables, state, moved, _find_grip(layout, action))
 
 
-def move_base(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> TensorState:
+def drive_base(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> TensorState:
     """States after base primitives (rooms,) without noise or slips; touching is that of the new pose. Pure."""
     moved = _turn(layout, tables, _translate(layout, tables, state, action, None), action, None)
     return moved._replace(touching=compute_touching(layout, tables, moved))

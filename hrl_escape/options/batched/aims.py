@@ -1,4 +1,4 @@
-"""What the options of a batch go for where robots grip: which target, what they do there, and when that is possible.
+"""Aims of the options of a batch where robots grip: which target, what to do there, and when that is possible.
 
 A press is done as it begins, and leaving in the exit; `stepping.py` knows both without a table. Gripping and releasing
 change what the puzzle's symbolic model says, so both are tried out once in every state of the puzzle, by the rules and
@@ -29,21 +29,21 @@ from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal
 
 MOST_TRIED = 20_000
 """Most states of a puzzle in which acts are tried, some seconds."""
-NEVER = -(1 << 63)
+NO_STATE = -(1 << 63)
 """Stands for the state after an act that does not reach its goal: no puzzle has this word."""
 _SIGNS = {"grip": 1, "release": -1}
 BatchGoal: TypeAlias = PressGoal | GripGoal | ExitGoal
 
 
 class Aims(NamedTuple):
-    """What the options of a batch go for; empty where they press and leave only, in the order of the targets."""
+    """Aims of the options of a batch; empty where they press and leave only, in the order of the targets."""
 
     targets: Tensor  # the target to go to, or the number of targets for the exit, int64 (options, instances)
     acts: Tensor  # the primitive to take while touching it, -1 for a press and the exit, int64 (options, instances)
     kinds: Tensor  # kind of an instance's puzzle: those of one kind do the same, int64 (instances,)
     words: Tensor  # states of all puzzles, ascending, int64 (states,)
     can: Tensor  # whether an act is possible; true for presses and the exit, bool (options, kinds, states)
-    after: Tensor  # states that reach the goal of an act, or `NEVER`, int64 (outcomes, options, kinds, states)
+    after: Tensor  # states that reach the goal of an act, or `NO_STATE`, int64 (outcomes, options, kinds, states)
 
 
 def check_goals(instance: RoomInstance) -> tuple[BatchGoal, ...]:
@@ -77,7 +77,7 @@ def make_aims(instances: Sequence[RoomInstance], device: torch.device) -> Aims:
     kinds = {acts: number for number, acts in enumerate(dict.fromkeys(tried))}
     words = np.unique(np.concatenate([acts.words for acts in kinds]))
     can = np.ones((len(every[0]), len(kinds), len(words)), dtype=np.bool_)
-    after = np.full((max(len(acts.after) for acts in kinds), *can.shape), NEVER, dtype=np.int64)
+    after = np.full((max(len(acts.after) for acts in kinds), *can.shape), NO_STATE, dtype=np.int64)
     for acts, number in kinds.items():
         places = np.searchsorted(words, acts.words)
         can[:, number, places], after[: len(acts.after), :, number, places] = acts.can, acts.after
@@ -110,7 +110,7 @@ def _try_acts(puzzle: Puzzle, goals: tuple[BatchGoal, ...]) -> _Acts:
         facts[row, [names[fact] for fact in holds]] = True
     words = np.array([as_signed(form.encode(puzzle, state)) for state in table.states], dtype=np.int64)
     can = np.ones((len(goals), len(words)), dtype=np.bool_)
-    after = np.full((table.after.shape[2], len(goals), len(words)), NEVER, dtype=np.int64)
+    after = np.full((table.after.shape[2], len(goals), len(words)), NO_STATE, dtype=np.int64)
 
     def count_held(which: Iterable[str], rows: Any = slice(None)) -> NDArray[np.int64]:
         return facts[rows][:, [names[fact] for fact in which]].sum(axis=1)

@@ -256,7 +256,7 @@ class FieldGrid:
         return heading, near[which]
 
 
-def check_room(instance: RoomInstance) -> None:
+def check_batched_room(instance: RoomInstance) -> None:
     """Refuse a room that a batch has no fields or goals for. Raises `UnsupportedError`."""
     if instance.inner_doors and not isinstance(instance.puzzle, Doored):
         raise UnsupportedError("batched options know no cells that shut again: use OptionsEnv over one room")
@@ -265,7 +265,7 @@ def check_room(instance: RoomInstance) -> None:
 
 def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """Compute an instance's fields, some tenths of a second, or recall them by its id. Raises `UnsupportedError`."""
-    check_room(instance)
+    check_batched_room(instance)
     with _LOCK:
         found = _CACHE.get(instance.id)
         if found is None:

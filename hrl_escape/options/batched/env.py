@@ -39,7 +39,7 @@ from hrl_escape.errors import (
     show_value,
 )
 from hrl_escape.options.batched.aims import BatchGoal, check_goals, read_targets
-from hrl_escape.options.batched.cost_to_go import CostFields, check_room, stack_fields
+from hrl_escape.options.batched.cost_to_go import CostFields, check_batched_room, stack_fields
 from hrl_escape.options.batched.hand_policy import weigh_postures
 from hrl_escape.options.batched.stepping import (
     ENDINGS,
@@ -273,7 +273,7 @@ class BatchedOptionsEnv:
             self.room.layout = dataclasses.replace(self.room.layout, draws=True)
         layout = self.room.layout
         for room in self.room.instances:
-            check_room(room)
+            check_batched_room(room)
         self._fields = stack_fields(self.room.instances, self.device)
         self._host_planner = HostPlanner(self.room)
         names = layout.actions.names if include_primitives else ()

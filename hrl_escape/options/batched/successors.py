@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_hand, compute_rotation, place_base
-from hrl_escape.env.batched.rules import find_shut, move_base
+from hrl_escape.env.batched.rules import drive_base, find_shut
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, compute_distance, compute_first_contact, store, wrap
@@ -52,7 +52,7 @@ def make_column(layout: Layout, state: TensorState, name: str, dtype: torch.dtyp
 _BLOCKED = 0.01  # moves shorter than this do not count, m
 
 
-class Ends(NamedTuple):
+class MoveEnds(NamedTuple):
     """Ends of every base primitive from the present state of every room; all fields (primitives, rooms)."""
 
     x: Tensor  # m, float64
@@ -61,7 +61,7 @@ class Ends(NamedTuple):
     is_blocked: Tensor  # true where the base stays as it is, bool
 
 
-def find_ends(layout: Layout, tables: Tables, state: TensorState, is_open: Tensor) -> Ends:
+def find_ends(layout: Layout, tables: Tables, state: TensorState, is_open: Tensor) -> MoveEnds:
     """Find where base primitives lead: `is_open`, bool (rooms,), is true where the exit's door blocks nothing."""
     if not layout.robot.base.turns_anywhere:
         return _step_ends(layout, tables, state)
@@ -70,18 +70,18 @@ def find_ends(layout: Layout, tables: Tables, state: TensorState, is_open: Tenso
     touched = (find_touched_by_hand(layout, tables, state.instance, compute_resting_hand(layout, state), x, y,
                                     *rotate(layout, tables, state, turn))
                if presses_by_hand(layout) else find_touched_by_body(layout, tables, state, x, y))
-    return Ends(x, y, touched, (free * make_column(layout, state, "length", free.dtype) < _BLOCKED) & (turn == 0))
+    return MoveEnds(x, y, touched, (free * make_column(layout, state, "length", free.dtype) < _BLOCKED) & (turn == 0))
 
 
-def _step_ends(layout: Layout, tables: Tables, state: TensorState) -> Ends:
+def _step_ends(layout: Layout, tables: Tables, state: TensorState) -> MoveEnds:
     """The same by the engine, a copy of the rooms for each primitive, for bases that cannot turn just anywhere."""
     count, rooms = len(layout.actions.base), state.x.shape[0]
     before = TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
     actions = torch.arange(count, device=state.x.device).repeat_interleave(rooms)
-    after = move_base(layout, tables, before, actions)
+    after = drive_base(layout, tables, before, actions)
     is_blocked = torch.hypot(after.x - before.x, after.y - before.y) < _BLOCKED
     is_blocked = is_blocked & (after.heading_steps == before.heading_steps)
-    return Ends(*(field.view(count, rooms) for field in (after.x, after.y, after.touching, is_blocked)))
+    return MoveEnds(*(field.view(count, rooms) for field in (after.x, after.y, after.touching, is_blocked)))
 
 
 def compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: Tensor

@@ -49,7 +49,7 @@ class Moves(NamedTuple):
 
 
 class Targets(NamedTuple):
-    """What the body presses."""
+    """Targets that the body presses."""
 
     shapes: NDArray[np.float64]  # rows of `stack_footprints`, float64 (targets, 7)
     reaches: NDArray[np.float64]  # largest distance of its axis at which each is touched, m, float64 (targets,)

@@ -92,13 +92,13 @@ def _list_events(targets: int) -> Iterator[tuple[int, tuple[int, ...]]]:
 
 
 @lru_cache(maxsize=1024)
-def tabulate(puzzle: Puzzle, pairs: bool = True, most: int = MOST_TABULATED) -> PuzzleTable:
+def tabulate(puzzle: Puzzle, pairs: bool = True, most: int | None = None) -> PuzzleTable:
     """Make the table of a puzzle.
 
     Args:
         puzzle: the puzzle.
         pairs: check that several targets touched at once do what the table says; if false, it holds for single ones.
-        most: most states.
+        most: most states; None for `MOST_TABULATED`.
 
     Raises:
         UnsupportedError: it has none: it watches every primitive, its rules read more than what is pressed, gripped
@@ -111,7 +111,7 @@ def tabulate(puzzle: Puzzle, pairs: bool = True, most: int = MOST_TABULATED) -> 
             raise _UnseenError("moves push things")
         if puzzle.is_random and not puzzle.chances:
             raise _UnseenError("they read contacts.uniform and list no chances")
-        return _tabulate(puzzle, pairs, most)
+        return _tabulate(puzzle, pairs, MOST_TABULATED if most is None else most)
     except _UnseenError as why:
         raise UnsupportedError(
             f"puzzle {puzzle.kind!r} has no tensor form, and none can be made of its rules, for {why}: use the Bullet "
