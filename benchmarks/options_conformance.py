@@ -19,26 +19,22 @@ from collections.abc import Sequence
 import torch
 
 from benchmarks.findings import list_batched_rooms, load_findings
-from hrl_escape.env.config import ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles.base import Panels
-from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import write_json
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
+from tests.env.rooms import RECTANGLE
 
 MOST_MORE = 0.05
-_BOX = RoomConfig(room=ShapeConfig(width=8, depth=8), obstacles=ObstaclesConfig(count=4),
-                  robot=RobotConfig(footprint="rectangle", body_length=1.2, body_width=0.6),
-                  puzzle=ButtonsConfig(count=2, buttons=Panels(width=0.8)))
 OWN = {
     "blocks-world-hand": get_preset("blocks-world", hand=True),
-    "rectangle": _BOX,
-    "rectangle-turning": dataclasses.replace(_BOX, robot=dataclasses.replace(_BOX.robot, drive="differential")),
+    "rectangle": RECTANGLE,
+    "rectangle-turning": dataclasses.replace(RECTANGLE, robot=dataclasses.replace(RECTANGLE.robot,
+                                                                                  drive="differential")),
 }
 """Rooms beside the presets: a hand that grips, and rectangular bases."""
 

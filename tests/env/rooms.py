@@ -40,6 +40,12 @@ EXTREMES = {
 }
 
 
+RECTANGLE = RoomConfig(room=ShapeConfig(width=8, depth=8), obstacles=ObstaclesConfig(count=4),
+                       robot=RobotConfig(footprint="rectangle", body_length=1.2, body_width=0.6),
+                       puzzle=ButtonsConfig(count=2, buttons=Panels(width=0.8)))
+"""A small cluttered room for a base longer than wide."""
+
+
 def make_ordered_chain() -> RoomConfig:
     """The room of `four-button-chain` with its buttons numbered in the order in which they must be pressed."""
     preset = get_preset("four-button-chain")

@@ -37,10 +37,10 @@ from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.paths import planners
 from hrl_escape.planning.paths.navigator import Navigator
 from hrl_escape.planning.planner import RoomPlanner
+from tests.env.rooms import RECTANGLE
 
-ROBOT = RobotConfig(footprint="rectangle", body_length=1.2, body_width=0.6)
-SMALL = RoomConfig(room=ShapeConfig(width=8, depth=8), robot=ROBOT, obstacles=ObstaclesConfig(count=4),
-                   puzzle=ButtonsConfig(count=2, buttons=Panels(width=0.8)))
+SMALL = RECTANGLE
+ROBOT = SMALL.robot
 NARROW = RoomConfig(room=ShapeConfig(width=10, depth=8, rooms=2, doorway_width=1.2), robot=dataclasses.replace(
     ROBOT, move_step=0.5), puzzle=ButtonsConfig(count=2, buttons=Panels(width=1.0)))
 """With seed 2 a wall along x, at y = -1.5, lies between the start and the exit."""

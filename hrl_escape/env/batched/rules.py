@@ -24,7 +24,7 @@ from hrl_escape.env.batched.poses import (
     place_base,
 )
 from hrl_escape.env.batched.puzzles.base import TensorContacts
-from hrl_escape.env.batched.tables import Layout, Tables, pick, pick_rules
+from hrl_escape.env.batched.tables import Layout, Tables, pick, pick_column, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.kinematics import ROUNDING
 from hrl_escape.env.noise import CHANCE_PURPOSE, NOISE_PURPOSE, draw_puzzle_start, draw_words, scale_word
@@ -412,7 +412,7 @@ def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -
             instance = scale_word(fourth, tables.total)
         chosen = scale_word(first, pick(layout, tables.start_counts, instance)[0])
         noise_key = ((second << 32) | third) & (2**63 - 1)
-    column = torch.zeros_like(instance) if layout.is_shared else instance
+    column = pick_column(layout, instance)
     begun = torch.zeros_like(instance)
     if len(tables.puzzle_starts) > 1:
         begun = draw_puzzle_start(noise_key, pick(layout, tables.puzzle_start_counts, instance)[0])

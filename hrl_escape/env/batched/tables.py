@@ -132,6 +132,11 @@ def pick(layout: Layout, table: Any, instance: Tensor) -> Any:
     return table if layout.is_shared else map_tensors(lambda column: column[..., instance], table)
 
 
+def pick_column(layout: Layout, instance: Tensor) -> Tensor:
+    """Index of each room's column in tables, int64 (rooms,): its instance's, or 0 if all rooms share one."""
+    return torch.zeros_like(instance) if layout.is_shared else instance
+
+
 def pick_rules(layout: Layout, tables: Tables, instance: Tensor) -> tuple[TensorPuzzle, PuzzleTables]:
     """The puzzle's rules, and each room's columns of their tables."""
     form = get_tensor_puzzle(layout.puzzle)

@@ -8,9 +8,8 @@ by the model, as `planning/goals.py` does it in one state.
 from __future__ import annotations
 
 import dataclasses
-import weakref
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,7 +19,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import GRIPS, as_signed, get_tensor_puzzle, tabulate
-from hrl_escape.env.batched.tables import Layout
+from hrl_escape.env.batched.tables import Layout, pick_column
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.errors import UnsupportedError
@@ -74,14 +73,16 @@ def make_aims(instances: Sequence[RoomInstance], device: torch.device) -> Aims:
     primitives = [[room.robot.actions.find(goal.action) if isinstance(goal, GripGoal) else -1 for goal in goals]
                   for room, goals in zip(instances, every, strict=True)]
     tried = [_try_acts(room.puzzle, goals) for room, goals in zip(instances, every, strict=True)]
-    kinds = {acts: number for number, acts in enumerate(dict.fromkeys(tried))}
-    words = np.unique(np.concatenate([acts.words for acts in kinds]))
+    kinds = {acts.content: acts for acts in tried}  # puzzles that do the same, such as towers of as many blocks
+    numbers = {content: number for number, content in enumerate(kinds)}
+    words = np.unique(np.concatenate([acts.words for acts in kinds.values()]))
     can = np.ones((len(every[0]), len(kinds), len(words)), dtype=np.bool_)
-    after = np.full((max(len(acts.after) for acts in kinds), *can.shape), NO_STATE, dtype=np.int64)
-    for acts, number in kinds.items():
+    after = np.full((max(len(acts.after) for acts in kinds.values()), *can.shape), NO_STATE, dtype=np.int64)
+    for number, acts in enumerate(kinds.values()):
         places = np.searchsorted(words, acts.words)
         can[:, number, places], after[: len(acts.after), :, number, places] = acts.can, acts.after
-    tables = np.array(targets).T, np.array(primitives).T, np.array([kinds[acts] for acts in tried]), words, can, after
+    tables = (np.array(targets).T, np.array(primitives).T, np.array([numbers[acts.content] for acts in tried]), words,
+              can, after)
     return Aims(*(torch.from_numpy(np.ascontiguousarray(table)).to(device) for table in tables))
 
 
@@ -93,10 +94,15 @@ class _Acts:
     can: NDArray[np.bool_]  # bool (options, states)
     after: NDArray[np.int64]  # int64 (outcomes, options, states)
 
+    @cached_property
+    def content(self) -> tuple[bytes, ...]:
+        """Equal where all three are."""
+        return self.words.tobytes(), self.can.tobytes(), self.after.tobytes()
+
 
 @lru_cache(maxsize=1024)
 def _try_acts(puzzle: Puzzle, goals: tuple[BatchGoal, ...]) -> _Acts:
-    """Try all acts in all states of a puzzle, 10 ms for four blocks; puzzles that do the same give the same object."""
+    """Try all acts in all states of a puzzle, 10 ms for four blocks."""
     try:
         table = tabulate(puzzle, pairs=False, most=MOST_TRIED)
     except UnsupportedError as why:
@@ -137,12 +143,7 @@ def _try_acts(puzzle: Puzzle, goals: tuple[BatchGoal, ...]) -> _Acts:
                     is_reached |= count_held(op.delete, then) == 0
                 after[outcome, number] = np.where(fits & is_reached, words[then], after[outcome, number])
     order = np.argsort(words)
-    words, can, after = words[order], can[:, order], after[..., order]
-    acts = _Acts(words, can, after)
-    return _ALIKE.setdefault((words.tobytes(), can.tobytes(), after.tobytes()), acts)
-
-
-_ALIKE = weakref.WeakValueDictionary[tuple[bytes, ...], _Acts]()
+    return _Acts(words[order], can[:, order], after[..., order])
 
 
 # --- in a batch of rooms -------------------------------------------------------------------
@@ -150,12 +151,12 @@ _ALIKE = weakref.WeakValueDictionary[tuple[bytes, ...], _Acts]()
 
 def read_targets(layout: Layout, aims: Aims, instance: Tensor, goal: Tensor) -> Tensor:
     """Targets to go to for the goals of rooms, int64 (rooms,); the number of targets for the exit."""
-    return aims.targets[goal, _pick(layout, instance)] if len(aims.targets) else goal
+    return aims.targets[goal, pick_column(layout, instance)] if len(aims.targets) else goal
 
 
 def read_acts(layout: Layout, aims: Aims, instance: Tensor, goal: Tensor) -> Tensor:
     """Primitives that the goals of rooms end with, int64 (rooms,); -1 for a press and the exit."""
-    return aims.acts[goal, _pick(layout, instance)]
+    return aims.acts[goal, pick_column(layout, instance)]
 
 
 def find_possible(layout: Layout, aims: Aims, state: TensorState) -> Tensor:
@@ -164,7 +165,7 @@ def find_possible(layout: Layout, aims: Aims, state: TensorState) -> Tensor:
     In a state that no presses or grips lead to, no act is.
     """
     kind, place = _find_place(layout, aims, state)
-    is_known, acts = aims.words[place] == state.puzzle, aims.acts[:, _pick(layout, state.instance)]
+    is_known, acts = aims.words[place] == state.puzzle, aims.acts[:, pick_column(layout, state.instance)]
     return (aims.can[:, kind, place] & (is_known | (acts < 0))).T
 
 
@@ -177,8 +178,5 @@ def has_acted(layout: Layout, aims: Aims, goal: Tensor, before: TensorState, aft
 def _find_place(layout: Layout, aims: Aims, state: TensorState) -> tuple[Tensor, Tensor]:
     """Kind of the rooms' puzzles and number of their states, int64 (rooms,) each."""
     place = torch.searchsorted(aims.words, state.puzzle)
-    return aims.kinds[_pick(layout, state.instance)], place.clamp(max=len(aims.words) - 1)
+    return aims.kinds[pick_column(layout, state.instance)], place.clamp(max=len(aims.words) - 1)
 
-
-def _pick(layout: Layout, instance: Tensor) -> Tensor:
-    return torch.zeros_like(instance) if layout.is_shared else instance

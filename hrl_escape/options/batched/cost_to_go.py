@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.env.batched.poses import TensorState
-from hrl_escape.env.batched.tables import Layout, pick
+from hrl_escape.env.batched.tables import Layout, pick, pick_column
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
@@ -33,7 +33,7 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.cost_to_go import count_classes, lay_grid, make_collision
 from hrl_escape.floor.dijkstra import choose_headings, choose_points
 from hrl_escape.floor.sweeps import SweepScene, make_presser, make_sweep_scene
-from hrl_escape.options.batched.aims import Aims, check_goals, make_aims
+from hrl_escape.options.batched.aims import Aims, make_aims
 from hrl_escape.options.batched.value_iteration import (
     AT_GOAL,
     UNREACHABLE,
@@ -173,8 +173,8 @@ class FieldGrid:
         self.states = headings * len(self._points)
         choose_points(scene, self.low, self.size, self.shape[1], 0, self.shape[0],
                       np.ones_like(self._standing), self._points, self._standing)
-        self._angles = np.arange(headings) * rules.turn_step + offset
         angles = np.arange(headings + 1) * rules.turn_step + offset
+        self._angles = angles[:-1]
         turns = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         self._turn_steps = rules.actions.turn_steps
         self._fits, self._can_turn = self._choose_headings(scene, turns, rules.turn_step)
@@ -256,16 +256,8 @@ class FieldGrid:
         return heading, near[which]
 
 
-def check_batched_room(instance: RoomInstance) -> None:
-    """Refuse a room that a batch has no fields or goals for. Raises `UnsupportedError`."""
-    if instance.inner_doors and not isinstance(instance.puzzle, Doored):
-        raise UnsupportedError("batched options know no cells that shut again: use OptionsEnv over one room")
-    check_goals(instance)
-
-
 def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
-    """Compute an instance's fields, some tenths of a second, or recall them by its id. Raises `UnsupportedError`."""
-    check_batched_room(instance)
+    """Compute an instance's fields, some tenths of a second, or recall them by its id."""
     with _LOCK:
         found = _CACHE.get(instance.id)
         if found is None:
@@ -303,8 +295,14 @@ def _compute(instance: RoomInstance) -> InstanceFields:
 
 
 def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> CostFields:
-    """Put the fields of several instances on a device; equal instances share theirs."""
-    aims = make_aims(instances, device)  # first, as it may refuse
+    """Put the fields of several instances on a device; equal instances share theirs.
+
+    Raises:
+        UnsupportedError: a room needs more than a batch's options do; told before any field is computed.
+    """
+    if any(instance.inner_doors and not isinstance(instance.puzzle, Doored) for instance in instances):
+        raise UnsupportedError("batched options know no cells that shut again: use OptionsEnv over one room")
+    aims = make_aims(instances, device)
     each = [compute_instance_fields(instance) for instance in instances]
     unique = {id(fields): fields for fields in each}
     firsts, total = {}, 0
@@ -384,7 +382,7 @@ def interpolate_cost(layout: Layout, fields: CostFields, instance: Tensor, field
         heading: class of the heading, int64 (..., rooms).
         between: share of the way to the next class, float32 (rooms,); None if all headings are classes.
     """
-    column = torch.zeros_like(instance) if layout.is_shared else instance
+    column = pick_column(layout, instance)
     first = fields.begins[field, column] + place.cell * fields.classes
     aside = pick(layout, fields.shape, instance)[1] * fields.classes
     layers = [(heading, torch.ones_like(place.across))]

@@ -39,7 +39,7 @@ from hrl_escape.errors import (
     show_value,
 )
 from hrl_escape.options.batched.aims import BatchGoal, check_goals, read_targets
-from hrl_escape.options.batched.cost_to_go import CostFields, check_batched_room, stack_fields
+from hrl_escape.options.batched.cost_to_go import CostFields, stack_fields
 from hrl_escape.options.batched.hand_policy import weigh_postures
 from hrl_escape.options.batched.stepping import (
     ENDINGS,
@@ -73,8 +73,7 @@ class HostPlanner:
 
     def __init__(self, room: TensorRoom) -> None:
         self._room = room
-        self._planners: dict[int, RoomPlanner] = {}
-        self._goals = [check_goals(instance) for instance in room.instances]  # of the options, by number
+        self._planners: dict[int, tuple[RoomPlanner, tuple[BatchGoal, ...]]] = {}  # and the goals of the options
 
     def order(self, running: OpenDecisions, where: Tensor, options: Tensor) -> OpenDecisions:
         """List the ancestors of options, int64 (rooms,), and these options, in the order to carry them out.
@@ -119,8 +118,10 @@ class HostPlanner:
         states = self._room.get_room_states(at.tolist())
         for number, state, aim in zip(self._room.state.instance[at].tolist(), states, goal[at].tolist(), strict=True):
             if number not in self._planners:
-                self._planners[number] = get_planner(self._room.instances[number])
-            yield self._planners[number], state, self._goals[number], aim
+                instance = self._room.instances[number]
+                self._planners[number] = get_planner(instance), check_goals(instance)
+            planner, goals = self._planners[number]
+            yield planner, state, goals, aim
 
     @staticmethod
     def _find_order(planner: RoomPlanner, state: RoomState, goals: Sequence[BatchGoal], number: int) -> list[int]:
@@ -272,8 +273,6 @@ class BatchedOptionsEnv:
         if degradation != OptionDegradation(flavour=degradation.flavour):  # draws depend on the episode's key
             self.room.layout = dataclasses.replace(self.room.layout, draws=True)
         layout = self.room.layout
-        for room in self.room.instances:
-            check_batched_room(room)
         self._fields = stack_fields(self.room.instances, self.device)
         self._host_planner = HostPlanner(self.room)
         names = layout.actions.names if include_primitives else ()

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_hand, compute_rotation
-from hrl_escape.env.batched.tables import Layout, Tables, map_tensors
+from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick_column
 from hrl_escape.env.tensor_geometry import Shapes, store, wrap
 from hrl_escape.options.batched.cost_to_go import (
     FAR,
@@ -52,7 +52,7 @@ def find_reach(layout: Layout, tables: Tables, fields: CostFields, state: Tensor
                postures: Tensor) -> Reach:
     """Look up the postures that touch every room's target, int64 (rooms,), and those chosen, int64 (chosen, rooms)."""
     target = goal.clamp(max=layout.targets - 1)
-    column = torch.zeros_like(state.instance) if layout.is_shared else state.instance
+    column = pick_column(layout, state.instance)
     steps, hands = (_read(table, target, column) for table in (fields.postures.steps, fields.postures.hands))
     away = (steps - state.joint_steps.unsqueeze(1)).abs().sum(0).to(torch.float32)
     shifts, numbers = (table[..., postures, target, column] for table in fields.postures[2:])
@@ -173,7 +173,7 @@ def weigh_postures(layout: Layout, tables: Tables, fields: CostFields, state: Te
     `goal` are the targets to press, int64 (rooms,), and `rooms` numbers of the rooms to choose in, int64 (some,).
     """
     state = map_tensors(lambda field: field[..., rooms], state)
-    column = torch.zeros_like(state.instance) if layout.is_shared else state.instance
+    column = pick_column(layout, state.instance)
     steps, _, shifts, numbers = (_read(table, goal[rooms], column) for table in fields.postures)
     away = (steps - state.joint_steps.unsqueeze(1)).abs().sum(0).to(torch.float32)
     if layout.dynamics.noise:

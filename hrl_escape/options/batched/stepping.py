@@ -37,6 +37,7 @@ from hrl_escape.options.batched.successors import (
     is_solved,
     make_column,
     presses_by_hand,
+    repeat_rooms,
 )
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 from hrl_escape.options.degraded import FAILURE, STOP, OptionDegradation
@@ -420,7 +421,7 @@ def _estimate_from_successors(layout: Layout, tables: Tables, fields: CostFields
                               touched: Tensor, turn: Tensor) -> Tensor:
     """Cost-to-go after each base primitive: one more than that of the best primitive to follow it."""
     count = len(x)
-    later = TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
+    later = repeat_rooms(state, count)
     headings = wrap(state.heading_steps + turn, layout.headings).to(torch.int32)
     later = later._replace(x=x.flatten(), y=y.flatten(), heading_steps=headings.flatten(), touching=touched.flatten())
     goals, later_postures = goal.repeat(count), postures.repeat(1, count)

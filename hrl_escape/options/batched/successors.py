@@ -13,6 +13,7 @@ from hrl_escape.env.batched.rules import drive_base, find_shut
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, compute_distance, compute_first_contact, store, wrap
+from hrl_escape.options.batched.value_iteration import BLOCKED
 
 
 def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
@@ -49,9 +50,6 @@ def make_column(layout: Layout, state: TensorState, name: str, dtype: torch.dtyp
     return torch.tensor(values, dtype=dtype, device=state.x.device).unsqueeze(1)
 
 
-_BLOCKED = 0.01  # moves shorter than this do not count, m
-
-
 class MoveEnds(NamedTuple):
     """Ends of every base primitive from the present state of every room; all fields (primitives, rooms)."""
 
@@ -70,16 +68,21 @@ def find_ends(layout: Layout, tables: Tables, state: TensorState, is_open: Tenso
     touched = (find_touched_by_hand(layout, tables, state.instance, compute_resting_hand(layout, state), x, y,
                                     *rotate(layout, tables, state, turn))
                if presses_by_hand(layout) else find_touched_by_body(layout, tables, state, x, y))
-    return MoveEnds(x, y, touched, (free * make_column(layout, state, "length", free.dtype) < _BLOCKED) & (turn == 0))
+    return MoveEnds(x, y, touched, (free * make_column(layout, state, "length", free.dtype) < BLOCKED) & (turn == 0))
+
+
+def repeat_rooms(state: TensorState, count: int) -> TensorState:
+    """States of the rooms so many times over, one copy after the other."""
+    return TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
 
 
 def _step_ends(layout: Layout, tables: Tables, state: TensorState) -> MoveEnds:
     """The same by the engine, a copy of the rooms for each primitive, for bases that cannot turn just anywhere."""
     count, rooms = len(layout.actions.base), state.x.shape[0]
-    before = TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
+    before = repeat_rooms(state, count)
     actions = torch.arange(count, device=state.x.device).repeat_interleave(rooms)
     after = drive_base(layout, tables, before, actions)
-    is_blocked = torch.hypot(after.x - before.x, after.y - before.y) < _BLOCKED
+    is_blocked = torch.hypot(after.x - before.x, after.y - before.y) < BLOCKED
     is_blocked = is_blocked & (after.heading_steps == before.heading_steps)
     return MoveEnds(*(field.view(count, rooms) for field in (after.x, after.y, after.touching, is_blocked)))
 

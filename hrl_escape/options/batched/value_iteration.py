@@ -23,7 +23,8 @@ AT_GOAL = 1e-6
 _MOST, _GOAL = np.float32(UNREACHABLE), np.float32(AT_GOAL)
 _ONE = np.float32(1.0)
 _FREE, _ABSENT = -1, -2
-_BLOCKED = 0.01  # moves shorter than this do not count, m
+BLOCKED = 0.01
+"""Moves shorter than this do not count, m."""
 
 
 class Moves(NamedTuple):
@@ -145,7 +146,7 @@ def _trace_listed(scene, points, fits, turns, rows, low, size, moves, offsets, s
         for m in range(translations):
             dx, dy = moves[c, m, 0], moves[c, m, 1]
             fraction = sweep_body(scene, x, y, turns[c], dx, dy, lengths[m])
-            if fraction * lengths[m] < _BLOCKED or (is_whole and fraction < 1.0):
+            if fraction * lengths[m] < BLOCKED or (is_whole and fraction < 1.0):
                 continue
             ex, ey = x + fraction * dx, y + fraction * dy
             bits = _find_touched(ex, ey, turns[c], targets, near[cell]) & ~here[cell, c % layers]
