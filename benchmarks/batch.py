@@ -11,6 +11,7 @@ Examples:
     python -m benchmarks.batch
     python -m benchmarks.batch --scenes paper-two-button --sizes 8192 --threads 2
     python -m benchmarks.batch --sizes 1024 32768 1048576 --device cuda --plot batch.png
+    python -m benchmarks.batch --velocities --no-peers
 """
 
 from __future__ import annotations
@@ -48,6 +49,8 @@ class Args:
     """Observation of our environments."""
     device: str = "cpu"
     """Device of the batches: cpu, cuda, ..."""
+    velocities: bool = False
+    """Actions are velocities, each held for a tenth of a second, and no primitives."""
     threads: int = 0
     """Number of torch threads; 0 for its default, one a core."""
     repeats: int = 5
@@ -79,7 +82,7 @@ def run(args: Args) -> None:
     contest.set_threads(args.threads)
     contenders: list[contest.Contender] = []
     with Progress(console=Console(stderr=True), transient=True, disable=args.json) as progress:
-        batch = contest.BatchSettings(args.instances, args.observation, args.device)
+        batch = contest.BatchSettings(args.instances, args.observation, args.device, args.velocities)
         makers = contest.list_makers(args.scenes, args.sizes, args.engines, args.peers, batch)
         task = progress.add_task("", total=len(makers) * (1 + args.repeats))
         for name, make in makers:

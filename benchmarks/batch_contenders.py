@@ -23,6 +23,7 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.velocities import Velocities
 
 POOL = 16  # batches of random actions, drawn beforehand
 SYNC_ROOMS = 8
@@ -37,11 +38,13 @@ class BatchSettings:
         instances: number of different instances in a batch.
         observation: name of the observation.
         device: torch device.
+        velocities: whether actions are velocities.
     """
 
     instances: int
     observation: str
     device: str
+    velocities: bool = False
 
 
 @dataclasses.dataclass
@@ -162,10 +165,11 @@ def _make_batch(scene: str, rooms: int, engine: str, settings: BatchSettings) ->
     instances = [generate(make_scene(scene), seed) for seed in range(settings.instances)]
     begun = time.perf_counter()
     batch = TensorRoom(Rooms(rooms, instance=instances, observation=settings.observation, device=settings.device,
-                             compile=engine == "compiled"))
+                             compile=engine == "compiled"),
+                       velocities=Velocities() if settings.velocities else None)
     batch.reset(torch.arange(rooms, device=batch.device))
     generator = torch.Generator().manual_seed(0)
-    pool = [torch.randint(batch.actions, (rooms,), generator=generator).to(batch.device) for _ in range(POOL)]
+    pool = [draw_actions(batch, generator) for _ in range(POOL)]
     before = batch.state
     outcome = batch.step(pool[0])
     _wait(batch.device)
@@ -247,6 +251,17 @@ def _make_gymnax(count: int) -> Contender:
 
     step(1)
     return Contender(GYMNAX, "JAX, compiled", count, step, time.perf_counter() - begun)
+
+
+def draw_actions(batch: TensorRoom, generator: torch.Generator) -> torch.Tensor:
+    """Random primitives, int64 (rooms,), or velocities within their bounds, float64 (rooms, numbers)."""
+    velocities = batch.layout.velocities
+    if velocities is None:
+        drawn = torch.randint(batch.actions, (batch.count,), generator=generator)
+    else:
+        top = torch.tensor(velocities.list_bounds(batch.layout.robot), dtype=torch.float64)
+        drawn = top * (2.0 * torch.rand(batch.count, len(top), generator=generator, dtype=torch.float64) - 1.0)
+    return drawn.to(batch.device)
 
 
 def _wait(device: torch.device) -> None:

@@ -11,15 +11,19 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from benchmarks.batch_contenders import (
+    BatchSettings,
     Contender,
     count_bytes,
     count_moved_bytes,
+    draw_actions,
+    list_makers,
     set_arithmetic_bounds,
 )
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.velocities import Velocities
 from tests.command_line import call_script
 
 QUICK = ("--seconds", "0.01", "--repeats", "1", "--threads", "1", "--engines", "eager", "--sizes", "2", "16")
@@ -92,6 +96,20 @@ def test_the_table_says_what_the_numbers_are(capsys):
     code, out, _ = run(capsys, *QUICK, "--scenes", "bit-flip", "--no-peers")
     assert code == 0
     assert "bit-flip" in out and "memory bound" in out and "resets included" in out and "CartPole" not in out
+
+
+def test_velocities_are_drawn_within_their_bounds_on_both_sides_and_stepped():
+    slow = Velocities(speed=0.5, turn_speed=0.2)
+    batch = TensorRoom(Rooms(400, "paper-two-button"), velocities=slow)
+    drawn = draw_actions(batch, torch.Generator().manual_seed(0))
+    top = torch.tensor(slow.list_bounds(batch.layout.robot), dtype=torch.float64)
+    assert drawn.shape == (400, 3) and (drawn.abs() <= top).all()
+    assert (drawn.amin(0) < -0.9 * top).all() and (drawn.amax(0) > 0.9 * top).all()
+    made = list_makers(["paper-two-button"], [7], ["eager"], False, BatchSettings(1, "features", "cpu", True))
+    assert len(made) == 1
+    contender = made[0][1]()
+    contender.measure(0.02)
+    assert (contender.rooms, contender.engine) == (7, "eager") and contender.wall < 1.0
 
 
 @pytest.mark.parametrize(

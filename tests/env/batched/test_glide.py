@@ -95,6 +95,29 @@ def test_the_engines_agree_over_a_hundred_thousand_velocities(name):
     assert found.is_good and found.worst < 1e-9
 
 
+@pytest.mark.gpu
+@pytest.mark.parametrize("is_compiled", [False, True])
+@pytest.mark.parametrize("name", sorted(FAMILIES))
+def test_velocities_on_an_accelerator_do_what_they_do_on_the_cpu(name, is_compiled):
+    found, instances = [], [generate(FAMILIES[name], seed) for seed in range(2)]
+    for device in ("cpu", "cuda"):
+        batch = TensorRoom(Rooms(64, instance=instances, device=device, compile=is_compiled and device == "cuda"),
+                           velocities=FAST)
+        batch.reset(torch.arange(64, device=device))
+        generator, rows = torch.Generator().manual_seed(0), []
+        top = torch.tensor(FAST.list_bounds(batch.layout.robot), dtype=torch.float64)
+        rates = torch.zeros(64, len(top), dtype=torch.float64)
+        for step in range(200):
+            if step % 5 == 0:  # held, so that robots cross their rooms
+                rates = top * (2.0 * torch.rand(64, len(top), generator=generator, dtype=torch.float64) - 1.0)
+            outcome = batch.step(rates.to(device))
+            at = batch.state
+            rows.append(torch.stack([field.double().cpu() for field in (at.x, at.y, at.puzzle, outcome.reward)]))
+        found.append(torch.stack(rows))
+    assert found[0][:, :2].std(0).max() > 0.5, "robots move"
+    assert (found[0] - found[1]).abs().max() < 1e-9
+
+
 @pytest.mark.parametrize("preset", ["paper-random", "arm-two-button"])
 def test_a_vector_of_rooms_is_the_single_environment_many_times(preset):
     """A time limit that ends between two steps, so that both must round it alike."""

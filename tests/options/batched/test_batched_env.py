@@ -262,22 +262,6 @@ def test_compiled_steps_do_what_eager_ones_do_and_never_recompile(monkeypatch):
     compiled.step(torch.zeros(16, dtype=torch.int64))
 
 
-@pytest.mark.gpu
-@pytest.mark.parametrize("is_compiled", [False, True])
-def test_options_on_an_accelerator_do_what_they_do_on_the_cpu(is_compiled):
-    found = []
-    for device in ("cpu", "cuda"):
-        env = make_env(64, device=device, compile=is_compiled and device == "cuda")
-        env.reset(torch.arange(64, device=device))
-        generator, rows = torch.Generator().manual_seed(0), []
-        for _ in range(60):
-            action = torch.multinomial(env.action_mask.float().cpu(), 1, generator=generator).squeeze(1)
-            done = env.step(action.to(device))
-            rows.append(torch.stack([field.float().cpu() for field in (done.where, done.reward, done.duration)]))
-        found.append(torch.stack(rows))
-    assert torch.equal(*found)
-
-
 # --- refusals --------------------------------------------------------------------------------
 
 
