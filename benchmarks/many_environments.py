@@ -8,8 +8,9 @@
     python -m benchmarks.many_environments rates --device cuda --counts 4096 65536 --contenders "1 epoch"
     python -m benchmarks.many_environments rates --quick       # seconds: shows that everything runs
 
-`ppo` at its default settings but for the epochs, `dqn` at its own, Stable-Baselines3's PPO (`sb3`) at its own (10
-epochs), with 1 and 8 environments. Whether as much is learned from equally many primitives is the question of
+`ppo` at its default settings but for the epochs, `dqn` at its own, with which it learns from a primitive 16 times, and
+with the minibatches of Mnih et al. (2015), 8 times; Stable-Baselines3's PPO (`sb3`) at its own (10 epochs), with 1 and
+8 environments. Whether as much is learned from equally many primitives is the question of
 `benchmarks.learning_curves` and `benchmarks.environments_scaled`. Rates are of processor time, and of wall time, which
 is the one to read with several threads. A run warms up before it is timed, so that nothing is compiled meanwhile.
 Finished runs are kept, a line each, in the file `--out`; the command goes on where it was stopped.
@@ -38,7 +39,8 @@ PICTURED = ("PaperTwoButton", "Clutter")
 COMPILED = 512
 """Environments from which on rooms are compiled: fewer do not spend enough to be worth it."""
 RATED: dict[str, tuple[str, dict[str, Any]]] = {
-    "10 epochs": ("ppo", {}), "4 epochs": ("ppo", {"epochs": 4}), "1 epoch": ("ppo", {"epochs": 1}), "dqn": ("dqn", {})}
+    "10 epochs": ("ppo", {}), "4 epochs": ("ppo", {"epochs": 4}), "1 epoch": ("ppo", {"epochs": 1}), "dqn": ("dqn", {}),
+    "dqn, 8 times": ("dqn", {"batch_size": 32})}
 """Contender -> agent and settings."""
 DECIDED: dict[str, tuple[str, dict[str, Any]]] = {
     "smdp-ppo, 1 epoch": ("features", {"epochs": 1}), "smdp-ppo, 10 epochs": ("features", {}),

@@ -22,6 +22,7 @@ import math
 import secrets
 import socket
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.cookies import CookieError, SimpleCookie
@@ -121,12 +122,14 @@ class Guard:
         title: title of the browser's tab.
         is_expected: decides about each message of an admitted page, given its connection and the bytes;
             None while the server starts, when nobody is admitted.
+        connections: all connections, those that a browser opens for later and says nothing on among them.
     """
 
     def __init__(self, host: str) -> None:
         self.token = secrets.token_urlsafe(24)
         self.title = "hrl-escape"
         self.is_expected: Callable[[Any, Any], bool] | None = None
+        self.connections: weakref.WeakSet[Any] = weakref.WeakSet()
         self._names = {host.lower(), *_LOOPBACK}
         self._is_open = host in _WILDCARDS
         if self._is_open:
@@ -249,6 +252,10 @@ def _make_connection_class(guard: Guard) -> type:
     class GuardedConnection(websockets.asyncio.server.ServerConnection):
         """A connection that passes on only what a page is expected to send."""
 
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            guard.connections.add(self)
+
         async def recv(self, decode: bool | None = None) -> Any:
             while True:
                 raw = await super().recv(decode)
@@ -284,7 +291,10 @@ class Server(viser.ViserServer):
         return None
 
     def stop(self) -> None:
-        """Stop without viser's message."""
+        """Stop at once, without viser's message; a connection on which nothing was said would hold it up."""
+        for connection in tuple(self.guard.connections):
+            if connection.request is None:
+                connection.loop.call_soon_threadsafe(connection.transport.abort)
         with contextlib.redirect_stdout(io.StringIO()):
             super().stop()
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import re
 import socket
+import time
 from pathlib import Path
 
 import pytest
@@ -38,6 +40,21 @@ def test_commands_and_servers_have_one_default_address():
 
 def test_it_opens_no_tunnel(server):
     assert server.request_share_url() is None
+
+
+def test_it_stops_at_once_though_a_browser_keeps_a_connection_for_later():
+    server = open_server(port=0)
+    with socket.create_connection((HOST, server.get_port())) as idle:
+        while not server.guard.connections:
+            time.sleep(0.01)
+        begun = time.monotonic()
+        server.stop()
+        assert time.monotonic() - begun < 4.0, "viser alone waits for six seconds"
+        idle.settimeout(60.0)
+        with contextlib.suppress(ConnectionResetError):
+            assert idle.recv(1) == b"", "it is closed"
+    with pytest.raises(OSError):
+        socket.create_connection((HOST, server.get_port()))
 
 
 @pytest.mark.parametrize("command", [["play"], ["watch"]])
