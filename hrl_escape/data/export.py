@@ -67,7 +67,7 @@ def to_minari(data: DataSet, namespace: str = "hrl_escape") -> tuple[Any, Any]:
         env, test = (rooms.make_env(options, observation=data.observation)
                      for rooms in (data.tape.rooms, data.test_rooms))
         scores = data.tape.about["scores"]
-        buffers = [_make_buffer(EpisodeBuffer, number, part, data)
+        buffers = [_make_buffer(EpisodeBuffer, number, part)
                    for number, part in enumerate(iterate_trajectories(data, level))]
         made.append(minari.create_dataset_from_buffers(
             f"{place}-{level}-v1", buffers, env=env.spec, eval_env=test.spec, algorithm_name=data.tape.about["kind"],
@@ -81,7 +81,7 @@ def to_minari(data: DataSet, namespace: str = "hrl_escape") -> tuple[Any, Any]:
     return made[0], made[1]
 
 
-def _make_buffer(kind: Any, number: int, part: Any, data: DataSet) -> Any:
+def _make_buffer(kind: Any, number: int, part: Any) -> Any:
     """Buffer of one trajectory: a row more of observations and infos than of actions."""
     observations = np.concatenate([part.observation, part.next_observation[-1:]])
     over, last = part.terminated, part.last

@@ -184,10 +184,6 @@ class GoalSpace:
         """Mask of the goals that, named at an observation, are reached there, bool (count,)."""
         return self.measure(self.goals, observation) <= self.tolerance
 
-    def find_nearest(self, point: GoalPoint) -> int:
-        """Number of the goal nearest to a point, or to a displacement where goals are relative."""
-        return int(measure_straight(point, self.goals).argmin())
-
 
 class GoalTask(ViewTask):
     """A task that sees what a goal space shows of an observation, and knows the space as `goal_space`."""

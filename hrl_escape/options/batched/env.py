@@ -418,7 +418,7 @@ class BatchedOptionsEnv:
         """Ask for orders, choose postures, and plan for the rooms whose greedy policy has made no progress."""
         settings, layout = self._settings, self.room.layout
         if settings.interruptible or settings.has_ancestors or self._chooser is not None:
-            running = begin_decisions(layout, settings, running, self.is_waiting & (action >= 0), action,
+            running = begin_decisions(settings, running, self.is_waiting & (action >= 0), action,
                                       view.observation)
         where = (running.action >= settings.primitives) & (running.plan_left == 0) & ~self.is_over
         where = where & (running.run >= settings.degradation.detour)

@@ -158,7 +158,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     accelerator stops for.
     """
     is_over = state.has_ended != 0
-    running = begin_decisions(layout, settings, running, (running.action < 0) & ~is_over & (action >= 0), action,
+    running = begin_decisions(settings, running, (running.action < 0) & ~is_over & (action >= 0), action,
                               view.observation)
     is_over = is_over | (running.action < 0)  # waiting rooms without an action stand still as well
     is_option = running.action >= settings.primitives
@@ -263,7 +263,7 @@ def _read_aligned(rows: Tensor, left: Tensor) -> Tensor:
     return torch.gather(rows, 0, at.unsqueeze(0))[0].to(torch.int64)
 
 
-def begin_decisions(layout: Layout, settings: StepSettings, running: OpenDecisions, where: Tensor, action: Tensor,
+def begin_decisions(settings: StepSettings, running: OpenDecisions, where: Tensor, action: Tensor,
                     observation: Tensor) -> OpenDecisions:
     """Begin decisions in the rooms of `where`, bool (rooms,), for given actions; an interrupted option continues."""
     option = torch.where(action >= settings.primitives, action, -1)

@@ -29,7 +29,6 @@ from hrl_escape.errors import PlanningReason, UnknownNameError
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.floor.cost_to_go import FieldMaker, Seeds, make_collision
 from hrl_escape.floor.sweeps import make_presser
-from hrl_escape.kernels import read_clock
 from hrl_escape.planning.areas import Area, compute_goal_area, find_headings, get_presser
 from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, RegionGoal, is_reached
@@ -87,7 +86,6 @@ class SearchResult:
     also_pressed: tuple[int, ...] = ()  # other targets that are pressed on the way because this could not be avoided
     method: str = "fields"  # `fields`, or the path planner round whose path it was found
     expansions: int = 0  # nodes expanded
-    seconds: float = 0.0  # wall time without compilation
     timed_out: bool = False  # the clock cut the search short; without it the result may be better
     nearest: tuple[float, float] | None = None  # visited place (x, y) nearest to a goal that was not reached, m
 
@@ -450,7 +448,7 @@ class PrimitiveSearch:
         """
         if method not in METHODS:
             raise UnknownNameError("search method", method, METHODS)
-        began, clock = read_clock(), clock or Clock()
+        clock = clock or Clock()
         if method == "auto":
             method = self.choose_method(goal, keep_out)
         result = SearchResult(PlanningReason.TIMEOUT, (), (state,), nearest=(state.x, state.y))
@@ -465,7 +463,7 @@ class PrimitiveSearch:
                 clock.check()
         except OutOfTime:
             result = dataclasses.replace(result, status=clock.reason)
-        return dataclasses.replace(result, seconds=read_clock() - began, timed_out=clock.has_stopped)
+        return dataclasses.replace(result, timed_out=clock.has_stopped)
 
     def choose_method(self, goal: Goal, keep_out: Sequence[Footprint]) -> str:
         """Method by what a query costs: a function of room and goal, never of earlier queries.

@@ -44,7 +44,6 @@ class TaskPlan:
     """An order of operators."""
 
     operators: tuple[Operator, ...]  # in order; the last leg (to the exit) follows
-    legs: tuple[Leg, ...]  # one an operator, and the last leg
     cost: float  # primitives of all legs together
     lower_bound: float  # no order costs less, by these legs
 
@@ -218,7 +217,7 @@ class TaskSearch:
                 searched += 1
                 total = cost + leg.cost
                 least = total if n == EXIT else max(bound, total + self._estimate(then))  # at least its parent's bound
-                frontier.push((then, n), total, least, (leg.place, (trail, n, leg)))
+                frontier.push((then, n), total, least, (leg.place, (trail, n)))
         return None
 
     def find_orders(self, facts: frozenset[str], place: Any, extend: ExtendLeg, count: int, most: int
@@ -275,19 +274,18 @@ class TaskSearch:
                 for n, leg, then in self._expand(at, here, extend):
                     total = cost + leg.cost
                     if n == EXIT:
-                        finished.append((total, (trail, n, leg)))
+                        finished.append((total, (trail, n)))
                     else:
                         found.setdefault((then, n), []).append(
-                            (total + self._estimate(then), total, then, n, leg.place, (trail, n, leg)))
+                            (total + self._estimate(then), total, then, n, leg.place, (trail, n)))
             cheapest = (sorted(entries, key=lambda entry: entry[:2])[:kept] for entries in found.values())
             layer = sorted(itertools.chain(*cheapest), key=lambda entry: entry[:4])[:width]
         return finished
 
     def _report(self, trail: Any, cost: float, bound: float) -> TaskPlan:
-        steps = []
+        operators = []
         while trail is not None:
-            trail, n, leg = trail
-            steps.append((n, leg))
-        steps.reverse()
-        operators = tuple(self.operators[n] for n, _ in steps if n >= 0)
-        return TaskPlan(operators, tuple(leg for _, leg in steps), cost, bound)
+            trail, n = trail
+            if n != EXIT:
+                operators.append(self.operators[n])
+        return TaskPlan(tuple(reversed(operators)), cost, bound)

@@ -142,7 +142,6 @@ ENDLESS = 10**9
 class ObservedChoice:
     """One choice of an agent, with the numbers behind it."""
 
-    observation: Any  # the observation that it chose at
     action: int  # the chosen action
     mask: NDArray[np.bool_]  # legal actions, bool (actions,)
     values: NDArray[Any] | None  # one number an action; None if the agent computes none
@@ -255,7 +254,7 @@ class Watch:
             shown, meaning = agent.compute_preferences(observation), "preference"
         values, meaning = (None, "") if shown is None else (np.array(shown), meaning)
         notes = agent.describe_presses() if isinstance(agent, Searcher) else {}
-        return ObservedChoice(observation, int(action), mask.copy(), values, "note" if notes else meaning, state_value,
+        return ObservedChoice(int(action), mask.copy(), values, "note" if notes else meaning, state_value,
                               self.states[-1], notes)
 
     def read_graph(self) -> frozenset[tuple[int, int]] | None:

@@ -367,7 +367,7 @@ def test_budget_and_deadline_end_a_search_and_more_of_them_finish_it():
     assert short.status is PlanningReason.BUDGET_EXHAUSTED and short.expansions <= 5
     assert search.search(begin(search), PressGoal(1), clock=Clock(0.0)).status is PlanningReason.TIMEOUT
     whole = search.search(begin(search), PressGoal(1))
-    assert whole.is_reached and whole.expansions > 5 and whole.seconds > 0
+    assert whole.is_reached and whole.expansions > 5
 
 
 def test_a_tiny_pose_that_primitives_do_not_hit_is_unreachable_at_this_resolution():

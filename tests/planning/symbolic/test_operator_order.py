@@ -67,7 +67,9 @@ def test_the_order_is_the_cheapest_of_all_that_keep_parents_first(count, density
             frozenset(), (0.0, 0.0), make_extend(puzzle, places))
         assert found is not None and found.cost <= found.lower_bound
         assert found.cost == pytest.approx(expected)
-        assert sum(leg.cost for leg in found.legs) == pytest.approx(found.cost)
+        pressed = [places[puzzle.target_names.index(operator.target)] for operator in found.operators]
+        stops = [(0.0, 0.0), *pressed, (1.0, 1.0)]
+        assert sum(itertools.starmap(math.dist, itertools.pairwise(stops))) == pytest.approx(found.cost)
 
 
 def test_an_order_beyond_the_search_limit_states_a_lower_bound_that_holds():
