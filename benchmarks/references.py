@@ -27,7 +27,7 @@ import tyro
 from hrl_escape.cli import run_script
 from hrl_escape.commands.room_choice import change_field, split_assignment
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.references.bayes import condition_on_room, make_family
+from hrl_escape.comparison.references.bayes import GraphFamily, condition_on_room, make_family
 from hrl_escape.comparison.references.registry import BAYES, FLOORS, PLANNER
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
@@ -77,6 +77,11 @@ def play(agent: str, rooms: InstanceSet) -> float | None:
         return None
 
 
+def compute_entropy(family: GraphFamily) -> float:
+    """Uncertainty about the graph and the rule, bits."""
+    return float(-(family.weights * np.log2(family.weights)).sum())
+
+
 def measure_information(config: ButtonsConfig, rooms: Sequence[RoomInstance]) -> tuple[float, float]:
     """Bits that marks and places of rooms tell of the hidden graph, and bits that there are to tell of graph and rule.
 
@@ -86,9 +91,9 @@ def measure_information(config: ButtonsConfig, rooms: Sequence[RoomInstance]) ->
         UnsupportedError: the graphs cannot be listed, see `make_family`.
     """
     families = [make_family(config, len(room.targets)) for room in rooms]
-    told = [family.entropy - condition_on_room(family, config, room).entropy
+    told = [compute_entropy(family) - compute_entropy(condition_on_room(family, config, room))
             for family, room in zip(families, rooms, strict=True)]
-    return float(np.mean(told)), float(np.mean([family.entropy for family in families]))
+    return float(np.mean(told)), float(np.mean(list(map(compute_entropy, families))))
 
 
 def measure_rung(rung: Rung, rooms: int) -> RungReferences:

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.training.results import load_episode_rows
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import GridRun
 from hrl_escape.comparison.runs import RunResult, get_training_folder
 from hrl_escape.comparison.statistics import compute_efficiency, compute_score
 from hrl_escape.comparison.summary import summarise
+from hrl_escape.errors import FileReadError, describe_damage
+from hrl_escape.files import read_text
 
 __all__ = ["BINS", "OPTIMAL_SCORE", "RawRun", "collect_runs"]
 
 BINS = 20
 OPTIMAL_SCORE = 0.99
-"""Score from which on these studies call an episode optimal: stricter than `NEAR_BEST`, as published with 0.1."""
+"""Score from which on these studies call an episode optimal: stricter than 0.95 of scaling, as published with 0.1."""
 
 _WITH_GAPS = ("training_returns", "training_efficiencies", "entropy", "greedy", "longest_repeat")
 _NEW = ("efficiencies", "training_efficiencies", "entropy", "greedy", "longest_repeat")
@@ -131,6 +134,20 @@ def collect_runs(comparison: Comparison) -> list[RawRun]:
             continue
         runs.append(_make_run(run, result, load_episode_rows(get_training_folder(comparison.out, run))))
     return runs
+
+
+def load_episode_rows(folder: Path) -> list[dict[str, Any]]:
+    """Read the rows of a run's log that tell of training episodes, by the names of `METRICS`.
+
+    Raises:
+        FileReadError: the log is missing or damaged.
+    """
+    path = folder / "log.jsonl"
+    try:
+        rows = [json.loads(line) for line in read_text(path, "log of a run").splitlines()]
+        return [row for row in rows if row["kind"] == "episode"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise FileReadError(f"{path}: this log of a run is damaged ({describe_damage(error)})") from error
 
 
 def _make_run(run: GridRun, result: RunResult, rows: Sequence[Mapping[str, Any]]) -> RawRun:

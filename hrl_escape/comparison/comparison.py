@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import statistics
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -236,18 +236,6 @@ def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, fl
     (_, runs), out = _make_runs(grid), Path(out).absolute()
     seconds = [result.seconds[-1] for run in runs if (result := load_run_result(out, run)) is not None]
     return len(runs), len(runs) - len(seconds), statistics.median(seconds) if seconds else None
-
-
-def run_grids(grids: Iterable[Grid], out: str | os.PathLike[str], launcher: Launcher | None = None,
-              console: Console | None = None) -> Iterator[Comparison]:
-    """Run grids one after another in one folder, locked throughout; see `run_grid`.
-
-    The next grid is asked for after the comparison before it was yielded, so it may depend on that one's results.
-    """
-    out = Path(out).absolute()
-    with _lock(out):
-        for grid in grids:
-            yield _run(grid, *_make_runs(grid), out, launcher, console)
 
 
 def _make_runs(grid: Grid) -> tuple[tuple[RunPlace, ...], list[GridRun]]:

@@ -17,8 +17,6 @@ Floats: TypeAlias = NDArray[np.float64]
 Scores: TypeAlias = Sequence[Floats]
 """One float64 array (..., runs) a room; rooms may have different numbers of runs, at least one each."""
 
-NEAR_BEST = 0.95
-"""Score from which on a return counts as near the best known."""
 LEAST_RUNS = 10
 """Fewer runs than these are shown as numbers, and no sentence concludes from them."""
 LATE = 0.8

@@ -14,7 +14,6 @@ from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.reporting.figures import choose_styles
-from hrl_escape.comparison.statistics import NEAR_BEST
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
 from studies.figures import FIGURE_STYLE, finish_axes
@@ -32,6 +31,7 @@ from studies.scaling.rounds import (
     FRESH,
     GRAPHS,
     MAX_PARENTS,
+    NEAR_BEST,
     RULES,
     SIZES,
     STUDY_PARTS,

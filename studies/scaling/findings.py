@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.comparison.inference import ALPHA, correct_by_holm
-from hrl_escape.comparison.statistics import LEAST_RUNS, NEAR_BEST
+from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.scaling.followed_runs import count_spared
 from studies.scaling.results import ScalingRun
@@ -16,6 +16,7 @@ from studies.scaling.rounds import (
     AGENTS,
     BAR,
     BAR_AGENT,
+    NEAR_BEST,
     RULES,
     SIZES,
 )

@@ -17,11 +17,10 @@ from typing import Any
 
 from rich.console import Console
 
-from hrl_escape.comparison.comparison import run_grids
+from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView, SolvedRule
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RoomSpec
-from hrl_escape.comparison.statistics import NEAR_BEST
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -30,8 +29,8 @@ from studies.running import refuse_failures
 from studies.scaling.results import RoomKind, ScalingRun, collect_scaling_runs
 
 __all__ = [
-    "AGENTS", "BAR", "BAR_AGENT", "BAR_RUNS", "FRESH", "GRAPHS", "MAX_PARENTS", "RULES", "SIZES", "STUDY_PARTS", "TOLD",
-    "TOLD_TASKS", "Round", "choose_options", "make_room", "run_scaling",
+    "AGENTS", "BAR", "BAR_AGENT", "BAR_RUNS", "FRESH", "GRAPHS", "MAX_PARENTS", "NEAR_BEST", "RULES", "SIZES",
+    "STUDY_PARTS", "TOLD", "TOLD_TASKS", "Round", "choose_options", "make_room", "run_scaling",
 ]  # fmt: skip
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
@@ -44,6 +43,8 @@ BAR_AGENT: str = _DATA["bar"]["agent"]
 BAR_RUNS: int = _DATA["bar"]["runs"]
 MAX_PARENTS: int = _DATA["max_parents"]
 NOISE = ", noise"
+NEAR_BEST = 0.95
+"""Score from which on a return counts as near the best known."""
 STUDY_PARTS = ("bar", "told", "agents")
 FRESH = 100
 """First seed of runs that are held against the published ones."""
@@ -140,19 +141,12 @@ def run_scaling(
         EscapeError: see `run_grid`.
     """
     finished: dict[tuple[RoomKind, str, int], ScalingRun] = {}
-    rounds: list[Round] = []
-
     seeds = range(first_seed, first_seed + runs)
-
-    def make_grids() -> Iterator[Grid]:
-        for following in _list_rounds(seeds, first_seed, parts, agents or AGENTS, finished):
-            rounds.append(following)
-            yield following.make_grid(primitives)
-
     launcher = LocalLauncher(workers, begin_until=time.monotonic() + 60 * minutes)
-    for comparison in run_grids(make_grids(), out, launcher, console):
+    for following in _list_rounds(seeds, first_seed, parts, agents or AGENTS, finished):
+        comparison = run_grid(following.make_grid(primitives), out, launcher, console)
         refuse_failures(comparison)
-        for run in collect_scaling_runs(comparison, rounds[-1].rooms):
+        for run in collect_scaling_runs(comparison, following.rooms):
             finished[run.task, run.agent, run.run] = run
     return list(finished.values())
 

@@ -14,9 +14,10 @@ import pytest
 from rich.console import Console
 from scipy import stats
 
-from hrl_escape.comparison.comparison import run_grids
+from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.errors import ComparisonError, RunBusyError, UnknownNameError
+from hrl_escape.processes import take_lock
 from studies.__main__ import main
 from studies.scaling import rounds as scaling
 from studies.scaling.difficulty import compute_rank_correlations, tell_difficulty
@@ -62,9 +63,9 @@ def make_console() -> Console:
 
 def run_rounds(out: Path, primitives: int, *rounds: Round, **launcher: Any) -> list[ScalingRun]:
     found = []
-    grids = [round_.make_grid(primitives) for round_ in rounds]
-    comparisons = run_grids(grids, out, LocalLauncher(**launcher), make_console())
-    for round_, comparison in zip(rounds, comparisons, strict=True):
+    started = LocalLauncher(**launcher)
+    for round_ in rounds:
+        comparison = run_grid(round_.make_grid(primitives), out, started, make_console())
         assert not comparison.failures, comparison.failures[0].message
         found += collect_scaling_runs(comparison, round_.rooms)
     return found
@@ -192,12 +193,10 @@ def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, mon
 
 
 def test_one_study_at_a_time_in_a_folder(tmp_path):
-    grid = make_round((RoomKind("chain", 2, "ignore"),), "smdp-random", 0).make_grid(60)
-    grids = run_grids([grid] * 2, tmp_path, None, make_console())
-    next(grids)  # the folder stays locked between two grids
-    with pytest.raises(RunBusyError, match="another comparison is running in this folder"):
-        run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
-    grids.close()
+    with open(tmp_path / "lock", "wb") as lock:
+        assert take_lock(lock)
+        with pytest.raises(RunBusyError, match="another comparison is running in this folder"):
+            run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
 
 
 def test_raw_results_come_back_and_the_page_tells_them(tmp_path):

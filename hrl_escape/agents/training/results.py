@@ -7,7 +7,6 @@ wall clock take no part in equality, so two results are equal if all that learni
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.evaluation import Evaluation
-from hrl_escape.errors import CheckpointError, EscapeError, FileReadError, describe_damage
+from hrl_escape.errors import CheckpointError, EscapeError, describe_damage
 from hrl_escape.figures import LINES, get_figure_class, make_svg
-from hrl_escape.files import read_json, read_text
+from hrl_escape.files import read_json
 from hrl_escape.settings import read_record
 
 if TYPE_CHECKING:
@@ -262,20 +261,6 @@ def load_result(folder: str | os.PathLike[str]) -> TrainResult:
         CheckpointError: the result is damaged.
     """
     return read_result(folder)[1]
-
-
-def load_episode_rows(folder: str | os.PathLike[str]) -> list[dict[str, Any]]:
-    """Read the rows of a run's log that tell of training episodes, by the names of `METRICS`.
-
-    Raises:
-        FileReadError: the log is missing or damaged.
-    """
-    path = Path(folder) / "log.jsonl"
-    try:
-        rows = [json.loads(line) for line in read_text(path, "log of a run").splitlines()]
-        return [row for row in rows if row["kind"] == "episode"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise FileReadError(f"{path}: this log of a run is damaged ({describe_damage(error)})") from error
 
 
 def read_result(folder: str | os.PathLike[str]) -> tuple[str, TrainResult]:

@@ -73,11 +73,6 @@ class GraphFamily:
         """Number of buttons."""
         return self.parents.shape[1]
 
-    @property
-    def entropy(self) -> float:
-        """Uncertainty about the graph and the rule, bits."""
-        return float(-(self.weights * np.log2(self.weights)).sum())
-
     def select(self, kept: NDArray[np.integer], weights: NDArray[np.float64]) -> GraphFamily:
         """Some of the graphs, with new probabilities."""
         return GraphFamily(self.parents[kept], self.goals[kept], weights, self.rules[kept])

@@ -18,7 +18,7 @@ import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents import TensorBoard, evaluate, make_agent, play_episode, train
 from hrl_escape.agents.registry import get_agent_class
 from hrl_escape.agents.training.checkpoint import compute_state_digest
-from hrl_escape.agents.training.results import METRICS, load_episode_rows
+from hrl_escape.agents.training.results import METRICS
 from hrl_escape.agents.training.train import TrainResult
 from hrl_escape.errors import (
     AgentSettingsError,
@@ -313,7 +313,8 @@ def test_the_log_tells_how_actions_are_chosen(tmp_path, name, settings):
     for epsilon in (0.0, 1.0):
         chosen = {"epsilon_start": epsilon, "epsilon_end": epsilon} | settings
         run(name, out=tmp_path / f"{epsilon}", settings=chosen)
-        rows = load_episode_rows(tmp_path / f"{epsilon}")
+        log = map(json.loads, (tmp_path / f"{epsilon}/log.jsonl").read_text().splitlines())
+        rows = [row for row in log if row["kind"] == "episode"]
         assert all((row["train/greedy"] == 1) == (epsilon == 0) or row["train/decisions"] < 4 for row in rows)
         assert all(1 <= row["train/longest_repeat"] <= row["train/decisions"] for row in rows)
         if name != "ddpg":
