@@ -96,7 +96,9 @@ def check_goal(goal: Goal, instance: RoomInstance) -> None:
         _check_index("target", goal.target, len(instance.targets))
     elif isinstance(goal, GripGoal):
         _check_index("target", goal.target, len(instance.targets))
-        find_grips(goal, instance)
+        if not list_grips(goal, instance, instance.symbolic_model):
+            name = instance.targets[goal.target].name
+            raise GoalError(f"the puzzle {instance.puzzle.kind!r} has no operator to {goal.action} at {name!r}")
     elif isinstance(goal, PushGoal):
         _check_index("prop", goal.prop, len(instance.props))
         _check_index("prop", goal.destination, len(instance.props))
@@ -217,8 +219,9 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
         if before is after:
             return False
         held, holds, is_random = get_facts(before.puzzle), get_facts(after.puzzle), rules.instance.puzzle.is_random
+        model = rules.instance.find_model(before.puzzle)
         return any(op.is_applicable(held) and (op.add <= holds or (is_random and op.delete and not op.delete & holds))
-                   for op in list_grips(goal, rules.instance, before.puzzle))
+                   for op in list_grips(goal, rules.instance, model))
     return find_push(goal, rules.instance).add <= get_facts(after.puzzle)
 
 
@@ -231,20 +234,15 @@ def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
     return PressGoal(target) if operator.action == "press" else GripGoal(target, cast("GripAction", operator.action))
 
 
-def find_grips(goal: GripGoal, instance: RoomInstance) -> tuple[Operator, ...]:
-    """Operators of the puzzle with this action at this target. Raises `GoalError` if there are none."""
-    if not (found := _pick_grips(goal, instance, instance.symbolic_model)):
-        name = instance.targets[goal.target].name
-        raise GoalError(f"the puzzle {instance.puzzle.kind!r} has no operator to {goal.action} at {name!r}")
-    return found
+def list_grips(goal: GripGoal, instance: RoomInstance, model: SymbolicModel) -> tuple[Operator, ...]:
+    """Operators with this action at this target.
 
-
-def list_grips(goal: GripGoal, instance: RoomInstance, state: Any) -> tuple[Operator, ...]:
-    """The same in a state of the puzzle, with things where they lie then; none where no way leads to the thing."""
-    return _pick_grips(goal, instance, instance.find_model(state))
-
-
-def _pick_grips(goal: GripGoal, instance: RoomInstance, model: SymbolicModel) -> tuple[Operator, ...]:
+    Args:
+        goal: the action and the target.
+        instance: the room.
+        model: of its puzzle, or of a state of it, with things where they lie then; that has none where no way leads to
+            the thing.
+    """
     name = instance.targets[goal.target].name
     return tuple(operator for operator in model.operators if (operator.target, operator.action) == (name, goal.action))
 

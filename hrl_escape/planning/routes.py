@@ -107,10 +107,10 @@ class Routes:
             self.search = before.search.adapt(self._quiet, self.rules)
             self._doors = self._make_door_searches()
 
-    def get_field_maker(self, door_shut: bool) -> FieldMaker:
-        """Grid of the cost-to-go fields, with the exit door shut or open."""
+    def get_field_maker(self) -> FieldMaker:
+        """Grid of the cost-to-go fields with the exit door shut."""
         with self.lock:
-            return self.search.get_maker(door_shut)
+            return self.search.get_maker(True)
 
     def get_reacher(self) -> Reacher:
         """Arm of this room's robot, which finds its postures."""
@@ -170,7 +170,8 @@ class Routes:
                 return False
             if isinstance(goal, GripGoal):
                 facts = self.instance.puzzle.symbolic.get_facts(state.puzzle)
-                return any(op.is_applicable(facts) for op in list_grips(goal, self.instance, state.puzzle)) and (
+                grips = list_grips(goal, self.instance, self.instance.find_model(state.puzzle))
+                return any(op.is_applicable(facts) for op in grips) and (
                     self._doors is None or self._doors.can_walk(state, goal))
             return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
 

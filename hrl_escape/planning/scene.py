@@ -233,7 +233,7 @@ class Scene:
         """Return whether the base fits at a place while the puzzle is unsolved."""
         reach = self.instance
         inside = math.fabs(x) <= reach.reach_x and math.fabs(y) <= reach.reach_y
-        return inside and self.planner.routes.get_field_maker(True).collision.is_free(x, y)
+        return inside and self.planner.routes.get_field_maker().collision.is_free(x, y)
 
 
 def _split_props(props: Sequence[PlacedProp]) -> tuple[list[PlacedProp], list[PlacedProp]]:

@@ -260,7 +260,7 @@ def test_a_room_that_the_largest_disc_within_escapes_from_but_not_the_rectangle_
 
 def test_headings_and_turns_of_the_planner_s_grid_are_those_of_the_rules():
     planner = RoomPlanner(generate(dataclasses.replace(SMALL, exit=ExitConfig(door=True, width=1.6)), 0))
-    maker, rules, fits, can_turn = planner.routes.get_field_maker(True), planner.rules, [], []
+    maker, rules, fits, can_turn = planner.routes.get_field_maker(), planner.rules, [], []
     for cell in np.random.default_rng(0).choice(np.flatnonzero(maker.standing), 60).tolist():
         x, y = maker.points[cell].tolist()
         states = [rules.make_state(Start(x, y, steps)) for steps in range(maker.classes + 1)]
@@ -311,7 +311,7 @@ def test_plans_are_as_short_as_an_exhaustive_search_of_a_lattice_and_none_is_mis
 def test_seeds_of_a_press_are_poses_that_touch_it_or_do_so_after_one_primitive():
     room = generate(SMALL, 2)
     planner = RoomPlanner(room)
-    maker, rules, goal = planner.routes.get_field_maker(True), planner.rules, PressGoal(0)
+    maker, rules, goal = planner.routes.get_field_maker(), planner.rules, PressGoal(0)
     seeds = maker.find_seeds(*compute_goal_area(goal, room), None, get_presser(goal, room))
     assert {0, 1} == set(seeds.costs.tolist())
     for number in np.linspace(0, len(seeds.states) - 1, 80).astype(int).tolist():

@@ -92,10 +92,10 @@ def test_three_hundred_edits_plan_as_a_new_planner_would_and_come_true():
 def test_fields_are_kept_where_an_edit_changes_no_cell_and_only_there():
     scene = Scene.of(generate(get_preset("clutter"), 0))
     scene.planner.prepare()
-    before = scene.planner.routes.get_field_maker(True)
+    before = scene.planner.routes.get_field_maker()
     button = scene.instance.targets[0]
     moved = scene.move(button.name, x=button.x + 0.01)
-    after = moved.planner.routes.get_field_maker(True)
+    after = moved.planner.routes.get_field_maker()
     assert len(after._fields) == len(before._fields) - 1  # all but the moved button's
     for key, field in after._fields.items():
         seeds = after.find_seeds(*moved.planner.routes.search.make_problem(
@@ -103,7 +103,7 @@ def test_fields_are_kept_where_an_edit_changes_no_cell_and_only_there():
         assert field is before._fields[key] and np.array_equal(field, after.make_field(seeds))
     rng = np.random.default_rng(0)
     edited = next(found for number in range(20) if (found := edit_at_random(scene, number, rng)) is not None)
-    assert not edited.planner.routes.get_field_maker(True)._fields
+    assert not edited.planner.routes.get_field_maker()._fields
 
 
 def test_a_scene_is_a_value_and_knows_its_things_by_name():

@@ -38,15 +38,14 @@ PLAYER = files("hrl_escape.env.drawing") / "templates"
 _PAD, _CONTROLS = 0.35, 76  # m round the room, as in the script; pixels of slider and words below it
 
 
-def make_moving_map(instance: RoomInstance, states: Sequence[RoomState], decisions: Sequence[tuple[str, int]] = (),
-                    title: str = "") -> str:
+def make_moving_map(instance: RoomInstance, states: Sequence[RoomState], decisions: Sequence[tuple[str, int]] = ()
+                    ) -> str:
     """Make a web page that plays an episode from above, over and over, with a slider to go through it.
 
     Args:
         instance: the room.
         states: one more than primitives.
         decisions: name and number of primitives of each decision, in order; their numbers add up to all primitives.
-        title: of the page; the room's name by default.
 
     Returns:
         One HTML document of some 15 kB, which loads nothing.
@@ -55,7 +54,7 @@ def make_moving_map(instance: RoomInstance, states: Sequence[RoomState], decisio
     replay = {"decisions": [[name, count, "reached"] for name, count in decisions],
               "frames": make_frames(Kinematics(instance), states)}
     css, script = (Markup((PLAYER / f"moving_map.{kind}").read_text(encoding="utf-8")) for kind in ("css", "js"))
-    return render_template("hrl_escape.env.drawing", "moving_map.html", title=title or instance.name, css=css,
+    return render_template("hrl_escape.env.drawing", "moving_map.html", title=instance.name, css=css,
                            script=script, data=embed_json({"room": room, "replay": replay, "looks": PLAYER_COLOURS}))
 
 

@@ -64,12 +64,12 @@ class PlayPage:
         self._meta_folder = gui.add_folder("Meta-actions", order=30.0)
         with gui.add_folder("Drive", order=40.0):
             for keys in (_DRIVE, _STRAFE):
-                self._add_buttons("", keys)
+                self._add_buttons(keys)
             self._joints = gui.add_button_group("joint", ("1",), visible=False)
             self._follow_clicks(self._joints, str)
-            self._arm = self._add_buttons("", {"joint up": "u", "joint down": "j"})
+            self._arm = self._add_buttons({"joint up": "u", "joint down": "j"})
         with gui.add_folder("Episode", order=45.0):
-            self._add_buttons("", _EPISODE)
+            self._add_buttons(_EPISODE)
             self._follow_clicks(gui.add_button("Save episode"), lambda _: "f")
         with gui.add_folder("Keys", order=60.0):
             gui.add_html(make_keys(HELP))
@@ -77,8 +77,8 @@ class PlayPage:
             if key != "q":
                 self._add_hotkey(key)
 
-    def _add_buttons(self, label: str, keys: dict[str, str]) -> Any:
-        group = self.server.gui.add_button_group(label, tuple(keys))
+    def _add_buttons(self, keys: dict[str, str]) -> Any:
+        group = self.server.gui.add_button_group("", tuple(keys))
         self._follow_clicks(group, keys.__getitem__)
         return group
 
