@@ -169,7 +169,7 @@ def _make_batch(scene: str, rooms: int, engine: str, settings: BatchSettings) ->
                        velocities=Velocities() if settings.velocities else None)
     batch.reset(torch.arange(rooms, device=batch.device))
     generator = torch.Generator().manual_seed(0)
-    pool = [draw_actions(batch, generator) for _ in range(POOL)]
+    pool = [draw_uniformly(batch, generator) for _ in range(POOL)]
     before = batch.state
     outcome = batch.step(pool[0])
     _wait(batch.device)
@@ -253,7 +253,7 @@ def _make_gymnax(count: int) -> Contender:
     return Contender(GYMNAX, "JAX, compiled", count, step, time.perf_counter() - begun)
 
 
-def draw_actions(batch: TensorRoom, generator: torch.Generator) -> torch.Tensor:
+def draw_uniformly(batch: TensorRoom, generator: torch.Generator) -> torch.Tensor:
     """Random primitives, int64 (rooms,), or velocities within their bounds, float64 (rooms, numbers)."""
     velocities = batch.layout.velocities
     if velocities is None:

@@ -23,7 +23,7 @@ __all__ = ["BINS", "OPTIMAL_SCORE", "RawRun", "collect_runs"]
 
 BINS = 20
 OPTIMAL_SCORE = 0.99
-"""Score from which on these studies call an episode optimal: stricter than 0.95 of scaling, as published with 0.1."""
+"""Score from which on these studies call an episode optimal: that of 0.1, stricter than the study of scaling."""
 
 _WITH_GAPS = ("training_returns", "training_efficiencies", "entropy", "greedy", "longest_repeat")
 _NEW = ("efficiencies", "training_efficiencies", "entropy", "greedy", "longest_repeat")

@@ -15,7 +15,7 @@ from benchmarks.batch_contenders import (
     Contender,
     count_bytes,
     count_moved_bytes,
-    draw_actions,
+    draw_uniformly,
     list_makers,
     set_arithmetic_bounds,
 )
@@ -101,13 +101,14 @@ def test_the_table_says_what_the_numbers_are(capsys):
 def test_velocities_are_drawn_within_their_bounds_on_both_sides_and_stepped():
     slow = Velocities(speed=0.5, turn_speed=0.2)
     batch = TensorRoom(Rooms(400, "paper-two-button"), velocities=slow)
-    drawn = draw_actions(batch, torch.Generator().manual_seed(0))
+    drawn = draw_uniformly(batch, torch.Generator().manual_seed(0))
     top = torch.tensor(slow.list_bounds(batch.layout.robot), dtype=torch.float64)
     assert drawn.shape == (400, 3) and (drawn.abs() <= top).all()
     assert (drawn.amin(0) < -0.9 * top).all() and (drawn.amax(0) > 0.9 * top).all()
-    made = list_makers(["paper-two-button"], [7], ["eager"], False, BatchSettings(1, "features", "cpu", True))
-    assert len(made) == 1
-    contender = made[0][1]()
+    contender, primitives = (
+        made[0][1]() for made in (list_makers(["paper-two-button"], [7], ["eager"], False,
+                                              BatchSettings(1, "features", "cpu", glides)) for glides in (True, False)))
+    assert contender.moved_bytes - primitives.moved_bytes >= 2 * 8, "three numbers for one, and a heading between steps"
     contender.measure(0.02)
     assert (contender.rooms, contender.engine) == (7, "eager") and contender.wall < 1.0
 

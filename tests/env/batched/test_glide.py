@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.conformance import compare
+from benchmarks.conformance import compare, draw_actions
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.continuous_vector_env import EscapeRoomContinuousVectorEnv
@@ -104,12 +104,10 @@ def test_velocities_on_an_accelerator_do_what_they_do_on_the_cpu(name, is_compil
         batch = TensorRoom(Rooms(64, instance=instances, device=device, compile=is_compiled and device == "cuda"),
                            velocities=FAST)
         batch.reset(torch.arange(64, device=device))
-        generator, rows = torch.Generator().manual_seed(0), []
-        top = torch.tensor(FAST.list_bounds(batch.layout.robot), dtype=torch.float64)
-        rates = torch.zeros(64, len(top), dtype=torch.float64)
+        rng, rows = np.random.default_rng(0), []
         for step in range(200):
             if step % 5 == 0:  # held, so that robots cross their rooms
-                rates = top * (2.0 * torch.rand(64, len(top), generator=generator, dtype=torch.float64) - 1.0)
+                rates = torch.from_numpy(draw_actions(batch, rng))
             outcome = batch.step(rates.to(device))
             at = batch.state
             rows.append(torch.stack([field.double().cpu() for field in (at.x, at.y, at.puzzle, outcome.reward)]))
