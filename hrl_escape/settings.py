@@ -374,17 +374,13 @@ def _make_number_reader(kind: type, limits: Range | None) -> _Reader:
             raise _Refusal(path, given, allowed)
         if limits is not None and value not in limits:
             raise _Refusal(path, given, allowed)
-        return value
+        return value or kind(0)  # a zero below zero (-0.0) is plain zero: equal settings are written alike
 
     return _Reader(allowed, read, is_number=True)
 
 
 def _take_ranges(reader: _Reader) -> _Reader:
-    """Reader of what `reader` takes, and of ranges of such numbers; a zero below zero (-0.0) is plain zero."""
-
-    def read_number(path: str, value: Any) -> Any:
-        number = reader.read(path, value)
-        return 0.0 if isinstance(number, float) and number == 0 else number
+    """Reader of what `reader` takes, and of ranges of such numbers."""
 
     def read(path: str, value: Any) -> Any:
         given = value
@@ -394,8 +390,8 @@ def _take_ranges(reader: _Reader) -> _Reader:
             except ValueError:
                 pass
         if not isinstance(given, Between):
-            return read_number(path, value)
-        low, high = read_number(path, given.low), read_number(path, given.high)
+            return reader.read(path, value)
+        low, high = reader.read(path, given.low), reader.read(path, given.high)
         if low is None or high is None or low > high:
             raise _Refusal(path, str(given), "a range from a number to one that is at least as large")
         return Between(low, high)

@@ -105,6 +105,16 @@ def pytest_sessionstart(session: pytest.Session) -> None:
                 assert done.returncode == 0, done.stderr
 
 
+@pytest.fixture
+def nothing_kept() -> Iterator[None]:
+    """Every room is sampled in this test, and what it changes about that reaches no other."""
+    from hrl_escape.env.sampling import generation
+
+    generation._sample_room.cache_clear()
+    yield
+    generation._sample_room.cache_clear()
+
+
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
     """The small comparison, run once for all tests that only read it, in whichever worker they are."""

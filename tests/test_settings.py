@@ -69,6 +69,11 @@ def test_settings_survive_json(cart):
     assert Cart.from_dict(json.loads(json.dumps(cart.to_dict()))) == cart
 
 
+def test_a_zero_below_zero_is_plain_zero_so_that_equal_settings_are_written_alike():
+    below = Cart(slip=-0.0, size=(-0.0, 1))
+    assert json.dumps(below.to_dict()) == json.dumps(Cart(slip=0.0, size=(0.0, 1.0)).to_dict())
+
+
 def test_plain_values_are_converted_at_construction():
     cart = Cart(wheels=[{"radius": 1}, Wheel()], size=[3, 4])  # type: ignore[arg-type]  # what is tested
     assert cart.wheels == (Wheel(1.0), Wheel()) and cart.size == (3.0, 4.0)

@@ -16,7 +16,8 @@ from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.sampling import generation
+from hrl_escape.env.sampling.generation import KEPT_ROOMS, generate
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, EscapeError, GenerationError, InstanceFileError, UnknownNameError
 from tests.covering import thin
@@ -33,11 +34,33 @@ QUICK = [name for name in NAMES if name not in ("largest", "four-rooms")]
 def test_generation_is_pure_and_certified(name, seed):
     config = all_schematics()[name]
     instance = generate(config, seed)
+    generation._sample_room.cache_clear()
     assert generate(config, seed) == instance
     assert find_unmet_constraint(instance) is None
     assert len(instance.targets) == len(instance.puzzle.target_names)
     assert sum(s.role == "obstacle" for s in instance.solids) == config.obstacles.count
     assert config.start.place == "cells" or len(instance.starts) == config.start.choices
+
+
+def test_a_room_asked_for_again_is_the_same_object_until_many_others_were(nothing_kept):
+    config = get_preset("four-button-chain")
+    first = generate(config, 0)
+    assert generate(dataclasses.replace(config), 0) is first
+    assert generate(dataclasses.replace(config, horizon=7), 0) is not first
+    for seed in range(1, KEPT_ROOMS + 1):
+        assert generate(config, seed).seed == seed
+    again = generate(config, 0)
+    assert again is not first and again == first
+
+
+@dataclasses.dataclass(frozen=True)
+class WithTable(ButtonsConfig):
+    table: dict[str, int] = dataclasses.field(default_factory=dict)
+
+
+def test_settings_that_hold_a_table_make_rooms_too():
+    plain, tabled = (RoomConfig(puzzle=puzzle) for puzzle in (ButtonsConfig(), WithTable(table={"a": 1})))
+    assert generate(tabled, 3).targets == generate(plain, 3).targets
 
 
 def test_the_largest_room_is_generated():

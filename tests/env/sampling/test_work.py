@@ -19,7 +19,7 @@ CROWD_OF_STARTS = RoomConfig(start=StartConfig(choices=10_000), obstacles=Obstac
 
 
 @pytest.fixture
-def spent(monkeypatch):
+def spent(monkeypatch, nothing_kept):
     """Budgets of the rooms that the test samples."""
     budgets = []
 
