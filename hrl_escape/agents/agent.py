@@ -247,11 +247,11 @@ class FixedPolicy(Agent):
 class OptionRun(Protocol):
     """One run of a learned policy, from its start on."""
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator, /) -> int:
         """Choose an action, as evaluation does; random choices are drawn from `rng`."""
         ...
 
-    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_], /) -> float:
         """Probability beta(s') of ending at the state that the latest action led to."""
         ...
 
@@ -286,25 +286,12 @@ class OptionPolicy:
         return self.agent.origin
 
 
+@dataclass(frozen=True)
 class MarkovRun:
-    """A run that remembers nothing.
+    """A run that remembers nothing, by two functions."""
 
-    Args:
-        act: (observation, action mask, rng) -> action.
-        beta: (observation, action mask) -> probability of ending there; a truth value will do.
-    """
-
-    def __init__(self, act: Callable[[Any, NDArray[np.bool_], np.random.Generator], int],
-                 beta: Callable[[Any, NDArray[np.bool_]], float]) -> None:
-        self._act, self._beta = act, beta
-
-    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Choose by the function."""
-        return self._act(observation, action_mask, rng)
-
-    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
-        """Probability of ending, by the function."""
-        return float(self._beta(observation, action_mask))
+    act: Callable[[Any, NDArray[np.bool_], np.random.Generator], int]
+    compute_termination: Callable[[Any, NDArray[np.bool_]], float]  # a truth value will do
 
 
 class _WholeRun:

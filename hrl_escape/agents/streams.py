@@ -11,7 +11,6 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,29 +47,14 @@ class Streams(Protocol):
     one whose running episodes can be written down has `state_dict` and `load_state_dict`.
     """
 
-    @property
-    def count(self) -> int:
-        """Environments that step together."""
-        ...
+    count: int  # environments that step together
+    gamma: float  # discount per primitive in `discounted_reward`
+    observation_space: Any  # Gymnasium space of one stream's observations
+    action_space: Any  # and of its actions
 
     @property
     def device(self) -> torch.device:
         """Device of all tensors; known after `reset`."""
-        ...
-
-    @property
-    def gamma(self) -> float:
-        """Discount per primitive in `discounted_reward`."""
-        ...
-
-    @property
-    def observation_space(self) -> gymnasium.Space:
-        """Space of one stream's observations."""
-        ...
-
-    @property
-    def action_space(self) -> gymnasium.Space:
-        """Space of one stream's actions."""
         ...
 
     @property

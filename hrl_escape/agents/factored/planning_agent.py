@@ -56,33 +56,27 @@ class DurationHistory(NamedTuple):
     previous: NDArray[np.int64]  # (decisions,), the action before in the same episode, or -1
 
 
-class DurationModel:
-    """Durations between places; made by `fit_durations`.
+class DurationModel(NamedTuple):
+    """Durations between places; made by `fit_durations`."""
 
-    Args:
-        table: (actions + 1, actions), primitives of each action from each place; the last row from nowhere special.
-        places: (actions,), the row that holds after each action.
-        homes: (actions, pose), where each action ends.
-        weights: (pose,), how much each number of the pose counts in a distance.
-        line: duration = line[0] + line[1] * distance.
-        near: see `NEAR`, in units of that distance.
-    """
-
-    def __init__(self, table: NDArray[np.float64], places: NDArray[np.int64], homes: NDArray[np.float64],
-                 weights: NDArray[np.float64], line: tuple[float, float], near: float) -> None:
-        self._table, self.places, self._homes = table, places, homes
-        self._weights, self._line, self._near = weights, line, near
+    table: NDArray[np.float64]
+    """(actions + 1, actions), primitives of each action from each place; the last row from nowhere special."""
+    places: NDArray[np.int64]  # (actions,), the row that holds after each action
+    homes: NDArray[np.float64]  # (actions, pose), where each action ends
+    weights: NDArray[np.float64]  # (pose,), how much each number of the pose counts in a distance
+    line: tuple[float, float]  # duration = line[0] + line[1] * distance
+    near: float  # see `NEAR`, in units of that distance
 
     def compute_durations(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
         """`table` with a last row that holds at this pose."""
         has_home = self.places < len(self.places)
         if not has_home.any():
-            return self._table
-        away = np.linalg.norm((self._homes - pose) * self._weights, axis=1)
-        table = self._table.copy()
-        table[-1] = np.where(has_home, _predict(self._line, away), self._table[-1])
+            return self.table
+        away = np.linalg.norm((self.homes - pose) * self.weights, axis=1)
+        table = self.table.copy()
+        table[-1] = np.where(has_home, _predict(self.line, away), self.table[-1])
         nearest = int(np.where(has_home, away, np.inf).argmin())
-        if away[nearest] <= self._near:
+        if away[nearest] <= self.near:
             table[-1] = table[nearest]
         return table
 
