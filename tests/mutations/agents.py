@@ -140,8 +140,8 @@ MUTATIONS = [
     Mutation(
         "an evaluation episode without an end goes on for ever",
         "agents/training/evaluation.py",
-        "while primitives < max_primitives:",
-        "while True:",
+        "if primitives >= max_primitives:",
+        "if False:",
         "agents/training/test_train.py::test_an_evaluation_episode_without_an_end_is_cut_in_primitives",
     ),
     Mutation(

@@ -14,6 +14,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import (
     Agent,
@@ -86,22 +87,36 @@ def play_episode(agent: Agent, env: gymnasium.Env, seed: int, max_primitives: in
     The seed also fixes the draws of a policy that is random by nature. The episode stops at `max_primitives` at the
     latest.
     """
-    actions = check_actions(agent, env.action_space)
-    rng = np.random.default_rng(seed)
+    rng, primitives = np.random.default_rng(seed), 0
+
+    def choose(observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        return agent.act_greedy(observation, action_mask, rng)
+
+    for transition, info in walk_episode(env, seed, check_actions(agent, env.action_space), agent.gamma, choose):
+        agent.note_outcome(transition, rng)
+        primitives += transition.duration
+        yield transition, info
+        if primitives >= max_primitives:
+            return
+
+
+def walk_episode(env: gymnasium.Env, seed: int, actions: int, gamma: float,
+                 choose: Callable[[Any, NDArray[np.bool_]], int]) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
+    """Step through one episode from `reset(seed=seed)`, yielding each transition at this gamma with its `info`.
+
+    `choose` is asked for each action, (observation, action mask) -> action, once the decision before it was dealt with.
+    """
     observation, info = env.reset(seed=seed)
     check_observation(observation, "at the episode's start")
     mask = read_action_mask(info, actions)
-    primitives = 0
-    while primitives < max_primitives:
-        action = agent.act_greedy(observation, mask, rng)
+    is_over = False
+    while not is_over:
+        action = choose(observation, mask)
         step = env.step(action)
-        transition = make_transition(observation, action, mask, step, agent.gamma)
-        agent.note_outcome(transition, rng)
-        primitives += transition.duration
+        transition = make_transition(observation, action, mask, step, gamma)
         yield transition, step[4]
-        if transition.terminated or transition.truncated:
-            return
         observation, mask = transition.next_observation, transition.next_action_mask
+        is_over = transition.terminated or transition.truncated
 
 
 def evaluate(agent: Agent, env: gymnasium.Env, episodes: int, seed: int = 0, primitives: int = 0, decisions: int = 0,

@@ -22,20 +22,12 @@ import gymnasium
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from hrl_escape.agents.agent import (
-    Agent,
-    SMDPTransition,
-    check_actions,
-    check_observation,
-    make_transition,
-    read_action_mask,
-    read_success,
-)
+from hrl_escape.agents.agent import Agent, SMDPTransition, check_actions, read_success
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.training.callbacks import Callback, RunDescription
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
-from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
+from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate, walk_episode
 from hrl_escape.agents.training.results import EpisodeRecord, SegmentRecord, TrainResult, make_evaluation_row, read_row
 from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
@@ -266,28 +258,22 @@ class Run(Stateful):
     def run_unit(self, report: Reporter) -> dict[str, Any]:
         """Train for one episode; returns its row of the log."""
         started, before, tally = time.perf_counter(), self.primitives, _Tally()
-        agent, env = self.agent, self.env
-        observation, info = env.reset(seed=compute_episode_seed(self.arguments.seed, "training", len(self.episodes)))
-        check_observation(observation, "at the episode's start")
-        mask = read_action_mask(info, self.actions)
-        words = self.describe_returns()
-        end = "budget"
-        while end == "budget" and not self.is_spent:
-            action = agent.act(observation, mask)
-            step = env.step(action)
-            transition = make_transition(observation, action, mask, step, agent.gamma)
-            if self.decisions == 0 and "duration" not in step[4] and self.arguments.name.startswith(SMDP_PREFIX):
+        agent, words, end = self.agent, self.describe_returns(), "budget"
+        seed = compute_episode_seed(self.arguments.seed, "training", len(self.episodes))
+        for transition, info in walk_episode(self.env, seed, self.actions, agent.gamma, agent.act):
+            if self.decisions == 0 and "duration" not in info and self.arguments.name.startswith(SMDP_PREFIX):
                 warnings.warn(NO_OPTIONS.format(name=self.arguments.name), stacklevel=2)
             metrics = agent.observe(transition)
             self.primitives += transition.duration
             self.decisions += 1
-            tally.add(transition, step[4], metrics)
+            tally.add(transition, info, metrics)
             if self.probe is not None:
                 self.probe.after_decision(agent, self.primitives)
             report(self.primitives, words)
             if transition.terminated or transition.truncated:
                 end = "terminated" if transition.terminated else "truncated"
-            observation, mask = transition.next_observation, transition.next_action_mask
+            if self.is_spent:
+                break
         clock = self.stop_clock(started, before)
         self.planner_calls += tally.planner_calls
         self.planner_seconds += tally.planner_seconds
