@@ -29,7 +29,7 @@ from hrl_escape.agents.components.networks import (
     make_generator,
     make_state_network,
 )
-from hrl_escape.agents.components.replay import ReplaySettings
+from hrl_escape.agents.components.replay import Experience, ReplaySettings
 from hrl_escape.agents.components.tables import ResolutionSettings, make_cell_finder
 from hrl_escape.agents.state import Kept, pack_keys, unpack_keys
 from hrl_escape.errors import AgentSettingsError, UnsupportedError
@@ -120,22 +120,8 @@ class OfflineSettings(ReplaySettings, ResolutionSettings):
     network: Literal["mlp", "objects"] = "objects"
     """`objects`: deep sets over rows of objects; `mlp`: a perceptron, also where the observation has no rows."""
     batch_size: Annotated[int, Range(1)] = 256
-    """Decisions in a minibatch."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
     """Share of a network blended into its target at each update."""
-
-
-class Batch(NamedTuple):
-    """Decisions as tensors, in scaled rewards; the fields of `Experience` and the rows' numbers in the data."""
-
-    observation: Tensor
-    mask: Tensor
-    action: Tensor
-    reward: Tensor
-    bootstrap: Tensor
-    next_observation: Tensor
-    next_mask: Tensor
-    row: Tensor
 
 
 class DecisionTable:
@@ -261,11 +247,10 @@ class OfflineAgent(Agent):
                     self.q = self.scores = np.full(self._data.shape, self._data.worst)
                 return
         scale = settings.reward_scale
-        self._data = Batch(
+        self._data = Experience(
             encode_all(self._encoder, data.observation), torch.from_numpy(data.mask), torch.from_numpy(data.action),
             torch.from_numpy((rewards * scale).astype(np.float32)), torch.from_numpy(discounts.astype(np.float32)),
-            encode_all(self._encoder, data.next_observation), torch.from_numpy(data.next_mask),
-            torch.arange(len(data.action)))
+            encode_all(self._encoder, data.next_observation), torch.from_numpy(data.next_mask))
         self._durations = data.duration
 
     def update(self) -> tuple[dict[str, float], int, int]:
@@ -279,7 +264,7 @@ class OfflineAgent(Agent):
         assert self._learner is not None
         rows = self._rng.integers(len(self._durations), size=self.settings.batch_size)
         index = torch.from_numpy(rows)
-        loss, metrics = self.compute_loss(Batch(*(field[index] for field in self._data)))
+        loss, metrics = self.compute_loss(Experience(*(field[index] for field in self._data)), rows)
         value = self._learner.minimise(loss)
         for name, network in self.networks.items():
             if name.startswith("target_"):
@@ -298,8 +283,8 @@ class OfflineAgent(Agent):
                 make_state_network(encoder, settings, generator) for name, about in self.heads.items()}
 
     @abstractmethod
-    def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
-        """The loss of a minibatch, and numbers to log."""
+    def compute_loss(self, batch: Experience, rows: NDArray[np.int64]) -> tuple[Tensor, dict[str, float]]:
+        """The loss of a minibatch of tensors, which are these rows of the data, and numbers to log."""
 
     # --- acting --------------------------------------------------------------------------
 

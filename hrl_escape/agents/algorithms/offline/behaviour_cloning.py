@@ -15,7 +15,6 @@ from torch import Tensor
 from torch.nn.functional import cross_entropy
 
 from hrl_escape.agents.components.offline import (
-    Batch,
     Decisions,
     DecisionTable,
     OfflineAgent,
@@ -23,6 +22,7 @@ from hrl_escape.agents.components.offline import (
     Primitives,
     list_best,
 )
+from hrl_escape.agents.components.replay import Experience
 from hrl_escape.settings import Range
 
 
@@ -52,7 +52,7 @@ class BehaviourCloning(OfflineAgent):
         """Counts, which no sweep changes."""
         return q, table.counts
 
-    def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
+    def compute_loss(self, batch: Experience, rows: NDArray[np.int64]) -> tuple[Tensor, dict[str, float]]:
         """Mean of -log pi(o | s) over legal actions, for the data's choices."""
         logits = self.networks["policy"](batch.observation).masked_fill(~batch.mask, -1e9)
         return cross_entropy(logits, batch.action), {}

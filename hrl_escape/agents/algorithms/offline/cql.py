@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.algorithms.offline.fitted_q import FittedQ
-from hrl_escape.agents.components.offline import Batch, DecisionTable, OfflineSettings
+from hrl_escape.agents.components.offline import DecisionTable, OfflineSettings
+from hrl_escape.agents.components.replay import Experience
 from hrl_escape.settings import Range
 
 
@@ -46,7 +47,7 @@ class CQL(FittedQ):
         found = q + (target - q) / (1.0 + alpha * policy * (1.0 - policy) / shares)
         return found, np.where(shown, found, min(table.worst, found.min()) - 1.0)
 
-    def penalise(self, values: Tensor, chosen: Tensor, batch: Batch) -> Tensor:
+    def penalise(self, values: Tensor, chosen: Tensor, batch: Experience) -> Tensor:
         """Mean of alpha [log sum over legal actions of exp Q - Q of the data's]."""
         legal = values.masked_fill(~batch.mask, -1e9)
         return self.settings.alpha * (legal.logsumexp(dim=1) - chosen).mean()

@@ -19,14 +19,8 @@ from torch.nn import functional
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best
 from hrl_escape.agents.components.networks import Network, ObservationEncoder, make_linear
-from hrl_escape.agents.components.offline import (
-    Batch,
-    Decisions,
-    OfflineAgent,
-    OfflineSettings,
-    Primitives,
-    encode_all,
-)
+from hrl_escape.agents.components.offline import Decisions, OfflineAgent, OfflineSettings, Primitives, encode_all
+from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
@@ -46,7 +40,6 @@ class DecisionTransformerSettings(OfflineSettings):
     target: Annotated[float, Range(0, 1)] = 0.95
     """Quantile of the returns of whole trajectories that it is asked for."""
     batch_size: Annotated[int, Range(1)] = 64
-    """Windows in a minibatch."""
 
 
 class _Layer(nn.Module):
@@ -144,13 +137,12 @@ class DecisionTransformer(OfflineAgent):
         numbers = int(np.prod(encoder.shape)) + self._actions + 3
         return {"policy": Network(_Transformer(numbers, self._actions, settings, generator))}
 
-    def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
+    def compute_loss(self, batch: Experience, rows: NDArray[np.int64]) -> tuple[Tensor, dict[str, float]]:
         """Cross entropy with the choices of windows that end at the batch's decisions."""
-        ends = batch.row.numpy()
-        rows = ends[:, None] - np.arange(self.settings.context)[None, ::-1]
-        present = rows >= self._starts[ends][:, None]
-        tokens = np.where(present[:, :, None], self._rows[np.maximum(rows, 0)], 0.0).astype(np.float32)
-        index = torch.from_numpy(np.maximum(rows, 0))
+        window = rows[:, None] - np.arange(self.settings.context)[None, ::-1]
+        present = window >= self._starts[rows][:, None]
+        tokens = np.where(present[:, :, None], self._rows[np.maximum(window, 0)], 0.0).astype(np.float32)
+        index = torch.from_numpy(np.maximum(window, 0))
         logits = self.networks["policy"](torch.from_numpy(tokens)).masked_fill(~self._data.mask[index], -1e9)
         kept = torch.from_numpy(present)
         return functional.cross_entropy(logits[kept], self._data.action[index][kept]), {}

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.components.networks import compute_td_loss
-from hrl_escape.agents.components.offline import Batch, DecisionTable, OfflineAgent, OfflineSettings
+from hrl_escape.agents.components.offline import DecisionTable, OfflineAgent, OfflineSettings
+from hrl_escape.agents.components.replay import Experience
 
 
 class FittedQ(OfflineAgent):
@@ -32,7 +33,7 @@ class FittedQ(OfflineAgent):
         found = table.back_up(np.where(table.shown, q, -np.inf).max(axis=1))
         return found, np.where(table.shown, found, min(table.worst, found.min()) - 1.0)
 
-    def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
+    def compute_loss(self, batch: Experience, rows: NDArray[np.int64]) -> tuple[Tensor, dict[str, float]]:
         """Temporal-difference loss, and what `penalise` adds."""
         values = self.networks["q"](batch.observation)
         with torch.no_grad():
@@ -43,7 +44,7 @@ class FittedQ(OfflineAgent):
         loss = compute_td_loss(chosen, targets, self.settings.loss) + self.penalise(values, chosen, batch)
         return loss, {"value": chosen.mean().item() / self.settings.reward_scale}
 
-    def penalise(self, values: Tensor, chosen: Tensor, batch: Batch) -> Tensor | float:
+    def penalise(self, values: Tensor, chosen: Tensor, batch: Experience) -> Tensor | float:
         """Addition to the loss; none here."""
         del values, chosen, batch
         return 0.0

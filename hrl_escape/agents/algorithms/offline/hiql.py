@@ -17,12 +17,8 @@ from torch.nn.functional import cross_entropy
 
 from hrl_escape.agents.algorithms.offline.iql import MOST_WEIGHT, IQLSettings, expectile_loss
 from hrl_escape.agents.components.networks import Network, ObservationEncoder, make_network
-from hrl_escape.agents.components.offline import (
-    Batch,
-    Decisions,
-    OfflineAgent,
-    Primitives,
-)
+from hrl_escape.agents.components.offline import Decisions, OfflineAgent, Primitives
+from hrl_escape.agents.components.replay import Experience
 from hrl_escape.errors import AgentSettingsError
 
 
@@ -81,7 +77,7 @@ class HIQL(OfflineAgent):
             "high": make_network(encoder, size, settings, generator),
             "low": make_network(encoder, self._actions, settings, generator, size)}
 
-    def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
+    def compute_loss(self, batch: Experience, rows: NDArray[np.int64]) -> tuple[Tensor, dict[str, float]]:
         """Sum of the losses of the value, of the subgoals, and of the primitives towards them."""
         settings, networks = self.settings, self.networks
         values = networks["value"](batch.observation).squeeze(1)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.components.networks import compute_td_loss
-from hrl_escape.agents.components.offline import Batch, DecisionTable, OfflineAgent, OfflineSettings
+from hrl_escape.agents.components.offline import DecisionTable, OfflineAgent, OfflineSettings
+from hrl_escape.agents.components.replay import Experience
 from hrl_escape.settings import Range
 
 MOST_WEIGHT = 100.0
@@ -77,7 +78,7 @@ class IQL(OfflineAgent):
         scores = np.log(np.maximum(table.counts, 1e-300)) + np.where(table.shown, advantage, 0.0)
         return found, np.where(table.shown, scores, scores[table.shown].min() - 1.0)
 
-    def compute_loss(self, batch: Batch) -> tuple[Tensor, dict[str, float]]:
+    def compute_loss(self, batch: Experience, rows: NDArray[np.int64]) -> tuple[Tensor, dict[str, float]]:
         """Sum of the three losses; none sends its gradient into another's network."""
         settings = self.settings
         values = self.networks["value"](batch.observation).squeeze(1)
