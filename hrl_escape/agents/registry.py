@@ -35,10 +35,6 @@ GIVEN_PARTS = ("hierarchy", "program", "goals", "goal_space", "landmarks", "tree
 GOAL_RULE = "goal_rule"
 """Name under which agents take what an environment says of its goals; those that do not take it do without."""
 
-_APART = ("given", "offline")
-"""Families whose agents need more than spaces and settings."""
-
-
 def list_agents() -> list[str]:
     """Names of all agents made from spaces and settings, shipped ones first; each also exists with `smdp-`."""
     return [*_list_made(), *sorted(_find_others())]
@@ -94,7 +90,7 @@ def _find_shipped() -> dict[str, str]:
 
 def _list_made() -> list[str]:
     """Names of the algorithms that spaces and settings make."""
-    return [name for name, module in _find_shipped().items() if module.split(".")[-2] not in _APART]
+    return [name for name, module in _find_shipped().items() if module.split(".")[-2] not in ("given", "offline")]
 
 
 def find_agent_module(name: str) -> str | None:

@@ -75,14 +75,14 @@ read_source = functools.cache(inspect.getsource)
 
 @pytest.mark.parametrize("name", list_agents())
 def test_every_setting_has_its_sentence(name):
-    """The command line shows it; here it must stand under the field, in its own class or the one that brings it."""
+    """The command line shows it; a class that changes a default alone leaves the sentence to the one that brings it."""
     settings = get_agent_class(name).Settings
     source = "\n".join(read_source(c) for c in settings.__mro__ if c.__module__.startswith("hrl_escape"))
     lines = source.splitlines()
     for field in fields(settings):
         declared = [i for i, line in enumerate(lines) if line.startswith(f"    {field.name}: ")]
         assert declared, field.name
-        assert all(lines[i + 1].strip().startswith('"""') for i in declared), field.name
+        assert any(lines[i + 1].strip().startswith('"""') for i in declared), field.name
 
 
 def test_the_paper_recipe_is_what_the_published_program_did():

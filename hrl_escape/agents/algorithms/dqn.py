@@ -63,16 +63,6 @@ class ValueSettings(ExplorationSettings, ReplaySettings):
     network: Literal["mlp", "objects"] = "mlp"
     """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
     permutation of the objects; for the observation `objects`."""
-
-
-@dataclass(frozen=True)
-class DQNSettings(NoveltySettings, ValueSettings):
-    """Bonus, replay and targets of `dqn`, beside exploration and networks."""
-
-    double: bool = True
-    """The online network chooses the next action, the target network values it."""
-    n_step: Annotated[int, Range(1)] = 3
-    """Decisions joined into one backup; above 1 it is off-policy by the share of exploration."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 1.0
     """Share of the online network blended into the target network at each of its updates; 1 copies it."""
     target_every: Annotated[int, Range(1)] = 200
@@ -80,6 +70,16 @@ class DQNSettings(NoveltySettings, ValueSettings):
     average_rate: Annotated[float, Range(0, 1)] = 0.005
     """Share of the online network blended, at each update, into the averaged network that the greedy policy follows;
     0 keeps none."""
+
+
+@dataclass(frozen=True)
+class DQNSettings(NoveltySettings, ValueSettings):
+    """Bonus, replay and backups of `dqn`, beside exploration and networks."""
+
+    double: bool = True
+    """The online network chooses the next action, the target network values it."""
+    n_step: Annotated[int, Range(1)] = 3
+    """Decisions joined into one backup; above 1 it is off-policy by the share of exploration."""
     replay_capacity: Annotated[int, Range(1)] = 50_000
     """Decisions kept for replay."""
     hindsight_goals: Annotated[int, Range(0)] = 0

@@ -28,12 +28,8 @@ class SarsaSettings(ValueSettings):
     """Backup, replay and targets of `sarsa`; without replay it makes one update a decision."""
 
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
-    """Share of the online network blended into the target network at each of its updates; 1 copies it."""
     target_every: Annotated[int, Range(1)] = 1
-    """Updates of the online network to one of the target network."""
     average_rate: Annotated[float, Range(0, 1)] = 0.0
-    """Share of the online network blended, at each update, into an averaged network that the greedy policy follows;
-    0 keeps none."""
     expected: bool = True
     """Value s' by its expectation over the policy; otherwise by one action drawn from the policy, the very one
     taken next where there is no replay."""

@@ -24,7 +24,6 @@ class TorchRLSACSettings(TorchRLReplaySettings):
     """Temperature and targets of `torchrl-sac`, beside replay."""
 
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
     alpha: Annotated[float, Range(0, open_low=True)] = 0.1
     """Temperature at the beginning, in scaled rewards a nat."""
     entropy_share: Annotated[float, Range(0, 1)] = 0.2

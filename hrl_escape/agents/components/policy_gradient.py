@@ -29,7 +29,6 @@ class PolicySettings(NetworkSettings):
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
     """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     entropy_weight: Annotated[float, Range(0)] = 0.01
     """Weight of the policy's entropy in the loss."""
     value_weight: Annotated[float, Range(0)] = 0.5
@@ -51,7 +50,6 @@ class ClippedSettings(AdvantageSettings):
     """Rounds of updates with the clipped objective from rollouts of decisions."""
 
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
-    """Lambda of generalised advantage estimation."""
     rollout: Annotated[int, Range(2)] = 256
     """Decisions collected before each round of updates, of all streams together."""
     stream_rollout: Annotated[int, Range(1)] = 32

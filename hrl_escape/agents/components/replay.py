@@ -38,11 +38,10 @@ class ReplaySettings(EpsilonSettings, NetworkSettings, LearningSettings):
     """Settings that `dqn`, `sarsa` and `ddpg` have in common: epsilon, optimiser, and updates from replay."""
 
     learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
-    """Step size of Adam."""
     loss: Literal["huber", "squared"] = "huber"
     """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
     batch_size: Annotated[int, Range(1)] = 64
-    """Decisions in an update from replay."""
+    """Decisions in an update."""
     warmup: Annotated[int, Range(0)] = 500
     """Steps of the clock before the first update."""
     updates_per_step: Annotated[float, Range(0)] = 0.25

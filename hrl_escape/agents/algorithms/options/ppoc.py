@@ -32,7 +32,6 @@ class PPOCSettings(ClippedSettings, OptionSettings):
     """Options, their terminations and the clipped updates of `ppoc`."""
 
     options: Annotated[int, Range(1)] = 2
-    """Options that are learned."""
     least_samples: Annotated[int, Range(2)] = 160
     """Decisions of an option that are collected, over several rollouts if need be, before it is updated."""
     termination_rate: Annotated[float, Range(0)] = 2e-4

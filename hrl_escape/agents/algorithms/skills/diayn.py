@@ -38,7 +38,6 @@ class DIAYNSettings(ClippedSettings, LearningSettings):
     options: Annotated[int, Range(2)] = 8
     """Skills that are learned."""
     entropy_weight: Annotated[float, Range(0)] = 0.1
-    """Weight of the policy's entropy in the loss."""
     goal: Literal["bits", "observation"] = "bits"
     """Part of the observation that the discriminator sees. `bits`: components of a flat Box that have only ever been 0
     or 1, in a room the puzzle's; all of a discrete observation. `observation`: everything."""

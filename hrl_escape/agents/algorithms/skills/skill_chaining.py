@@ -34,8 +34,6 @@ class SkillChainingSettings(DiscoverySettings):
     """Length of the chain of `skill-chaining`, and what its initiation sets are learned from."""
 
     use: Literal["explore", "choose"] = "choose"
-    """`explore`: options are run in exploration alone, and the policy is over primitives. `choose`: they are choices
-    beside the primitives, valued by intra-option Q-learning."""
     skills: Annotated[int, Range(1)] = 8
     """Most options of the chain."""
     gestation: Annotated[int, Range(1)] = 5
