@@ -155,25 +155,17 @@ LearnerSpec = Callable[[gymnasium.Space, gymnasium.spaces.Discrete, int], Agent]
 
 @dataclass(frozen=True)
 class Hierarchy:
-    """Tasks below a root, the learner of each, and what they are told that a flat agent is not.
+    """Tasks below a root, the learner of each, and what they are told that a flat agent is not."""
 
-    Attributes:
-        root: the call that runs for the whole episode.
-        below: all other tasks.
-        learners: task name -> how its learner is made; a task without one decides for itself.
-        share: task name -> name of the task whose learner it shares.
-        source: where the structure comes from.
-        privileges: what it reads that is not in the observation, such as `task graph` or `state`; printed in tables.
-        read: makes `Seen.state` of an observation.
-    """
-
-    root: BaseTask
-    below: tuple[BaseTask, ...] = ()
+    root: BaseTask  #: the call that runs for the whole episode
+    below: tuple[BaseTask, ...] = ()  #: all other tasks
     learners: Mapping[str, LearnerSpec] = field(default_factory=dict)
-    share: Mapping[str, str] = field(default_factory=dict)
-    source: Literal["given", "synthesised", "learned"] = "given"
+    """Task name -> how its learner is made; a task without one decides for itself."""
+    share: Mapping[str, str] = field(default_factory=dict)  #: task name -> name of the task whose learner it shares
+    source: Literal["given", "synthesised", "learned"] = "given"  #: where the structure comes from
     privileges: tuple[str, ...] = ()
-    read: Callable[[Any], Any] | None = None
+    """What it reads that is not in the observation, such as `task graph` or `state`; printed in tables."""
+    read: Callable[[Any], Any] | None = None  #: makes `Seen.state` of an observation
 
     MOST_DEPTH: ClassVar[int] = 64
     """Bound on running calls; more is a task that calls itself for ever."""

@@ -32,27 +32,17 @@ LONGEST_EPISODE = 100_000
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Returns and lengths of episodes played with frozen weights.
+    """Returns and lengths of episodes played with frozen weights."""
 
-    Attributes:
-        primitives: primitives trained for when it was made.
-        decisions: decisions trained for.
-        returns: undiscounted return of each episode.
-        lengths: primitives of each episode.
-        decision_counts: decisions of each episode.
-        successes: whether each succeeded: what `read_success` says of its end.
-        progress: share of the task done at best in each: the largest `info["progress"]` if given, else 1 for success.
-        seconds: wall time of the evaluation; left out of comparisons between results.
-    """
-
-    primitives: int
-    decisions: int
-    returns: tuple[float, ...]
-    lengths: tuple[int, ...]
-    decision_counts: tuple[int, ...]
-    successes: tuple[bool, ...]
+    primitives: int  #: trained for when it was made
+    decisions: int  #: trained for
+    returns: tuple[float, ...]  #: undiscounted return of each episode
+    lengths: tuple[int, ...]  #: primitives of each episode
+    decision_counts: tuple[int, ...]  #: decisions of each episode
+    successes: tuple[bool, ...]  #: whether each succeeded, by what `read_success` says of its end
     progress: tuple[float, ...]
-    seconds: float = field(default=0.0, compare=False)
+    """Share of the task done at best in each, the largest `info["progress"]` if given, else 1 for success."""
+    seconds: float = field(default=0.0, compare=False)  #: wall time; left out of comparisons between results
 
     @property
     def mean_return(self) -> float:

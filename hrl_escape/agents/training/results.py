@@ -154,39 +154,23 @@ def read_row(row: Mapping[str, Any]) -> EpisodeRecord | SegmentRecord | Evaluati
 
 @dataclass(frozen=True)
 class TrainResult:
-    """Result of a training run.
+    """Result of a training run."""
 
-    Attributes:
-        agent_name: registered name of the agent, or the name of its class.
-        seed: the run's seed.
-        settings: the agent's settings, as a JSON value.
-        primitives: primitives trained for; a last option may carry it beyond the budget.
-        decisions: decisions trained for.
-        planner_calls: calls of planners behind options, summed over `info["option"]["planner_calls"]`.
-        evaluations: the first before training, the last after it.
-        episodes: every training episode; none in a run of many streams.
-        segments: stretches of training, in a run of many streams.
-        seconds: wall time of training, evaluations excluded.
-        planner_seconds: share of it spent in planners.
-        agent: the trained agent; None in a result read from a file.
-        folder: folder of the run; None where it left no files.
-        resumed_at: primitives that its folder held already; 0 in a new run.
-    """
-
-    agent_name: str
-    seed: int
-    settings: Mapping[str, Any]
-    primitives: int
-    decisions: int
-    planner_calls: int
-    evaluations: tuple[Evaluation, ...]
-    episodes: tuple[EpisodeRecord, ...]
-    seconds: float = field(compare=False)
-    planner_seconds: float = field(compare=False)
-    segments: tuple[SegmentRecord, ...] = ()
+    agent_name: str  #: registered name of the agent, or the name of its class
+    seed: int  #: of the run
+    settings: Mapping[str, Any]  #: of the agent, as a JSON value
+    primitives: int  #: trained for; a last option may carry it beyond the budget
+    decisions: int  #: trained for
+    planner_calls: int  #: of planners behind options, summed over `info["option"]["planner_calls"]`
+    evaluations: tuple[Evaluation, ...]  #: the first before training, the last after it
+    episodes: tuple[EpisodeRecord, ...]  #: every training episode; none in a run of many streams
+    seconds: float = field(compare=False)  #: wall time of training, evaluations excluded
+    planner_seconds: float = field(compare=False)  #: share of it spent in planners
+    segments: tuple[SegmentRecord, ...] = ()  #: stretches of training, in a run of many streams
     agent: Agent | None = field(default=None, compare=False, repr=False)
-    folder: Path | None = field(default=None, compare=False)
-    resumed_at: int = field(default=0, compare=False)
+    """The trained agent; None in a result read from a file."""
+    folder: Path | None = field(default=None, compare=False)  #: of the run; None where it left no files
+    resumed_at: int = field(default=0, compare=False)  #: primitives that its folder held already; 0 in a new run
 
     def __repr__(self) -> str:
         first, last = self.first_escape, self.evaluations[-1] if self.evaluations else None
