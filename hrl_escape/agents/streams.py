@@ -8,7 +8,8 @@ SMDP transitions, those of `agent.py` with a leading dimension, so that what the
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -172,9 +173,8 @@ class RowStreamAgent(StreamAgent):
         self._open_masks[rows] = masks
         chosen = []
         for row, seen, legal in zip(rows, observation.cpu().numpy(), masks, strict=True):
-            self._enter(row)
-            chosen.append(self.act(seen, legal))
-            self._leave(row)
+            with self._serving(row):
+                chosen.append(self.act(seen, legal))
         return stream.new_tensor(chosen)
 
     def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
@@ -183,19 +183,22 @@ class RowStreamAgent(StreamAgent):
         logged: dict[str, list[float]] = {}
         for stream, seen, action, reward, summed, k, reached, mask, terminated, truncated in zip(
                 *(field.cpu().numpy() for field in decisions), strict=True):
-            self._enter(stream)
-            metrics = self.observe(SMDPTransition(
-                seen, int(action), self._open_masks[stream].copy(), float(reward), float(summed), int(k),
-                self.gamma ** int(k), reached, mask, bool(terminated), bool(truncated),
-                cut=bool(truncated and not terminated and k > 1)))
-            self._leave(stream)
+            with self._serving(stream):
+                metrics = self.observe(SMDPTransition(
+                    seen, int(action), self._open_masks[stream].copy(), float(reward), float(summed), int(k),
+                    self.gamma ** int(k), reached, mask, bool(terminated), bool(truncated),
+                    cut=bool(truncated and not terminated and k > 1)))
             for name, value in metrics.items():
                 logged.setdefault(name, []).append(value)
         return {name: sum(values) / len(values) for name, values in logged.items()}
 
-    def _enter(self, stream: int) -> None:
+    @contextmanager
+    def _serving(self, stream: int) -> Iterator[None]:
+        """Put a stream's episode in place, and afterwards that of a single environment."""
         self._stream = stream
         self._place(stream)
+        yield
+        self._leave(stream)
 
     def _leave(self, stream: int) -> None:
         """Put a stream's episode away, and that of a single environment in its place."""
@@ -216,20 +219,18 @@ class RowStreamAgent(StreamAgent):
             return None
         trees: list[StateTree] = [{} for _ in self._episodes[1:]]
         for stream, tree in enumerate(trees):
-            self._enter(stream)
-            for kept in self._list_episode():
-                kept.write(self, tree)
-            self._leave(stream)
+            with self._serving(stream):
+                for kept in self._list_episode():
+                    kept.write(self, tree)
         return trees
 
     @_kept_episodes.setter
     def _kept_episodes(self, saved: list[StateTree] | None) -> None:
         """Streams go on if there are as many."""
         for stream, tree in enumerate(saved if saved and len(saved) + 1 == len(self._episodes or ()) else ()):
-            self._enter(stream)
-            for kept in self._list_episode():
-                kept.read(self, tree)
-            self._leave(stream)
+            with self._serving(stream):
+                for kept in self._list_episode():
+                    kept.read(self, tree)
 
     def _list_episode(self) -> list[Kept]:
         return [kept for kept in list_kept(type(self)) if isinstance(kept, Kept) and kept.key in self.EPISODE_STATE]

@@ -103,7 +103,7 @@ MUTATIONS = [
     Mutation(
         "hindsight stores decisions under goals achieved already",
         "agents/components/hindsight.py",
-        "if not self._judge(decision.before, goal, known).terminated:",
+        "if not self._judge(decision.before, goal).terminated:",
         "if True:",
         "agents/components/test_hindsight.py"
         "::test_no_decision_is_stored_under_a_goal_that_was_achieved_before_it",
@@ -238,8 +238,8 @@ MUTATIONS = [
     Mutation(
         "rows of streams learn with the discount of one primitive",
         "agents/streams.py",
-        "float(summed), int(k),\n                self.gamma ** int(k),",
-        "float(summed), int(k),\n                self.gamma,",
+        "float(summed), int(k),\n                    self.gamma ** int(k),",
+        "float(summed), int(k),\n                    self.gamma,",
         "agents/components/test_stream_replay.py"
         "::test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once",
     ),

@@ -74,6 +74,7 @@ class HindsightReplay(Stateful):
         self._rule, self._goals, self._n_step = rule, goals, n_step
         self._encoder, self._settings, self._rng = encoder, settings, rng
         self._episode: list[_Decision] = []
+        self._known: dict[tuple[bytes, bytes], _Judgement] = {}  # of this episode's pairs of goals
 
     def push(self, transition: SMDPTransition, experience: Experience, bonus: float) -> list[Experience]:
         """Take in one decision, its backup and the bonus in it; returns backups under new goals at the episode's end.
@@ -92,22 +93,22 @@ class HindsightReplay(Stateful):
             return []
         relabelled = list(self._relabel())
         self._episode.clear()
+        self._known.clear()
         return relabelled
 
     def _relabel(self) -> Iterator[Experience]:
         """Each decision with goals achieved at it or later in the episode."""
-        known: dict[tuple[bytes, bytes], _Judgement] = {}
         for start, decision in enumerate(self._episode):
             for chosen in self._rng.integers(start, len(self._episode), size=self._goals):
                 goal = self._episode[chosen].achieved
-                if not self._judge(decision.before, goal, known).terminated:
-                    yield self._join(start, goal, known)
+                if not self._judge(decision.before, goal).terminated:
+                    yield self._join(start, goal)
 
-    def _join(self, start: int, goal: NDArray, known: dict[tuple[bytes, bytes], _Judgement]) -> Experience:
+    def _join(self, start: int, goal: NDArray) -> Experience:
         """The backup of n decisions under another goal; of fewer where it is achieved, or the episode ends."""
         reward, bootstrap, last = 0.0, 1.0, start
         for last in range(start, min(start + self._n_step, len(self._episode))):
-            own_reward, own_bootstrap = self._back_up(self._episode[last], goal, known)
+            own_reward, own_bootstrap = self._back_up(self._episode[last], goal)
             reward += bootstrap * own_reward
             bootstrap *= own_bootstrap
             if not bootstrap:
@@ -121,20 +122,19 @@ class HindsightReplay(Stateful):
             next_mask=then.next_mask,
         )
 
-    def _back_up(self, decision: _Decision, goal: NDArray, known: dict[tuple[bytes, bytes], _Judgement]
-                 ) -> tuple[float, float]:
+    def _back_up(self, decision: _Decision, goal: NDArray) -> tuple[float, float]:
         """R and b of a decision under another goal. What ended the episode for a reason of its own still ends it."""
-        reward, terminated = self._judge(decision.achieved, goal, known)
+        reward, terminated = self._judge(decision.achieved, goal)
         if decision.transition.terminated and not terminated:
-            terminated = not self._judge(decision.achieved, decision.desired, known).terminated
+            terminated = not self._judge(decision.achieved, decision.desired).terminated
         reward, bootstrap = compute_backup(
             decision.transition._replace(reward=reward, summed_reward=reward, terminated=terminated), self._settings)
         return reward + decision.bonus, bootstrap
 
-    def _judge(self, achieved: NDArray, goal: NDArray, known: dict[tuple[bytes, bytes], _Judgement]) -> _Judgement:
+    def _judge(self, achieved: NDArray, goal: NDArray) -> _Judgement:
         """Reward and end by the environment's rule, which is asked once in an episode for a pair of goals."""
         pair = achieved.tobytes(), goal.tobytes()
-        if pair not in known:
-            known[pair] = _Judgement(float(self._rule.compute_reward(achieved, goal, {})),
-                                     bool(self._rule.compute_terminated(achieved, goal, {})))
-        return known[pair]
+        if pair not in self._known:
+            self._known[pair] = _Judgement(float(self._rule.compute_reward(achieved, goal, {})),
+                                           bool(self._rule.compute_terminated(achieved, goal, {})))
+        return self._known[pair]

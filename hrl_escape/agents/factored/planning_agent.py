@@ -38,7 +38,7 @@ from hrl_escape.agents.factored.search import (
     make_tables,
 )
 from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
-from hrl_escape.agents.state import Kept, Stateful, StateTree
+from hrl_escape.agents.state import Kept, Stateful, StateTree, pack_columns, unpack_columns
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range
 
@@ -193,6 +193,20 @@ class PendingPlan(Stateful):
         return self._actions.pop(0)
 
 
+class _Recorded(NamedTuple):
+    """A decision of the history."""
+
+    before: NDArray[np.float64]  # observation, flattened
+    after: NDArray[np.float64]
+    masks: NDArray[np.bool_]  # actions legal before
+    action: int
+    duration: int
+    reward: float  # sum of the rewards
+    over: bool
+    previous: int  # the action before in the same episode, or -1
+    again: bool  # the action was legal right after itself
+
+
 class FactoredModel:
     """History of an agent, and the model derived from it.
 
@@ -216,11 +230,7 @@ class FactoredModel:
         self._make_learner, self.compile = make_learner, compile
         self._reader = FactorReader(space, agent)
         self._all_on = conditions == "all-on" and bool((self._reader.sizes == 2).all())
-        self._before: list[NDArray[np.float64]] = []
-        self._after: list[NDArray[np.float64]] = []
-        self._masks: list[NDArray[np.bool_]] = []  # before
-        # action, duration, summed reward, over, previous, legal again
-        self._rows: list[tuple[int, int, float, bool, int, bool]] = []
+        self._rows: list[_Recorded] = []
         self._previous = -1  # the action before in the same episode
         self._rates: Counter[float] = Counter()
         self._beliefs: list[Belief] = []
@@ -239,18 +249,19 @@ class FactoredModel:
         self._tried: set[int] = set()
         self._done: set[int] = set()  # and masked ever since
         self._masked: set[tuple[bytes, int]] = set()
-        for number in range(len(self._rows)):
-            self._learn(number)
+        for row in self._rows:
+            self._learn(row)
         for belief in self._beliefs:
             belief.forget()
 
-    def _learn(self, number: int) -> None:
-        action, duration, reward, over, previous, again = self._rows[number]
-        self.repeatable[action] = again or (self.repeatable[action] and action in self._tried)
+    def _learn(self, row: _Recorded) -> None:
+        action = row.action
+        self.repeatable[action] = row.again or (self.repeatable[action] and action in self._tried)
         self._tried.add(action)
-        before, after = self._reader.read(self._before[number]), self._reader.read(self._after[number])
-        self._learn_mask(before, self._masks[number], previous)
-        self.learner.add(before, action, after, over, self._get_level(round(reward - self.rate * duration, 6)))
+        before, after = self._reader.read(row.before), self._reader.read(row.after)
+        self._learn_mask(before, row.masks, row.previous)
+        bonus = self._get_level(round(row.reward - self.rate * row.duration, 6))
+        self.learner.add(before, action, after, row.over, bonus)
 
     def _learn_mask(self, state: NDArray[np.int64], mask: NDArray[np.bool_], previous: int) -> None:
         """Take in, once a state, that masked actions do nothing; one masked since it was done may just have worked."""
@@ -313,13 +324,11 @@ class FactoredModel:
         self._previous = -1 if transition.terminated or transition.truncated else transition.action
         if transition.cut:
             return
-        before = self._reader.flatten(transition.observation)
-        after = self._reader.flatten(transition.next_observation)
-        self._before.append(before)
-        self._after.append(after)
-        self._masks.append(np.asarray(transition.action_mask, dtype=np.bool_))
-        again = bool(transition.next_action_mask[transition.action])
-        row = (transition.action, transition.duration, transition.summed_reward, transition.terminated, previous, again)
+        before, after = map(self._reader.flatten, (transition.observation, transition.next_observation))
+        row = _Recorded(
+            before, after, np.asarray(transition.action_mask, dtype=np.bool_), transition.action, transition.duration,
+            transition.summed_reward, transition.terminated, previous,
+            bool(transition.next_action_mask[transition.action]))
         self._rows.append(row)
         self._count_rate(row)
         usual, count = self._rates.most_common(1)[0] if self._rates else (self.rate, 0)
@@ -327,15 +336,14 @@ class FactoredModel:
         if self._reader.notice(np.stack([before, after])) or usual != self.rate:
             self._rebuild(usual)
         else:
-            self._learn(len(self._rows) - 1)
+            self._learn(row)
             self._durations = None
             for belief in self._beliefs:
                 belief.forget(transition.action)
 
-    def _count_rate(self, row: tuple[int, int, float, bool, int, bool]) -> None:
-        _, duration, reward, over, *_ = row
-        if not over:
-            self._rates[round(reward / duration, 9)] += 1
+    def _count_rate(self, row: _Recorded) -> None:
+        if not row.over:
+            self._rates[round(row.reward / row.duration, 9)] += 1
 
     def pack(self, observation: Any) -> int:
         """The state as one word."""
@@ -364,10 +372,9 @@ class FactoredModel:
         """The last decisions, as far as durations are concerned; those told of before are not read again."""
         first = max(self._told, len(self._rows) - REMEMBERED_DECISIONS)
         rows, self._told = self._rows[first:], len(self._rows)
-        actions, durations, previous = (np.array([row[column] for row in rows]) for column in (0, 1, 4))
-        starts, ends = (np.ascontiguousarray(self._reader.read_pose(np.array(flat[first:])))
-                        for flat in (self._before, self._after))
-        new = DurationHistory(starts, actions, ends, durations.astype(np.float64), previous)
+        told = pack_columns(rows, ("before", "action", "after", "duration", "previous"))
+        starts, ends = (np.ascontiguousarray(self._reader.read_pose(told[name])) for name in ("before", "after"))
+        new = DurationHistory(starts, told["action"], ends, told["duration"].astype(np.float64), told["previous"])
         if self._history is not None and len(self._history.actions):
             new = DurationHistory._make(np.concatenate(both)[-REMEMBERED_DECISIONS:]
                                         for both in zip(self._history, new, strict=True))
@@ -395,26 +402,14 @@ class FactoredModel:
 
     def state_dict(self) -> StateTree:
         """Decisions in columns, in the order they were made; the model follows from them."""
-        names = ("action", "duration", "reward", "over", "previous", "again")
-        columns = zip(*self._rows, strict=True) if self._rows else ([] for _ in names)
-        return {
-            "rate": self.rate,
-            "last": self._previous,
-            "before": np.array(self._before),
-            "after": np.array(self._after),
-            "masks": np.array(self._masks),
-            **{name: np.array(list(column)) for name, column in zip(names, columns, strict=True)},
-        }
+        return {"rate": self.rate, "last": self._previous, **pack_columns(self._rows, _Recorded._fields)}
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the result of `state_dict`."""
         self._previous = int(state["last"])
-        self._before, self._after, self._masks = list(state["before"]), list(state["after"]), list(state["masks"])
-        columns = (state[name].tolist() for name in ("action", "duration", "reward", "over", "previous", "again"))
-        self._rows = [tuple(row) for row in zip(*columns, strict=True)]
-        for rows in (self._before, self._after):
-            if rows:
-                self._reader.notice(np.stack(rows))
+        self._rows = list(map(_Recorded._make, unpack_columns(state, _Recorded._fields)))
+        if self._rows:
+            self._reader.notice(np.concatenate([state["before"], state["after"]]))
         self._rates.clear()
         for row in self._rows:
             self._count_rate(row)
