@@ -7,10 +7,12 @@ rooms nor options.
 
 from __future__ import annotations
 
+import inspect
 import math
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
@@ -129,6 +131,7 @@ class Agent(Stateful, ABC):
     """Name in messages: by default the class's, for the algorithms of this package that of their file, under which
     `make_agent` knows them."""
     Settings: ClassVar[type]
+    """Dataclass of its settings; by default that of the annotation of `settings` in the class."""
     recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Name -> settings, beside `corrected`, which is `Settings()`. Names with the prefix `smdp-` hold over options."""
     needs_trace: ClassVar[bool] = False
@@ -146,8 +149,12 @@ class Agent(Stateful, ABC):
     """Number of actions of the space it was made with; None where its class is constructed in another way."""
 
     def __init_subclass__(cls, **named: Any) -> None:
-        """Name an algorithm like its file, and any other class that has no name like itself."""
+        """Name an algorithm like its file, any other class that has no name like itself; take up its `Settings`."""
         super().__init_subclass__(**named)
+        said = inspect.get_annotations(cls).get("settings")
+        declared = getattr(sys.modules[cls.__module__], said, None) if isinstance(said, str) else said
+        if is_dataclass(declared) and "Settings" not in cls.__dict__:
+            cls.Settings = declared
         package, _, file = cls.__module__.rpartition(".")
         if package.startswith(CATALOGUE):
             cls.name = file.replace("_", "-")
@@ -256,29 +263,19 @@ class OptionRun(Protocol):
         ...
 
 
-def _anywhere(observation: Any, action_mask: NDArray[np.bool_]) -> bool:
-    return True
-
-
 @dataclass(frozen=True)
 class OptionPolicy:
     """Something that an agent learned to do, with its own beginning and end.
 
     It acts by what the agent knows when it is asked: an agent that goes on learning changes it.
-
-    Attributes:
-        name: unique among the policies of an agent.
-        agent: whose it is.
-        begin: makes a run.
-        can_start: (observation, action mask) -> whether it may start there.
-        is_markov: choice and end are functions of the observation and the legal actions alone.
     """
 
-    name: str
-    agent: Agent
-    begin: Callable[[], OptionRun]
-    can_start: Callable[[Any, NDArray[np.bool_]], bool] = _anywhere
-    is_markov: bool = False
+    name: str  #: unique among the policies of an agent
+    agent: Agent  #: whose it is
+    begin: Callable[[], OptionRun]  #: makes a run
+    can_start: Callable[[Any, NDArray[np.bool_]], bool] = lambda observation, action_mask: True
+    """(observation, action mask) -> whether it may start there."""
+    is_markov: bool = False  #: choice and end are functions of the observation and the legal actions alone
 
     @property
     def origin(self) -> Mapping[str, Any]:
@@ -320,14 +317,12 @@ class GoalRule(NamedTuple):
 
     Its observations are a Dict of `observation`, `achieved_goal` and `desired_goal` (Plappert et al. 2018). Agents give
     an empty `info`: both must be functions of the two goals alone.
-
-    Attributes:
-        compute_reward: (achieved, desired, info) -> reward of a step after which these were the goals.
-        compute_terminated: the same -> whether this ends the episode, whatever else may end it.
     """
 
     compute_reward: Callable[[Any, Any, Mapping[str, Any]], Any]
+    """(achieved, desired, info) -> reward of a step after which these were the goals."""
     compute_terminated: Callable[[Any, Any, Mapping[str, Any]], Any]
+    """The same -> whether this ends the episode, whatever else may end it."""
 
 
 def read_goal_rule(env: gymnasium.Env) -> GoalRule | None:

@@ -45,21 +45,13 @@ StateTree = dict[str, Any]
 
 @dataclass(frozen=True)
 class Kept:
-    """An attribute of the state whose key or form is not the one that follows from its name and type.
+    """An attribute of the state whose key or form is not the one that follows from its name and type."""
 
-    Attributes:
-        attribute: its name, or a path through parts such as `noise.state`.
-        key: in the tree; by default the attribute's name without underscores before it.
-        pack: from a value that is not None to its form in the tree.
-        unpack: from that form to the value; None takes it as `restore_value` does.
-        is_left_out: the tree has no such key while the attribute is None.
-    """
-
-    attribute: str
-    key: str = ""
-    pack: Callable[[Any], Any] | None = None
-    unpack: Callable[[Any], Any] | None = None
-    is_left_out: bool = False
+    attribute: str  #: its name, or a path through parts such as `noise.state`
+    key: str = ""  #: in the tree; by default the attribute's name without underscores before it
+    pack: Callable[[Any], Any] | None = None  #: from a value that is not None to its form in the tree
+    unpack: Callable[[Any], Any] | None = None  #: from that form to the value; None takes it as `restore_value` does
+    is_left_out: bool = False  #: the tree has no such key while the attribute is None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "key", self.key or self.attribute.lstrip("_"))
@@ -129,6 +121,18 @@ def pack_keys(keys: Iterable[bytes]) -> Any:
 def unpack_keys(saved: Any) -> list[bytes]:
     """Keys from what `pack_keys` gave."""
     return [key.tobytes() for key in np.asarray(saved, np.uint8)]
+
+
+def pack_columns(rows: Iterable[Any], names: Iterable[str]) -> StateTree:
+    """Some attributes of objects of the same form, a column each."""
+    rows = list(rows)
+    return {name: np.array([getattr(row, name) for row in rows]) for name in names}
+
+
+def unpack_columns(saved: StateTree, names: Iterable[str]) -> Iterator[tuple[Any, ...]]:
+    """Rows of the columns of these names; numbers are those of Python."""
+    columns = (np.asarray(saved[name]) for name in names)
+    return zip(*(column.tolist() if column.ndim == 1 else list(column) for column in columns), strict=True)
 
 
 def _get(tree: StateTree, key: str, holder: Any) -> Any:

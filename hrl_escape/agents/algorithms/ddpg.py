@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
@@ -111,7 +111,6 @@ class DDPG(ReplayStreamAgent):
     the actor's outputs over legal actions; the relaxation turns it into the vector a that the critic sees.
     """
 
-    Settings: ClassVar[type] = DDPGSettings
     settings: DDPGSettings
     STATE = (Kept("_actor_learner", "actor"), Kept("_critic_learner", "critic"), "_vector",
              Kept("_noise.state", "noise"))

@@ -16,7 +16,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
@@ -209,7 +209,6 @@ class DQN(ValueAgent):
         AgentSettingsError: `hindsight_goals` in an environment without goals, or the module does not fit.
     """
 
-    Settings: ClassVar[type] = DQNSettings
     settings: DQNSettings
     STATE = ("_n_step", "_bonus", Kept("_hindsight", is_left_out=True))
 

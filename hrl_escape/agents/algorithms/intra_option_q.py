@@ -53,7 +53,6 @@ class IntraOptionQ(TabularAgent):
     inside an option, no maximum over them can be taken, and updates that need it are left out.
     """
 
-    Settings: ClassVar[type] = IntraOptionQSettings
     needs_trace: ClassVar[bool] = True
     settings: IntraOptionQSettings
     STATE = ("_is_option", "_repeated")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -40,7 +40,6 @@ class MonteCarloModelSettings(PlanningSettings):
 class MonteCarloModel(PlanningAgent):
     """Believes structures drawn from their posterior, anew in each episode and after each sample of an action."""
 
-    Settings: ClassVar[type] = MonteCarloModelSettings
     settings: MonteCarloModelSettings
     STATE = ("_episode", "_redraws", "_seed")
 

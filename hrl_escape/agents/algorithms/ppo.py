@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
@@ -71,7 +71,6 @@ class PPO(StreamAgent):
     the rollout in which it was made counts in the next one, with the probability that it was made with.
     """
 
-    Settings: ClassVar[type] = PPOSettings
     settings: PPOSettings
     is_markov: bool = True
     STATE = ("_learner", Kept("_collected_rollout", "rollout", unpack=dict), Kept("_open", "streams"), "_recollection",

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import gymnasium
 
@@ -26,7 +25,6 @@ class QLearningSettings(BonusSettings, TabularAgentSettings):
 class QLearning(RowStreamAgent, TabularAgent):
     """Q(s, o) <- Q(s, o) + alpha [R + gamma^k (1 - terminated) max over legal o' of Q(s', o') - Q(s, o)]."""
 
-    Settings: ClassVar[type] = QLearningSettings
     settings: QLearningSettings
     STATE = ("_bonus",)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
@@ -19,7 +19,7 @@ from hrl_escape.agents.agent import DiscountSettings, SMDPTransition, count_acti
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.factored.observation import FactorReader
-from hrl_escape.agents.state import Kept, StateTree
+from hrl_escape.agents.state import Kept, pack_columns, unpack_columns
 from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range
 
@@ -45,22 +45,14 @@ class RMaxSettings(DiscountSettings, ResolutionSettings):
 _KEPT = SMDPTransition._fields[:-2]  # nothing that was cut, and no trace
 
 
-def _save_history(history: list[SMDPTransition]) -> StateTree:
-    return {name: np.array([getattr(each, name) for each in history]) for name in _KEPT}
-
-
-def _load_history(columns: StateTree) -> list[SMDPTransition]:
-    rows = (column.tolist() if column.ndim == 1 else list(column)
-            for column in (np.asarray(columns[name]) for name in _KEPT))
-    return [SMDPTransition(*row) for row in zip(*rows, strict=True)]
-
 
 class RMax(RowStreamAgent):
     """Optimism over a table: every pair is tried `visits` times before it is weighed."""
 
-    Settings: ClassVar[type] = RMaxSettings
     settings: RMaxSettings
-    STATE = (Kept("_history", pack=_save_history, unpack=_load_history), "_values", Kept("_is_stale", "stale"), "_rng")
+    STATE = (Kept("_history", pack=lambda history: pack_columns(history, _KEPT),
+                  unpack=lambda saved: [SMDPTransition(*row) for row in unpack_columns(saved, _KEPT)]),
+             "_values", Kept("_is_stale", "stale"), "_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: RMaxSettings | None = None) -> None:

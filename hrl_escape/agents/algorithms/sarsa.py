@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -53,7 +53,6 @@ class Sarsa(ValueAgent):
     Q_target(s', o') of one o' drawn from pi. R = sum gamma^i r_i, b = gamma^k (1 - terminated).
     """
 
-    Settings: ClassVar[type] = SarsaSettings
     settings: SarsaSettings
     STATE = ("_next_action", "_late_terminal")
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import gymnasium
 import torch
@@ -40,7 +40,6 @@ class TorchRLDQN(TorchRLReplayAgent):
     o* is the legal argmax at s' of Q_theta, or of Q_target without `double`.
     """
 
-    Settings: ClassVar[type] = TorchRLDQNSettings
     settings: TorchRLDQNSettings
     STATE = ("_exploration", Kept("_target.counter", "since_target"))
 

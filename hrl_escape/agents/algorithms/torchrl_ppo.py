@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -48,7 +48,6 @@ class TorchRLPPO(TorchRLAgent):
     A are generalised advantages in which a decision of k primitives discounts by gamma^k lambda.
     """
 
-    Settings: ClassVar[type] = TorchRLPPOSettings
     settings: TorchRLPPOSettings
     STATE = (Kept("_rollout", "rollout", unpack=dict),)
 

@@ -7,7 +7,7 @@ entropy is worth a temperature that is learned.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -39,7 +39,6 @@ class TorchRLSAC(TorchRLReplayAgent):
     pi(o' | s')).
     """
 
-    Settings: ClassVar[type] = TorchRLSACSettings
     settings: TorchRLSACSettings
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -63,7 +63,6 @@ class MaxqQ(TabularRunner):
             (`walk`).
     """
 
-    Settings: ClassVar[type] = MaxqQSettings
     settings: MaxqQSettings
     EPISODE = (*TabularRunner.EPISODE, "_way")
     EPISODE_STATE = (*TabularRunner.EPISODE_STATE, "way")

@@ -39,7 +39,6 @@ class BehaviourCloning(OfflineAgent):
 
     heads = {"policy": "action"}
     acting: ClassVar[str] = "policy"
-    Settings: ClassVar[type] = BehaviourCloningSettings
     settings: BehaviourCloningSettings
 
     def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:

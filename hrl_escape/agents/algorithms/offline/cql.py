@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,6 @@ class CQL(FittedQ):
     equation 2): choices likelier under pi than in the data are valued below what the data says.
     """
 
-    Settings: ClassVar[type] = CQLSettings
     settings: CQLSettings
 
     def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -94,7 +94,6 @@ class DecisionTransformer(OfflineAgent):
     acting: ClassVar[str] = "policy"
     has_table: ClassVar[bool] = False
     is_markov = False
-    Settings: ClassVar[type] = DecisionTransformerSettings
     settings: DecisionTransformerSettings
     STATE = (Kept("_wanted", "wanted"),)
 

@@ -59,7 +59,6 @@ class HIQL(OfflineAgent):
     acting: ClassVar[str] = "low"
     has_table: ClassVar[bool] = False
     reads_both: ClassVar[bool] = True
-    Settings: ClassVar[type] = IQLSettings
     settings: IQLSettings
 
     def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:

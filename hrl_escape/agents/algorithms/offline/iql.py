@@ -66,7 +66,6 @@ class IQL(OfflineAgent):
 
     heads = {"q": "action", "target_q": "action", "policy": "action", "value": "state"}
     acting: ClassVar[str] = "policy"
-    Settings: ClassVar[type] = IQLSettings
     settings: IQLSettings
 
     def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -67,7 +67,6 @@ class A2OC(StreamOptionAgent):
     epsilon-greedy choice among options, by which they are chosen.
     """
 
-    Settings: ClassVar[type] = A2OCSettings
     settings: A2OCSettings
     Heads = GreedyHeads
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import torch
 from torch import Tensor
@@ -47,7 +47,6 @@ class DAC(StreamOptionAgent):
     order. An episode that was cut bootstraps both by v(s', o). Terminations learn through pi alone.
     """
 
-    Settings: ClassVar[type] = DACSettings
     settings: DACSettings
 
     def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -78,7 +78,6 @@ class OptionCritic(OptionAgent):
     pi_o(a | s) / pi(a | s) of the option that ran; no step is longer than its rate.
     """
 
-    Settings: ClassVar[type] = OptionCriticSettings
     settings: OptionCriticSettings
     STATE = ("log", "_option", "_decisions", "_likely", "_rng")
 

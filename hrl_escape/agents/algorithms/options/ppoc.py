@@ -79,7 +79,6 @@ class PPOC(StreamOptionAgent):
     Each option is updated from its own decisions, once there are `least_samples`.
     """
 
-    Settings: ClassVar[type] = PPOCSettings
     settings: PPOCSettings
     trained: ClassVar[tuple[str, ...]] = ("policy", "critic", "chooser")
     STATE = ("_ending_learner", Kept("_waiting", pack=_pack_waiting, unpack=_unpack_waiting))

@@ -7,7 +7,7 @@ the other; with it as an edge the graph is better connected, and the next is fou
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,5 @@ class CoveringOptions(DiscoveringAgent):
     fewest primitives; its twin goes back. Each pair raises the algebraic connectivity, which bounds the cover time.
     """
 
-    Settings: ClassVar[type] = CoveringOptionsSettings
     settings: CoveringOptionsSettings
     Discovery = CoveringDiscovery

@@ -79,7 +79,6 @@ class DIAYN(StreamOptionAgent):
     among skills alone: in evaluation the one runs whose episodes earned the most in training.
     """
 
-    Settings: ClassVar[type] = DIAYNSettings
     settings: DIAYNSettings
     Heads = SkillHeads
     is_markov: bool = True

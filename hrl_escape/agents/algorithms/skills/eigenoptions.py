@@ -7,7 +7,7 @@ with them: an option to each end of each of the slowest directions of a random w
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +86,5 @@ class Eigenoptions(DiscoveringAgent):
     ends where nothing more can be earned, and may begin everywhere else.
     """
 
-    Settings: ClassVar[type] = EigenoptionsSettings
     settings: EigenoptionsSettings
     Discovery = EigenoptionDiscovery

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -171,6 +171,5 @@ class SkillChaining(DiscoveringAgent):
     (arrivals + 1) / (runs + 2) is `start_rate` at least. The chain is complete when episodes begin inside it.
     """
 
-    Settings: ClassVar[type] = SkillChainingSettings
     settings: SkillChainingSettings
     Discovery = SkillChain

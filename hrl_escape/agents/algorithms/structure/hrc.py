@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
@@ -77,7 +77,6 @@ class Hrc(Agent):
         cost: sum over bits found after the first intervention of 1 and the interventions by then.
     """
 
-    Settings: ClassVar[type] = HrcSettings
     settings: HrcSettings
     STATE = (
         Kept("_samples", pack=lambda samples: [[str(before), action, str(after), over]

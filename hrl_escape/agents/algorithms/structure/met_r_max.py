@@ -9,7 +9,7 @@ chance makes it, and the worse is dropped, not at its first miss.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,7 +139,6 @@ class MetRMaxSettings(FactoredRMaxSettings):
 class MetRMax(FactoredRMax):
     """Believes every set of parents that none has beaten, and looks where two of them differ."""
 
-    Settings: ClassVar[type] = MetRMaxSettings
     settings: MetRMaxSettings
 
     def make_learner(self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool) -> Meteorologists:

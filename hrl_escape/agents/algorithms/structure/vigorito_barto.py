@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -60,7 +60,6 @@ class VigoritoBarto(FactoredRMax):
     from a state that is worth less than what was found before.
     """
 
-    Settings: ClassVar[type] = VigoritoBartoSettings
     settings: VigoritoBartoSettings
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
