@@ -9,14 +9,13 @@ import os
 import time
 from collections.abc import Sequence
 from pkgutil import resolve_name
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import gymnasium
 
 from hrl_escape.agents.components.offline import Decisions, OfflineAgent, OfflineData, Primitives
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe, list_offline_agents
 from hrl_escape.agents.training.callbacks import Callback
-from hrl_escape.agents.training.results import SegmentRecord, read_row
 from hrl_escape.agents.training.run import Means, Reporter, Run, RunArguments
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import replace_settings
@@ -100,8 +99,5 @@ class OfflineRun(Run):
             report(self.primitives, self.describe_returns())
             if self.is_over or self.agent.is_table:
                 break
-        row = {"kind": "segment", "primitives": self.primitives, "decisions": self.decisions, "train/episodes": 0,
-               "train/successes": 0, "train/return": None, "train/length": None,
-               **means.make_row(), **self.stop_clock(started, before)}
-        self.segments.append(cast("SegmentRecord", read_row(row)))
-        return row
+        none = {"train/episodes": 0, "train/successes": 0, "train/return": None, "train/length": None}
+        return self.end_segment(none, means, started, before)

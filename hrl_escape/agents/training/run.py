@@ -304,6 +304,13 @@ class Run(Stateful):
         return {"time/seconds": self.seconds,
                 "time/primitives_per_second": (self.primitives - before) / max(seconds, 1e-9)}
 
+    def end_segment(self, ended: Mapping[str, Any], means: Means, started: float, before: int) -> dict[str, Any]:
+        """Row of a stretch of training, with the episodes that ended in it; see `stop_clock`."""
+        row = {"kind": "segment", "primitives": self.primitives, "decisions": self.decisions, **ended,
+               **means.make_row(), **self.stop_clock(started, before)}
+        self.segments.append(cast("SegmentRecord", read_row(row)))
+        return row
+
     def describe_returns(self) -> str:
         """Describe the latest returns for the progress line."""
         recent = [record.episode_return for record in self.episodes[-10:]]

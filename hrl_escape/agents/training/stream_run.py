@@ -16,7 +16,7 @@ import sys
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -38,7 +38,6 @@ from hrl_escape.agents.streams import (
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed
-from hrl_escape.agents.training.results import SegmentRecord, read_row
 from hrl_escape.agents.training.run import NO_OPTIONS, Means, Reporter, Run, RunArguments
 from hrl_escape.agents.training.run_folder import RunFolder
 from hrl_escape.errors import CheckpointError, StepContractError
@@ -271,11 +270,7 @@ class StreamRun(Run):
             report(self.primitives, words)
         if self.primitives == self.decisions and before == 0 and self.arguments.name.startswith(SMDP_PREFIX):
             warnings.warn(NO_OPTIONS.format(name=self.arguments.name), stacklevel=2)
-        clock = self.stop_clock(started, before)
-        row = {"kind": "segment", "primitives": self.primitives, "decisions": self.decisions, **tally.take_row(),
-               **means.make_row(), **clock}
-        self.segments.append(cast("SegmentRecord", read_row(row)))
-        return row
+        return self.end_segment(tally.take_row(), means, started, before)
 
     def state_dict(self) -> StateTree:
         """Streams and their sums beside the agent and the totals."""
