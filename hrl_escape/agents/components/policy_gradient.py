@@ -108,12 +108,7 @@ def keep_decision(transition: SMDPTransition, encoder: ObservationEncoder, setti
 
 
 def stack_decisions(rows: Sequence[tuple], first: int) -> Rollout:
-    """Decisions of one environment as a rollout.
-
-    Args:
-        rows: decisions in order, from `keep_decision`.
-        first: place of the first.
-    """
+    """Decisions of one environment in order, from `keep_decision`, as a rollout, the first at the place `first`."""
     dtypes = (None, np.bool_, np.int64, np.float32, np.float32, np.int64, np.bool_, None, np.float32)
     fields = [torch.from_numpy(np.array(field, dtype))
               for field, dtype in zip(zip(*rows, strict=True), dtypes, strict=True)]
@@ -155,11 +150,7 @@ def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, se
 
 
 def find_next(rollout: Rollout) -> tuple[Tensor, Tensor]:
-    """Next decision of the same stream.
-
-    Returns:
-        Its row, int64 (n,), and bool (n,): it is in the rollout, in the same episode. Where it is not, the row is 0.
-    """
+    """Row of the same stream's next decision, int64 (n,), and whether it is here, in the same episode; else row 0."""
     place, stream = rollout.place, rollout.stream
     shape = int(place.max()) + 2, int(stream.max()) + 1
     rows = torch.full(shape, -1, dtype=torch.int64, device=place.device)

@@ -29,9 +29,7 @@ def compute_information(counts: NDArray[np.int64], values: NDArray[np.int64]) ->
 
         H(p) - E[H] = sum_v p_v (psi(a_v + 1) - psi(A + 1)) - sum_v p_v log p_v
 
-    Args:
-        counts: of each value so far, (..., most values).
-        values: how many there can be, (...).
+    Counts of each value so far are (..., most values); `values` is how many there can be, (...).
     """
     weights = np.where(np.arange(counts.shape[-1]) < values[..., None], counts + 0.5, 0.0)
     total = weights.sum(axis=-1, keepdims=True)

@@ -55,13 +55,8 @@ class SuccessorTable(Stateful):
                legal: NDArray[np.bool_]) -> None:
         """Move every skill's psi_i(s, a) towards what happened + discount psi_i(s', a'), a' best for event i.
 
-        Args:
-            key: of s.
-            action: a.
-            happened: discount of each event that happened at s', else 0; (events,).
-            discount: gamma^k, 0 where an event happened or the episode terminated.
-            after: key of s'.
-            legal: primitives at s'.
+        What happened at s', (events,), is discounted, 0 for all other events. The discount is gamma^k, 0 where an event
+        happened or the episode terminated; primitives are `legal` at s'.
         """
         target = np.tile(happened, (self._shape[0], 1))
         if discount:

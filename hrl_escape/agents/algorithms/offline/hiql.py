@@ -25,14 +25,8 @@ from hrl_escape.errors import AgentSettingsError
 def cut_everywhere(data: Decisions, primitives: Primitives, gamma: float, actions: int) -> Decisions:
     """Make a decision of what is left of an option at each of its primitives: that primitive, and the option's end.
 
-    Args:
-        data: whole decisions.
-        primitives: those inside them.
-        gamma: discount a primitive, in (0, 1].
-        actions: number of primitives to choose among.
-
-    Returns:
-        One row a primitive; `action` is the primitive, reward, duration and discount are of the rest of the option.
+    One row a primitive of the data; `action` is the primitive, one of `actions`, and reward, duration and discount are
+    of the rest of the option.
     """
     decision = np.cumsum(primitives.begins) - 1
     left = np.cumsum(data.duration)[decision] - np.arange(len(decision))

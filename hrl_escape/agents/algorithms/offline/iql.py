@@ -30,15 +30,10 @@ class IQLSettings(OfflineSettings):
 
 
 def compute_expectile(values: NDArray[np.float64], weights: NDArray[np.float64], tau: float) -> NDArray[np.float64]:
-    """Expectile of each row: the m with tau sum w (q - m)+ = (1 - tau) sum w (m - q)+.
+    """Expectile of each row: the m with tau sum w (q - m)+ = (1 - tau) sum w (m - q)+, float64 (rows,).
 
-    Args:
-        values: (rows, n).
-        weights: at least 0, (rows, n); a row without weight gives 0.
-        tau: in (0, 1).
-
-    Returns:
-        float64 (rows,), exact: the balance is linear between two neighbouring values.
+    Values q and weights w, 0 or more, are (rows, n), tau is in (0, 1); a row without weight gives 0. It is exact: the
+    balance is linear between two neighbouring values.
     """
     order = np.argsort(values, axis=1)
     q, w = np.take_along_axis(values, order, 1), np.take_along_axis(weights, order, 1)
