@@ -145,6 +145,8 @@ class Agent(Stateful, ABC):
     folder, empty without one), `seed` and `primitives`; empty where there was none."""
     privileges: tuple[str, ...] = ()
     """Information that it is given and a flat agent is not."""
+    _evaluation: tuple[Any, ...] | None = None
+    """Generator of the evaluation that runs, by which it is known, and what the agent remembers of its episode."""
     made_for: int | None = None
     """Number of actions of the space it was made with; None where its class is constructed in another way."""
 
@@ -185,6 +187,10 @@ class Agent(Stateful, ABC):
         A policy that is random by nature draws from `rng`, never from the agent's own generator, so that
         evaluating twice gives the same numbers and evaluating at all does not disturb learning.
         """
+
+    def recall(self, rng: np.random.Generator) -> tuple[Any, ...] | None:
+        """What the agent remembers of the episode of an evaluation, known by its generator; None in a new one."""
+        return self._evaluation[1:] if self._evaluation is not None and self._evaluation[0] is rng else None
 
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:  # noqa: B027
         """Told in evaluation what the latest `act_greedy` with this generator came to; by default nothing matters.
@@ -377,7 +383,7 @@ def check_observation(observation: Any, when: str) -> None:
 
 def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_],
                     step: tuple[Any, Any, bool, bool, Mapping[str, Any]], gamma: float) -> SMDPTransition:
-    """Turn the result of `env.step` into an SMDP transition at this gamma.
+    """Turn what `env.step(action)` gave at an observation into an SMDP transition, at a gamma per primitive.
 
     The contract of `info`, all keys optional:
 
@@ -393,13 +399,6 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
       of the actions whose policy, a function of the state alone, does this same primitive here, with
       their termination probability at the next state. A primitive is consistent with itself, beta = 1. An item
       may stand for several primitives, a decision of a level below; it then has their `rewards`.
-
-    Args:
-        observation: at the decision.
-        action: the action taken.
-        action_mask: bool (actions,), the actions legal there.
-        step: the result of `env.step(action)`.
-        gamma: discount per primitive.
 
     Raises:
         StepContractError: a reward or observation is not finite, the observation's shape is another one, the duration

@@ -294,7 +294,6 @@ class DiscoveringAgent(TabularAgent):
         self._running = NOTHING
         """Slot of the option that runs."""
         self._lasted = 0
-        self._evaluation: tuple[np.random.Generator, int] | None = None
         self._shown: RunningCall | None = None
 
     # --- options at a state -----------------------------------------------------------
@@ -379,7 +378,7 @@ class DiscoveringAgent(TabularAgent):
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The best choice; an option runs to its end in the evaluation that belongs to `rng`."""
-        running = self._evaluation[1] if self._evaluation is not None and self._evaluation[0] is rng else NOTHING
+        (running,) = self.recall(rng) or (NOTHING,)
         action = self.go_on(running, observation, action_mask)
         if action == NOTHING:
             choice = choose_best(*self._compute_choices(observation, action_mask), rng)
@@ -429,10 +428,6 @@ class DiscoveringAgent(TabularAgent):
         for slot, target in zip(doing, targets, strict=True):
             self.table.update(key, self.actions + slot, target)
         return self.table.update(key, transition.action, reward + bootstrap * best)
-
-    def after_load(self) -> None:
-        """Forget the evaluation that ran, which is no part of the state."""
-        self._evaluation = None
 
 
 @dataclass(frozen=True)

@@ -80,8 +80,7 @@ class Streams(Protocol):
     def step(self, action: Tensor) -> Any:
         """Give waiting streams their actions, int64 (streams,), and step; the next episodes begin by themselves.
 
-        Returns:
-            `EndedDecisions`, or what has its attributes.
+        Returns `EndedDecisions`, or what has its attributes.
         """
         ...
 
@@ -120,15 +119,10 @@ class StreamAgent(Agent):
 
     @abstractmethod
     def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
-        """Choose actions for learning.
+        """Choose actions for learning, int64 (n,).
 
-        Args:
-            observation: (n, ...), as the streams gave it.
-            mask: bool (n, actions), the actions legal there.
-            stream: int64 (n,), the streams that ask.
-
-        Returns:
-            int64 (n,).
+        Observations (n, ...) are as the streams gave them, the mask, bool (n, actions), holds the actions legal there;
+        `stream`, int64 (n,), are the streams that ask.
         """
 
     @abstractmethod
@@ -269,10 +263,9 @@ class OpenChoices(Stateful):
             self.memory[rows] = memory
 
     def end(self, stream: Tensor, over: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Choices of decisions that ended; where the episode is `over` too, bool (n,), the stream forgets.
+        """Mask (n, actions), log probability (n,), place (n,) and memory before the choice of decisions that ended.
 
-        Returns:
-            Mask (n, actions), log probability (n,), place in the rollout (n,), and memory before the choice.
+        Where the episode is `over` too, bool (n,), the stream forgets.
         """
         rows = self._find_rows(stream)
         place = self._place[rows].clone()

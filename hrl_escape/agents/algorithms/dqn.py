@@ -26,7 +26,7 @@ from torch import Tensor, nn
 
 from hrl_escape.agents.agent import GoalRule, SMDPTransition
 from hrl_escape.agents.components.bonuses import NoveltySettings
-from hrl_escape.agents.components.distillation import make_bonus
+from hrl_escape.agents.components.distillation import make_bonus, visit_streams
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,
@@ -263,7 +263,4 @@ class DQN(ValueAgent):
 
     def compute_bonus(self, decisions: StreamTransitions) -> Tensor | None:
         """Pay for novelty, in units of return, (n,)."""
-        if not self.settings.bonus_weight:
-            return None
-        visited = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
-        return torch.from_numpy(visited).to(decisions.reward.device)
+        return visit_streams(self._bonus, decisions.next_observation, self.settings)

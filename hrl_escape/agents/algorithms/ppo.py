@@ -18,7 +18,7 @@ from torch import Tensor
 
 from hrl_escape.agents.agent import LearningSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.bonuses import NoveltySettings
-from hrl_escape.agents.components.distillation import make_bonus
+from hrl_escape.agents.components.distillation import make_bonus, visit_streams
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.memory import cut_stretches, make_memory
 from hrl_escape.agents.components.networks import (
@@ -96,7 +96,6 @@ class PPO(StreamAgent):
         self._bonus = make_bonus(observation_space, seed, settings, self.name)
         self._open: OpenChoices | None = None  # of streams; None while one environment is played
         self._recollection = self._before = np.zeros(size, np.float32)  # of the one environment: now, and before
-        self._evaluation: tuple[np.random.Generator, NDArray] | None = None  # an evaluation's, which belongs to its rng
         self._latest: NDArray | None = None
         self._forget()
 
@@ -143,8 +142,8 @@ class PPO(StreamAgent):
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The likeliest legal action."""
-        running, recollection = self._evaluation or (None, None)
-        seen = self._see(observation, recollection if running is rng else np.zeros_like(self._before))
+        (recollection,) = self.recall(rng) or (np.zeros_like(self._before),)
+        seen = self._see(observation, recollection)
         self._evaluation = rng, self._recall(seen)
         return choose_best(self.policy.compute(seen), action_mask)
 
@@ -195,10 +194,7 @@ class PPO(StreamAgent):
     def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
         """Keep the decisions; update when the rollout is full."""
         assert self._open is not None, "begin_streams comes first"
-        bonus = None
-        if self.settings.bonus_weight:
-            visited = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
-            bonus = torch.from_numpy(visited).to(decisions.reward.device)
+        bonus = visit_streams(self._bonus, decisions.next_observation, self.settings)
         self._chunks.append(collect_decisions(self._open, decisions, self._encoder, self.settings, bonus))
         self._collected += len(decisions.stream)
         least = max(self.settings.rollout, self.settings.stream_rollout * self._open.count)

@@ -120,6 +120,13 @@ class DistillationBonus(Stateful):
         self._batch = list(saved)
 
 
+def visit_streams(bonus: CountBonus | DistillationBonus, reached: torch.Tensor, settings: Any) -> torch.Tensor | None:
+    """Bonuses of the observations that streams reached, (n, ...), in units of return, (n,); None without a weight."""
+    if not settings.bonus_weight:
+        return None
+    return torch.from_numpy(bonus.visit_many(reached.cpu().numpy())).to(reached.device)
+
+
 def make_bonus(space: gymnasium.Space, seed: int, settings: Any, agent: str) -> CountBonus | DistillationBonus:
     """The bonus that an agent's settings ask for; with a weight of 0 it counts nothing.
 

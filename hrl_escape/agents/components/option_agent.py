@@ -41,8 +41,6 @@ class OptionAgent(Agent):
         self.options = options
         self._option, self._decisions = -1, 0
         """The option that runs, or -1 before an episode's first; and the decisions that it has made."""
-        self._evaluation: tuple[np.random.Generator, int, int] | None = None
-        """Generator of an evaluation, the option that runs in it, and the decisions that it has made."""
         self._shown: tuple[int, int, Any] | None = None
         """Option, decisions made and observation of the latest choice."""
 

@@ -328,8 +328,8 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The likeliest action of an option: the likeliest one, given that which ran in `rng`'s evaluation."""
         choice, decisions = self.heads.compute_option_policy(observation), 0
-        if self._evaluation is not None and self._evaluation[0] is rng:
-            _, running, decisions = self._evaluation
+        if (known := self.recall(rng)) is not None:
+            running, decisions = known
             ends = self.compute_terminations(observation)[running]
             choice = ends * choice
             choice[running] += 1 - ends
@@ -369,7 +369,12 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
             self._former, self._is_chosen = self._option, False
 
     def _gather(self) -> tuple[Rollout, OptionChoices]:
-        return stack_decisions(self._rows, 0), OptionChoices(*map(torch.tensor, zip(*self._choices, strict=True)))
+        """Everything that was collected."""
+        if self._rows:
+            return stack_decisions(self._rows, 0), OptionChoices(*map(torch.tensor, zip(*self._choices, strict=True)))
+        rollouts, choices = zip(*self._chunks, strict=True)
+        return (Rollout(*map(torch.cat, zip(*rollouts, strict=True))),
+                OptionChoices(*map(torch.cat, zip(*choices, strict=True))))
 
     def _draw_batches(self, units: int, collected: int) -> Iterator[Tensor]:
         """Minibatches of rows, as many as of `rollout` decisions; none of one row, which has no deviation."""
@@ -398,7 +403,7 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         """
         if self._open is not None and self._open[0].has(count, device):
             if self._collected:
-                rollout, choices = self._gather_chunks()
+                rollout, choices = self._gather()
                 over = rollout.over | self._open[0].find_last(rollout.stream, rollout.place)
                 self._chunks = [(rollout._replace(over=over), choices)]
             for each in self._open:
@@ -430,16 +435,11 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         self._collected += len(decisions.stream)
         if self._collected < max(self.settings.rollout, self.settings.stream_rollout * choices.count):
             return {}
-        rollout, own = self._gather_chunks()
+        rollout, own = self._gather()
         self._forget()
         choices.begin_rollout()
         options.report(self.log)
         return dict(self._learn(rollout, own)) | self.log.measure()
-
-    def _gather_chunks(self) -> tuple[Rollout, OptionChoices]:
-        rollouts, choices = zip(*self._chunks, strict=True)
-        return (Rollout(*map(torch.cat, zip(*rollouts, strict=True))),
-                OptionChoices(*map(torch.cat, zip(*choices, strict=True))))
 
     # --- state ----------------------------------------------------------------------------
 
@@ -474,7 +474,6 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         """Restore the result of `state_dict`."""
         self._forget()
         super().load_state_dict(state)
-        self._evaluation = None
 
     def state_dict(self) -> StateTree:
         """Everything that `STATE` names, once the log knows of the runs of options that are over."""
@@ -487,9 +486,8 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         """The rollout of the streams so far, and their choices in progress; None while one environment is played."""
         if self._open is None:
             return None
-        rollout, own = self._gather_chunks() if self._collected else (None, None)
-        return {"rollout": None if rollout is None else rollout._asdict(),
-                "own": None if own is None else own._asdict(),
+        rollout, own = (part._asdict() for part in self._gather()) if self._collected else (None, None)
+        return {"rollout": rollout, "own": own,
                 "choices": self._open[0].state_dict(), "options": self._open[1].state_dict()}
 
     @_kept_streams.setter

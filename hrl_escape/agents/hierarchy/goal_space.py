@@ -192,6 +192,10 @@ class GoalTask(ViewTask):
         super().__init__(name, choices, space.view, child)
         self.goal_space = space
 
+    def list_calls(self) -> Mapping[str, Any]:
+        """One a goal, by number."""
+        return {f"goal {goal}": goal for goal in range(len(self.goal_space.goals))}
+
 
 def make_goal_space(space: gymnasium.Space, agent: str) -> GoalSpace:
     """Goals of an observation space: each state of a Discrete one; else each bound of each bounded component.

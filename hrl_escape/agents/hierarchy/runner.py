@@ -72,8 +72,6 @@ class CallRunner(RowStreamAgent):
         self.settings: Any = settings
         self._rng = make_rng(seed, "calls")
         self.begin_episode()
-        self._evaluation: tuple[np.random.Generator, Stack, Step] | None = None
-        """Generator, running calls, and what the latest decision is held to have done before it is noted."""
         self._latest: tuple[Stack, Seen] | None = None
         """Of the latest choice, in learning or evaluation."""
 
@@ -123,8 +121,9 @@ class CallRunner(RowStreamAgent):
         """Let the calls of this evaluation, which belong to `rng`, choose down to a primitive."""
         seen = self.hierarchy.see(observation, action_mask)
         stack: Stack = ()
-        if self._evaluation is not None and self._evaluation[0] is rng and self.settings.polled == "never":
-            _, running, step = self._evaluation
+        known = self.recall(rng)  # running calls, and what the latest decision is held to have done before it is noted
+        if known is not None and self.settings.polled == "never":
+            running, step = known
             stack, returns = arrive(running, step._replace(next_seen=seen), self.get_gamma,
                                     lambda p: rng.random() < p, paid=False)
             self.note_returns(returns, rng)
@@ -139,8 +138,8 @@ class CallRunner(RowStreamAgent):
 
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:
         """Keep how many primitives a decision of evaluation took, for calls that end after a number of them."""
-        if self._evaluation is not None and self._evaluation[0] is rng:
-            _, stack, step = self._evaluation
+        if (known := self.recall(rng)) is not None:
+            stack, step = known
             is_over = transition.terminated or transition.truncated
             self._evaluation = None if is_over else (rng, stack, step._replace(duration=transition.duration))
 
@@ -193,7 +192,7 @@ class CallRunner(RowStreamAgent):
     @_running.setter
     def _running(self, saved: list[StateTree]) -> None:
         self._stack = load_stack(saved, self.hierarchy)
-        self._chosen = self._evaluation = None
+        self._chosen = None
 
     @property
     def _kept_choice(self) -> list[Any] | None:

@@ -126,7 +126,6 @@ class Hamq(RowStreamAgent):
         self._steps = 0
         self._latest: MachineRun | None = None
         """Run that made the latest choice, in learning or evaluation."""
-        self._evaluation: tuple[np.random.Generator, MachineRun] | None = None
         self.begin_episode()
 
     def begin_episode(self) -> None:
@@ -195,9 +194,8 @@ class Hamq(RowStreamAgent):
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """Run the program of this evaluation, which belongs to `rng`, to its next primitive."""
-        if self._evaluation is None or self._evaluation[0] is not rng:
-            self._evaluation = rng, MachineRun(self._program)
-        run = self._latest = self._evaluation[1]
+        (run,) = self.recall(rng) or (MachineRun(self._program),)
+        self._evaluation, self._latest = (rng, run), run
         self.advance_greedily(run, observation, action_mask, rng)
         assert isinstance(run.request, Do)
         return run.request.primitive
@@ -282,7 +280,6 @@ class Hamq(RowStreamAgent):
     @_told_inputs.setter
     def _told_inputs(self, saved: list[Any]) -> None:
         self.begin_episode()
-        self._evaluation = None
         inputs = self._read_inputs(saved)
         self._run, self._told = MachineRun(self._program, inputs), len(inputs)
 

@@ -84,10 +84,6 @@ class Pursuit(GoalTask):
         """The call's goal, advanced to a moment."""
         return self.goal_space.advance(self.goal_space.goals[frame.context], frame.start.observation, seen.observation)
 
-    def list_calls(self) -> Mapping[str, Any]:
-        """One a goal, by number."""
-        return {f"goal {goal}": goal for goal in range(len(self.goal_space.goals))}
-
     def ends(self, frame: Frame, seen: Seen) -> float:
         """Certain when the window is over."""
         return float(frame.primitives >= self._window)

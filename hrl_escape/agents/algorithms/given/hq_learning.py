@@ -110,7 +110,6 @@ class HqLearning(RowStreamAgent):
         self._met: list[bytes] = []
         self._rng = make_rng(seed, "actions")
         self._steps = 0
-        self._evaluation: tuple[np.random.Generator, _Turn] | None = None
         self.begin_episode()
 
     def begin_episode(self) -> None:
@@ -158,12 +157,9 @@ class HqLearning(RowStreamAgent):
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The best primitive of the agent whose turn it is in the evaluation that belongs to `rng`."""
         key = self._discretise(observation)
-        if self._evaluation is None or self._evaluation[0] is not rng:
-            turn = self._take_over(0, rng, explores=False)
-        else:
-            turn = self._evaluation[1]
-            if key == turn.subgoal:
-                turn = self._take_over(turn.agent + 1, rng, explores=False)
+        (turn,) = self.recall(rng) or (None,)
+        if turn is None or key == turn.subgoal:
+            turn = self._take_over(0 if turn is None else turn.agent + 1, rng, explores=False)
         self._evaluation = rng, turn
         return choose_best(self.tables[turn.agent].get_values(key), action_mask, rng)
 
@@ -223,7 +219,3 @@ class HqLearning(RowStreamAgent):
         for turn, target in targets:
             if turn.subgoal is not None:
                 self.subgoals.update((turn.agent, turn.subgoal), target)
-
-    def after_load(self) -> None:
-        """Evaluations begin anew."""
-        self._evaluation = None

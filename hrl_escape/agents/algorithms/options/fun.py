@@ -145,7 +145,6 @@ class Fun(Agent):
         self._followed: list[NDArray] = []
         """Directions of this episode's decisions, the last c + 1 of them."""
         self._asked: list[NDArray] = []  # the same with that of the latest choice
-        self._evaluation: tuple[np.random.Generator, list[NDArray]] | None = None
         self._action_rng = make_rng(seed, "actions")
 
     # --- acting --------------------------------------------------------------------------
@@ -171,8 +170,8 @@ class Fun(Agent):
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The likeliest action, under the directions of this evaluation, which belongs to `rng`."""
-        running, followed = self._evaluation or (None, [])
-        followed = list(followed) if running is rng else []
+        (followed,) = self.recall(rng) or ([],)
+        followed = list(followed)
         policy = self._choose(observation, action_mask, followed, None)
         self._evaluation = rng, followed
         return choose_best(policy, action_mask)

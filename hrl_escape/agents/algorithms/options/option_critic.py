@@ -159,8 +159,8 @@ class OptionCritic(OptionAgent):
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """Draw from an option's policy: the best option, until it ends in the evaluation that belongs to `rng`."""
         option, decisions = int(self._get(observation).values.argmax()), 0
-        if self._evaluation is not None and self._evaluation[0] is rng:
-            _, running, made = self._evaluation
+        if (known := self.recall(rng)) is not None:
+            running, made = known
             if rng.random() >= self.compute_terminations(observation)[running]:
                 option, decisions = running, made
         self._evaluation = rng, option, decisions + 1
@@ -227,5 +227,4 @@ class OptionCritic(OptionAgent):
         columns = (np.array(state[name]) for name in OptionTables._fields)
         rows = (OptionTables(*row) for row in zip(*columns, strict=True))
         self._tables = dict(zip(unpack_keys(state["keys"]), rows, strict=True))
-        self._evaluation = None
         super().load_state_dict(state)

@@ -173,7 +173,7 @@ def test_runs_of_options_are_counted_in_every_stream():
     agent = make("dac", rollout=10**6)
     lives = Lives(agent, 8, 0)
     lives.run()
-    rollout, choices = agent._gather_chunks()
+    rollout, choices = agent._gather()
     agent.state_dict()  # what is over is reported
     last = agent._open[0].find_last(rollout.stream, rollout.place)
     begun, unfinished = int(choices.is_chosen.sum()), int((last & ~rollout.over).sum())
@@ -292,10 +292,10 @@ def test_no_outcome_shows_the_next_episode_and_no_option_goes_on_into_it(name, m
 def test_episodes_that_are_dropped_count_as_truncated_and_options_do_not_go_on():
     agent = make("dac", rollout=10**6)
     Lives(agent, 8, 0).run()
-    before, _ = agent._gather_chunks()
+    before, _ = agent._gather()
     last = agent._open[0].find_last(before.stream, before.place)
     agent.begin_streams(8, CPU)
-    after, _ = agent._gather_chunks()
+    after, _ = agent._gather()
     assert torch.equal(after.over, before.over | last) and bool((last & ~before.over).any())
     agent.act_streams(torch.zeros(8, 5), torch.ones(8, ACTIONS, dtype=torch.bool), torch.arange(8))
     assert (agent._open[1].state_dict()["former"] == NONE).all()
