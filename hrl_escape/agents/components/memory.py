@@ -8,7 +8,7 @@ decisions, which begin in the state that was there when they were lived.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -41,11 +41,11 @@ class GatedCell(nn.Module):
         return self.cell(inputs, state.reshape(-1, self._units)).view(len(given), self._rows * self._units)
 
 
-class Memory:
-    """A recurrent memory of encoded observations: a `network` of one `GatedCell`, with `size` numbers in a state."""
+class Memory(NamedTuple):
+    """A recurrent memory of encoded observations."""
 
-    def __init__(self, network: Network, size: int) -> None:
-        self.network, self.size = network, size
+    network: Network  # of one `GatedCell`
+    size: int  # numbers in a state
 
     def read(self, observation: Tensor, state: Tensor) -> Tensor:
         """Remember an observation; returns it with the new state behind it, (n, numbers + size)."""
@@ -72,19 +72,16 @@ class Memory:
         return torch.stack(found)[stretches.is_real]
 
 
-class Stretches:
-    """Stretches of decisions that follow each other in one stream, side by side.
+class Stretches(NamedTuple):
+    """Stretches of decisions that follow each other in one stream, side by side."""
 
-    Args:
-        grid: int64 (places, stretches), rows of the rollout; arbitrary ones where a stretch is shorter.
-        is_real: bool, the same shape.
+    grid: Tensor  # int64 (places, stretches), rows of the rollout; arbitrary ones where a stretch is shorter
+    is_real: Tensor  # bool, the same shape
 
-    Attributes:
-        rows: int64 (k,), the rows in the grid that are real, place by place.
-    """
-
-    def __init__(self, grid: Tensor, is_real: Tensor) -> None:
-        self.grid, self.is_real, self.rows = grid, is_real, grid[is_real]
+    @property
+    def rows(self) -> Tensor:
+        """Rows in the grid that are real, place by place, int64 (k,)."""
+        return self.grid[self.is_real]
 
     def pick(self, columns: Tensor) -> Stretches:
         """Some of the stretches."""
