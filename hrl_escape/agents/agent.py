@@ -155,7 +155,7 @@ class Agent(Stateful, ABC):
         super().__init_subclass__(**named)
         said = inspect.get_annotations(cls).get("settings")
         declared = getattr(sys.modules[cls.__module__], said, None) if isinstance(said, str) else said
-        if is_dataclass(declared) and "Settings" not in cls.__dict__:
+        if isinstance(declared, type) and is_dataclass(declared) and "Settings" not in cls.__dict__:
             cls.Settings = declared
         package, _, file = cls.__module__.rpartition(".")
         if package.startswith(CATALOGUE):
@@ -189,7 +189,7 @@ class Agent(Stateful, ABC):
         """
 
     def recall(self, rng: np.random.Generator) -> tuple[Any, ...] | None:
-        """What the agent remembers of the episode of an evaluation, known by its generator; None in a new one."""
+        """Memory of the episode of an evaluation, which is known by its generator; None in a new one."""
         return self._evaluation[1:] if self._evaluation is not None and self._evaluation[0] is rng else None
 
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:  # noqa: B027

@@ -233,9 +233,6 @@ class RowStreamAgent(StreamAgent):
 class OpenChoices(Stateful):
     """The masks and probabilities that streams' present decisions were chosen with, and their generator.
 
-    Args:
-        memory: numbers in a stream's recurrent memory.
-
     Attributes:
         generator: on the device, for the draws of all streams.
         memory: (count, numbers), what each stream remembers now; 0 before an episode's first decision.

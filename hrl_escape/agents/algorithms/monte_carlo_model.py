@@ -56,10 +56,7 @@ class MonteCarloModel(PlanningAgent):
         return self.model.find_graph(self.model.get_likeliest)
 
     def _draw(self, action: int, outcome: int) -> NDArray[np.int64]:
-        """Draw hypotheses from the posterior.
-
-        The generator follows from counters and how often the action was tried, so a draw needs no saving.
-        """
+        """Draw hypotheses from the posterior, by a generator that follows from counters, so that none needs saving."""
         learner = self.model.learner
         errors = learner.get_errors(action, outcome)
         sizes = np.array([len(parents) for parents in learner.hypotheses])

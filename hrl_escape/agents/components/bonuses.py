@@ -43,10 +43,7 @@ class NoveltySettings(BonusSettings):
 
 
 class CountBonus(Stateful):
-    """Counts of visits by cell, and the bonus of the next visit.
-
-    Args:
-        settings: `bonus_weight` and `bonus_bins`.
+    """Counts of visits by cell, and the bonus of the next visit, by `bonus_weight` and `bonus_bins` of the settings.
 
     Raises:
         UnsupportedSpaceError: a weight above 0 and observations that cannot be binned, such as pictures.

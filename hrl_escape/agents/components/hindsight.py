@@ -51,12 +51,7 @@ def _unpack_episode(saved: list[StateTree]) -> list[_Decision]:
 
 
 class HindsightReplay(Stateful):
-    """The episode so far, and its backups under goals that it achieved.
-
-    Args:
-        rule: reward and termination as functions of two goals; None where the environment has no goals.
-        goals: k, how many are drawn for a decision.
-        settings: `LearningSettings` with `reward_scale`.
+    """The episode so far, and its backups under goals that it achieved, of which some are drawn for each decision.
 
     Raises:
         AgentSettingsError: the environment has no goals.

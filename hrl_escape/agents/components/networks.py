@@ -165,11 +165,7 @@ class NoisyLinear(nn.Module):
     """A linear layer with factorised Gaussian noise in its weights (Fortunato et al. 2018, equations 10 and 11).
 
     y = (mu + sigma * f(e_out) f(e_in)') x + (mu_b + sigma_b * f(e_out)), f(e) = sign(e) sqrt|e|. Without noise drawn
-    it is the linear layer of its means.
-
-    Args:
-        linear: initial means.
-        noise: sigma_0; every sigma begins at sigma_0 / sqrt(inputs).
+    it is the linear layer of its means. Every sigma begins at noise / sqrt(inputs).
     """
 
     _ins: torch.Tensor
@@ -378,10 +374,7 @@ def _make_convolutions(shape: tuple[int, ...], initialisation: str, generator: t
 
 
 def initialise_layer(layer: Any, initialisation: str, gain: float, generator: torch.Generator) -> Any:
-    """Draw a layer's initial weights as a setting says; returns the layer.
-
-    `torch` draws U(+-1/sqrt(fan in)); `glorot` is Xavier uniform with zero bias, as Keras; `orthogonal` has zero bias.
-    """
+    """Draw a layer's initial weights, see `NetworkSettings.initialisation`; returns the layer."""
     if initialisation == "glorot":
         nn.init.xavier_uniform_(layer.weight, generator=generator)
     elif initialisation == "orthogonal":
@@ -589,9 +582,7 @@ def compute_td_loss(values: torch.Tensor, targets: torch.Tensor, kind: str) -> t
 class Learner(Stateful):
     """Gradient descent on some networks: Adam, clipping, the check for divergence, and its checkpoint.
 
-    Args:
-        settings: `learning_rate`, `adam_epsilon` and `max_grad_norm`.
-        learning_rate: another than that of the settings.
+    It goes by `learning_rate`, `adam_epsilon` and `max_grad_norm` of the settings, or by another learning rate.
 
     Attributes:
         gradient_norm: Euclidean norm of the last step's gradient, before it was clipped.

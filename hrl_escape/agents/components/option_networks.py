@@ -385,10 +385,7 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
 
     @abstractmethod
     def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:
-        """The updates from a rollout; returns numbers to log.
-
-        The networks are still those that chose.
-        """
+        """The updates from a rollout, while the networks are still those that chose; returns numbers to log."""
 
     # --- streams ------------------------------------------------------------------------
 
@@ -397,10 +394,7 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         self.heads.learner.move(device)
 
     def begin_streams(self, count: int, device: torch.device) -> None:
-        """Move to a device; every stream begins an episode, and what was collected ends there.
-
-        Where streams begin anew in the middle of a rollout, its decisions stay, and their episodes count as truncated.
-        """
+        """Move to a device; every stream begins an episode, and what was collected ends there, as truncated."""
         if self._open is not None and self._open[0].has(count, device):
             if self._collected:
                 rollout, choices = self._gather()

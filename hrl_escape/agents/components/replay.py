@@ -129,8 +129,7 @@ class _Ring:
 class ReplayBuffer(_Ring):
     """The last `capacity` backups, sampled uniformly with replacement.
 
-    Args:
-        action_shape: () for an index, (actions,) for a relaxed action.
+    An action has the shape () where it is an index, (actions,) where it is relaxed.
     """
 
     def __init__(self, capacity: int, observation_shape: tuple[int, ...], observation_dtype: DTypeLike, actions: int,

@@ -125,11 +125,8 @@ class TorchRLAgent(Agent):
         return choose_best(self._compute(observation), action_mask)
 
     def _compute(self, observation: Any) -> NDArray:
-        """Compute the outputs of the actor's network, float32 (actions,): scaled values, or logits.
-
-        The actor around it takes ten times as long.
-        """
-        with torch.no_grad():
+        """Compute the outputs of the actor's network, float32 (actions,): scaled values, or logits."""
+        with torch.no_grad():  # the actor around it takes ten times as long
             return self._network(torch.from_numpy(self._encoder.encode(observation).reshape(-1))).numpy()
 
     # --- learning ------------------------------------------------------------------------

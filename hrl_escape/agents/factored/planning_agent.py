@@ -359,10 +359,7 @@ class FactoredModel:
                          most_nodes)
 
     def estimate_durations(self, observation: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Primitives of each action after each action, in the last row from here, (actions + 1, actions).
-
-        Also the row that holds after each action, (actions,).
-        """
+        """Primitives of each action after each, in the last row from here, (actions + 1, actions); row after each."""
         if self._durations is None:
             self._durations = fit_durations(self._extend_history(), self._actions)
         pose = self._reader.read_pose(self._reader.flatten(observation))

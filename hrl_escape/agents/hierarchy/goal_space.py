@@ -78,11 +78,7 @@ class Manager(ViewTask):
 
 
 class Worker(ViewTask):
-    """Walks to the goal it is told, paid for reaching it alone.
-
-    Args:
-        patience: primitives after which the call is given up; 0 never gives up.
-    """
+    """Walks to the goal it is told, paid for reaching it alone; gives up after `patience` primitives, with 0 never."""
 
     def __init__(self, goals: GoalSet, primitives: int, patience: int = 0) -> None:
         super().__init__("worker", primitives, goals.worker_view)

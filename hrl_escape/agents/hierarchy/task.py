@@ -164,7 +164,7 @@ class Hierarchy:
     share: Mapping[str, str] = field(default_factory=dict)  #: task name -> name of the task whose learner it shares
     source: Literal["given", "synthesised", "learned"] = "given"  #: where the structure comes from
     privileges: tuple[str, ...] = ()
-    """What it reads that is not in the observation, such as `task graph` or `state`; printed in tables."""
+    """Knowledge that is not in the observation, such as `task graph` or `state`; printed in tables."""
     read: Callable[[Any], Any] | None = None  #: makes `Seen.state` of an observation
 
     MOST_DEPTH: ClassVar[int] = 64
@@ -224,10 +224,7 @@ class Return(NamedTuple):
 
 
 def descend(stack: Stack, seen: Seen, choose: Chooser) -> tuple[Stack, int]:
-    """Let the top call choose, and every call it makes, down to a primitive.
-
-    Returns:
-        The stack with the new calls and decisions, and the primitive.
+    """Let the top call choose, and every call it makes; returns the stack with these, down to a primitive, and that.
 
     Raises:
         StepContractError: a task has nothing to choose, calls what is illegal or over already, or calls for ever.

@@ -32,8 +32,7 @@ class LateTerminal(Stateful):
              ) -> list[tuple[Experience, int | None]]:
         """Take in a decision and its backup; returns what is to be learned now.
 
-        Returns:
-            Pairs of an experience and the action to bootstrap from; None where no action was taken there.
+        That are pairs of an experience and the action to bootstrap from; None where no action was taken there.
         """
         is_over = transition.terminated or transition.truncated
         _, factor = compute_backup(transition._replace(terminated=False, truncated=False), settings)

@@ -132,11 +132,7 @@ def evaluate(agent: Agent, env: gymnasium.Env, episodes: int, seed: int = 0, pri
 
 def evaluate_trials(agent: Agent, env: gymnasium.Env, episodes: int, trials: int, seed: int = 0, primitives: int = 0,
                     decisions: int = 0, after_episode: Callable[[], object] = lambda: None) -> tuple[Evaluation, ...]:
-    """Evaluate each trial of episodes that have several, as those of a `SequenceEnv`; arguments as for `evaluate`.
-
-    Returns:
-        For each trial its evaluation over all episodes.
-    """
+    """Evaluate each trial of episodes that have several, as those of a `SequenceEnv`; arguments as for `evaluate`."""
     sums = []
     for episode in range(episodes):
         sums.append(_sum_trials(agent, env, seed, episode, trials))

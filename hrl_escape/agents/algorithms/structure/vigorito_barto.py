@@ -182,9 +182,8 @@ class VigoritoBarto(FactoredRMax):
     def find_experiment(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
         """The way by options to the experiment of the largest discounted information gain, which is its last action.
 
-        One option leads on after another as long as a better experiment can be made where it ends.
-
-        Its value is that gain, nats. Without actions where none is worth `least_gain`.
+        One option leads on after another as long as a better experiment can be made where it ends. The plan's value is
+        that gain, nats. It has no actions where none is worth `least_gain`.
         """
         learner, shifts = self.model.learner, self.model.packing.shifts
         assert isinstance(learner, TreeLearner)
