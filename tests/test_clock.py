@@ -54,6 +54,7 @@ def test_a_machine_busy_with_other_work_makes_the_same_plans():
     assert len(starved.strip()) == 64 and starved == run_here(SCRIPT)
 
 
+@pytest.mark.slow_for("fields")
 @pytest.mark.parametrize("method", ["fields", "RRTConnect"])
 def test_a_machine_on_which_every_look_at_the_clock_takes_a_minute_makes_the_same_plans(monkeypatch, method):
     planner, start = make_planner(method=method)

@@ -67,6 +67,7 @@ def test_the_planner_is_as_efficient_as_the_best_known_in_every_episode(name: st
     assert found.successes == (True,) and found.progress == (1.0,)
 
 
+@pytest.mark.slow
 def test_the_planner_makes_a_new_plan_where_noise_leads_it_away():
     noisy = dataclasses.replace(CHAIN, dynamics=dataclasses.replace(CHAIN.dynamics, noise=0.1, slip=0.05))
     found, _ = play(PLANNER, noisy, episodes=1)

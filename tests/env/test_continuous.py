@@ -49,6 +49,7 @@ def test_the_action_space_is_the_robot_s():
     assert other.action_space.shape == (2,)
 
 
+@pytest.mark.slow_for("door-free-0")
 @pytest.mark.parametrize(("preset", "seed"), [
     ("paper-random", 1), ("arm-two-button", 0), ("door-free", 0), ("taxi", 0), ("blocks-world", 1), ("door-key", 2),
     ("sokoban", 3),

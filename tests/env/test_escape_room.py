@@ -198,6 +198,7 @@ def test_recording_a_video_works(tmp_path):
     assert [f.stat().st_size > 1000 for f in tmp_path.glob("*.mp4")] == [True]
 
 
+@pytest.mark.slow_for("async")
 @pytest.mark.parametrize("mode", ["sync", "async"])
 def test_vector_environments_match_single_ones(mode):
     rooms = gymnasium.make_vec("hrl_escape/Clutter-v1", num_envs=2, vectorization_mode=mode)

@@ -150,6 +150,7 @@ def decode(state: RoomState) -> int:
     return ((round(2 - state.y / 2) * 5 + round(state.x / 2 + 2)) * 5 + ride.passenger) * 4 + ride.destination
 
 
+@pytest.mark.slow_for("True-True-None")
 @pytest.mark.parametrize(("rainy", "fickle", "published"), [
     (False, False, 7.93), (True, False, 3.9546), (False, True, None), (True, True, None)])
 def test_optimal_values_of_taxi_in_the_room_are_those_of_the_domain(rainy, fickle, published):
@@ -241,6 +242,7 @@ def test_learning_curves_of_taxi_carry_over_to_the_bit():
     assert np.mean(curve[30:40]) > np.mean(curve[:10]), "something is learned"
 
 
+@pytest.mark.slow_for("four-rooms", "puddle-world")
 @pytest.mark.parametrize("config", [
     get_preset("taxi", rainy=True, fickle=True), get_preset("four-rooms", slip="neighbour"), get_preset("puddle-world"),
     get_preset("foraging"),
@@ -305,6 +307,7 @@ class RoundedRewards(gymnasium.RewardWrapper):
         return float(np.round(reward, 9))
 
 
+@pytest.mark.slow
 def test_puddle_world_is_the_published_square_and_its_values_are_those_of_the_domain():
     env = RoundedRewards(gymnasium.make("hrl_escape/PuddleWorld-v1"))
     domain = Puddles()

@@ -212,6 +212,7 @@ def test_levels_of_a_batch_have_as_many_doors_each():
 LEVELS = [("door-key", {"size": 5}), ("door-key", {}), ("key-corridor", {}), ("multi-room", {"rooms": 3})]
 
 
+@pytest.mark.slow_for("multi-room-arguments3")
 @pytest.mark.parametrize(("name", "arguments"), LEVELS)
 def test_every_level_can_be_escaped_and_both_engines_agree(name, arguments):
     config = get_preset(name, **arguments)
@@ -306,6 +307,7 @@ def test_routes_are_remembered_by_the_doors_that_are_shut():
     assert planner.plan(shut._replace(puzzle=3 << 2 * number), goal).cost > 0, "the exit is shut in both"
 
 
+@pytest.mark.slow_for("key-corridor-0")
 @pytest.mark.parametrize(("name", "seed"), [("door-key", 0), ("key-corridor", 0)])
 def test_a_key_that_was_put_down_elsewhere_is_planned_for_where_it_lies(name, seed):
     """In every free cell that the room's own steps reach without the key, behind other doors, too."""

@@ -323,6 +323,7 @@ class KeyChest:
         return column - 8.0, 6.0 - row, has_key
 
 
+@pytest.mark.slow
 def test_a_room_is_hracs_key_chest_move_by_move():
     env = gymnasium.make("hrl_escape/KeyChest-v1", instance=generate(get_preset("key-chest", random_start=True), 0))
     domain = KeyChest()
@@ -332,6 +333,7 @@ def test_a_room_is_hracs_key_chest_move_by_move():
     assert starts == [{domain.encode((domain.start, 0))[:2]}, {domain.encode((cell, 0))[:2] for cell in domain.cells}]
 
 
+@pytest.mark.slow
 def test_key_chest_has_the_domains_values():
     """Best discounted return by both models; each slip is drawn by the room's own numbers."""
     room, domain = generate(get_preset("key-chest", random_start=True), 0), KeyChest()

@@ -150,6 +150,7 @@ def test_synchronous_vectors_take_rooms_of_different_sizes():
     env.close()
 
 
+@pytest.mark.slow
 def test_options_of_absent_buttons_are_masked_and_cost_one_primitive(rooms):
     rooms = sorted(rooms, key=lambda room: len(room.targets))[::4]
     batched = BatchedOptionsEnv(len(rooms), instance=rooms, include_primitives=False)
@@ -177,6 +178,7 @@ def test_options_go_on_when_the_next_room_has_another_number_of_buttons():
     env.close()
 
 
+@pytest.mark.slow
 def test_batched_random_options_escape_from_rooms_of_different_sizes(rooms):
     rooms = sorted(rooms, key=lambda room: len(room.targets))[::4]
     env = BatchedOptionsEnv(len(rooms), instance=rooms, include_primitives=False)

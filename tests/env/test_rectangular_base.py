@@ -106,6 +106,7 @@ def test_starts_and_states_inside_a_solid_are_refused_at_the_heading_that_they_h
 # --- physics --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_for("strafing")
 @pytest.mark.parametrize("drive", ["strafing", "differential"])
 def test_rigid_rectangles_stop_at_walls_turn_as_far_as_they_can_and_states_can_be_set(drive):
     env = EscapeRoomEnv(instance=generate(with_physics(change(SMALL, drive=drive)), 3))
@@ -323,6 +324,7 @@ def test_seeds_of_a_press_are_poses_that_touch_it_or_do_so_after_one_primitive()
         assert state.touching & 1 if seeds.costs[number] == 0 else not state.touching & 1 and any(after)
 
 
+@pytest.mark.slow_for("corridor")
 @pytest.mark.parametrize("method", ["fields", "corridor"])
 def test_plans_come_true_and_are_no_shorter_than_their_bounds(method):
     for seed in range(2):

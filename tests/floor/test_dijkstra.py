@@ -333,6 +333,7 @@ def make_pockets(robot: RobotConfig) -> tuple[Kinematics, FieldMaker]:
     return rules, FieldMaker(room, rules, door_shut=True)
 
 
+@pytest.mark.slow_for("box-the goal's")
 @pytest.mark.parametrize("side", ["the goal's", "the start's"])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
 def test_what_is_cut_off_is_exactly_what_no_field_reaches(robot, side, monkeypatch):

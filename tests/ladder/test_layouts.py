@@ -70,6 +70,7 @@ def test_the_margin_has_no_borders():
     assert not all(hashes), "rounded places have borders at which a tenth of a metre makes a difference"
 
 
+@pytest.mark.slow
 def test_points_are_paired_one_to_one():
     """Two near points of one name cannot both be the counterpart of one; held against every permutation."""
     chance = np.random.default_rng(0)
@@ -106,6 +107,7 @@ def test_a_new_benchmark_is_frozen_with_the_latest_layouts_and_published_ones_ke
     assert find_overlaps({"train": keys, "test": [mirrored]}) == ["room 0 of test has the layout of room 1 of train"]
 
 
+@pytest.mark.slow
 def test_a_room_that_looks_like_one_of_another_set_is_skipped_and_else_found_by_the_certificate():
     """Rooms that vary little, of which some look alike by chance."""
     config = make_config(1, "chain")

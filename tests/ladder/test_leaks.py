@@ -122,6 +122,7 @@ def check(kind: str, rooms: int, permutations: int = 200) -> None:
     assert varying >= 8 and leaks == []
 
 
+@pytest.mark.slow_for("deceptive")
 @pytest.mark.parametrize("kind", [
     pytest.param(kind, marks=() if kind in ("deceptive", "places") else pytest.mark.slow) for kind in REGULARITIES])
 def test_nothing_tells_of_the_graph_before_the_first_press(kind):

@@ -125,6 +125,7 @@ def test_smdp_q_learning_comes_to_the_exact_values_of_options():
     assert learn("smdp-q-learning", 30_000) < 1e-12
 
 
+@pytest.mark.slow
 def test_intra_option_learning_comes_to_them_with_fewer_primitives():
     """It looks inside options (section 6)."""
     assert learn("smdp-intra-option-q", 20_000) < 1e-12
@@ -147,6 +148,7 @@ def read_primitives(agent):
     return np.array([agent.compute_values(cell)[:4] for cell in range(CELLS) if cell != EAST_HALLWAY])
 
 
+@pytest.mark.slow_for("exploration")
 @pytest.mark.parametrize("options_serve", ["exploration", "nothing"])
 def test_options_for_exploration_leave_primitives_worth_what_they_are_and_act_by_them(options_serve):
     """From random choices: exploration runs options all the time, `nothing` each once at most."""

@@ -156,6 +156,7 @@ def _walk(start, goal):
     return steps
 
 
+@pytest.mark.slow
 def test_walks_learned_in_one_task_are_the_shortest_ways_in_another():
     agent = make_stack(ROOMS())
     learn(agent, ROOMS(), 20_000)

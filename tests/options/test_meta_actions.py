@@ -250,6 +250,7 @@ def test_the_exit_behind_a_shut_door_is_masked_until_it_opens():
     assert env.step(4)[2]
 
 
+@pytest.mark.slow_for("arm-two-button-30")
 @pytest.mark.parametrize("runs", [30, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["paper-two-button", "clutter", "arm-two-button"])
 def test_noise_and_slip_are_met_by_planning_anew(name, runs):

@@ -610,6 +610,7 @@ def test_vector_environments_run_options_in_step():
     env.close()
 
 
+@pytest.mark.slow
 def test_asynchronous_vector_environments_give_the_same():
     def make():
         return OptionsEnv(make_env(), discount=GAMMA)

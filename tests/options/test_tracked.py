@@ -74,6 +74,7 @@ def test_targets_are_pressed_under_physics():
     env.close()
 
 
+@pytest.mark.slow_for("arm-two-button-14")
 @pytest.mark.parametrize(("name", "seed"), [
     ("paper-random", 0),  # two panels side by side, of which one is touched: it is solid, and stands in the way
     ("clutter, rectangle", 0),  # a way that ends on the edge of the exit ends outside by a rounding

@@ -119,6 +119,7 @@ ORDERS = [RoomConfig(puzzle=ButtonsConfig(count=6, buttons=Panels(width=1.0), gr
           for kind in ("tree", "layered", "random")]
 
 
+@pytest.mark.slow_for("0-tree", "0-random")
 @pytest.mark.parametrize("config", ORDERS, ids=lambda config: config.puzzle.graph.kind)
 @pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.slow)])
 def test_nothing_that_the_planner_or_its_options_do_beats_the_best_known(config, seed):
@@ -171,6 +172,7 @@ def beam_along(rules: Kinematics, start: RoomState, primitives, width: int, bin_
     return len(primitives)
 
 
+@pytest.mark.slow_for("four-button-chain-113")
 @pytest.mark.parametrize(("name", "seed"), [("four-button-chain", 106), ("four-button-chain", 113),
                                             ("paper-random", 106), ("paper-random", 119)])
 def test_no_escape_near_the_best_known_one_is_shorter(name, seed):
@@ -217,6 +219,7 @@ def test_it_is_the_mean_over_the_starts():
     assert len(set(each)) > 1 and best_known_return(instance) == pytest.approx(np.mean(each))
 
 
+@pytest.mark.slow
 def test_what_no_one_can_do_is_worth_the_horizon():
     instance = generate(get_preset("paper-two-button"), 0)
     fewest = find_best_known(instance, make_start(instance)).primitives

@@ -41,6 +41,7 @@ def test_with_slip_alone_an_escape_takes_the_plan_s_length_over_the_chance_to_mo
     assert expected.value == pytest.approx(room.reward.exit - expected.primitives), "each primitive costs 1"
 
 
+@pytest.mark.slow
 def test_the_expectation_is_what_the_planner_takes_with_other_noise():
     room, rollouts = make_room(noise=0.1, slip=0.05), 8
     expected, rules, lengths = compute_expected_escape(room, start(room), rollouts), Kinematics(room), []

@@ -69,6 +69,7 @@ def start(planner):
 # --- plans come true -------------------------------------------------------------------------
 
 
+@pytest.mark.slow_for("twenty-button-fields", "hanoi-corridor", "puddle-world-corridor")
 @pytest.mark.parametrize(("name", "method"), cover(KINEMATIC, ["fields", "corridor"]))
 def test_solve_escapes_and_every_state_is_the_predicted_one(name, method):
     env = EscapeRoomEnv(name, instance_seed=1)
@@ -84,6 +85,7 @@ def test_solve_escapes_and_every_state_is_the_predicted_one(name, method):
     env.close()
 
 
+@pytest.mark.slow_for("light-box")
 @pytest.mark.parametrize("name", BY_CHANCE)
 def test_legs_cost_at_least_what_geometry_says_where_the_way_out_is_by_chance(name):
     """Of all other presets the plans above are asked."""
@@ -144,6 +146,7 @@ def test_pursuit_of_one_goal_ends_there():
 # --- the cheapest order --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_pairwise_costs_lead_to_an_order_as_good_as_costing_every_leg(monkeypatch):
     """A DAG of eight buttons, two orders of costing it."""
     config = RoomConfig(puzzle=ButtonsConfig(count=8, graph=GraphConfig(kind="tree"), buttons=Panels(width=1.0)))
@@ -301,6 +304,7 @@ def walk(planner: RoomPlanner, calls: int, seed: int, ask) -> int:
     return tracemalloc.get_traced_memory()[0]
 
 
+@pytest.mark.slow_for("plan")
 @pytest.mark.parametrize("by", ["plan", "remember"])
 def test_memory_of_routes_is_bounded_however_they_are_learnt(monkeypatch, by):
     monkeypatch.setattr(routes, "MOST_POSES", 400)
@@ -416,6 +420,7 @@ def test_remembering_changes_no_plan(planner, start):
         assert other.plan(start, goal).primitives == expected[goal]
 
 
+@pytest.mark.slow
 def test_what_is_remembered_belongs_to_the_whole_pose_and_the_door():
     """One place, but another heading, another touch, another door: each as a planner without memory answers."""
     planner = RoomPlanner(generate(get_preset("clutter"), 0))

@@ -312,6 +312,7 @@ def test_two_fresh_rooms_say_nothing():
 # --- page and command ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     published = [run for name in ALGORITHMS
                  for run in make_runs(lambda on: 0.1 + 0.5 * on["exploration"], algorithm=name)]

@@ -158,6 +158,7 @@ def test_every_claim_can_come_out_either_way():
         assert {"yes", "no"} <= {finding.agrees for finding in findings}, claim.says
 
 
+@pytest.mark.slow
 def test_claims_are_rarely_answered_where_nothing_is_true():
     """Shares of runs exactly at the edge, all claims at once: of 40 families few give any answer at all."""
     source, families = np.random.default_rng(4), 0

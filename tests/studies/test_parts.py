@@ -95,6 +95,7 @@ def test_a_truth_in_which_no_part_pays():
     assert "is not shown to need more or fewer primitives than" in abstract[7]
 
 
+@pytest.mark.slow
 def test_a_truth_in_which_only_commitment_pays():
     finding, abstract = write(make_runs({"commitment": lambda n: 6.0}))
     assert finding.startswith("What pays is commitment (up to ")
@@ -113,6 +114,7 @@ def test_a_truth_in_which_only_structure_pays_and_lowers_the_exponent():
     assert "times fewer primitives than untried-nearest" in abstract[7] and "is not shown" not in abstract[7]
 
 
+@pytest.mark.slow
 def test_a_truth_in_which_all_parts_add():
     finding, abstract = write(make_runs({"commitment": lambda n: 3.0, "geometry": lambda n: 5.0,
                                          "memory": lambda n: 2.0, "structure": lambda n: 2.0}))
@@ -130,6 +132,7 @@ def test_the_headline_holds_all_parts_against_a_searcher():
         assert words[verdict] in tell_bar([one]) and one.verdict == verdict
 
 
+@pytest.mark.slow
 def test_a_part_that_costs_is_said_to():
     finding, abstract = write(make_runs({"memory": lambda n: 0.25}))
     assert "memory" in finding and "pays is" not in finding
@@ -139,6 +142,7 @@ def test_a_part_that_costs_is_said_to():
 # --- rules -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_runs_that_gave_up_stay_in_the_denominator():
     runs = make_runs({"commitment": lambda n: 6.0})
     hard = [dataclasses.replace(run, first_escape=None) if run.cell == "flat" else run for run in runs]
@@ -150,6 +154,7 @@ def test_runs_that_gave_up_stay_in_the_denominator():
     assert answer(left_out, DATA)[0] == other, "what was given up counts as having given up"
 
 
+@pytest.mark.slow
 def test_all_answers_are_one_family():
     """A difference that one test alone would show is open among sixteen, and its interval holds 1."""
     rng = np.random.default_rng(11)

@@ -70,6 +70,7 @@ def test_a_lead_that_is_shared_is_no_lead(tmp_path: Path):
     assert "leads on depth" not in page and "a table leads on branching" in page
 
 
+@pytest.mark.slow
 def test_searching_is_beaten_where_some_learner_is_shown_to(tmp_path: Path):
     page = read({(MODEL, "depth"): (0.9,) * 4}, tmp_path)
     assert ("- On depth some learner beats the best searcher, which starts anew in each episode; on branching and "
@@ -126,6 +127,7 @@ def test_nobody_falls_where_rungs_are_alike(tmp_path: Path):
     assert "none does on branching and violations." in read(steep, tmp_path)
 
 
+@pytest.mark.slow
 def test_searching_is_no_answer_where_it_stays_low_on_the_upper_half(tmp_path: Path):
     told = "On the upper half of depth, branching and violations the best searcher stays below 0.5."
     assert told in read({}, tmp_path, searcher=0.45)
@@ -140,6 +142,7 @@ def test_searching_is_no_answer_where_it_stays_low_on_the_upper_half(tmp_path: P
         assert told in write_page("profiles", lines, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_top_rung_that_is_solved_is_used_up(tmp_path: Path):
     assert "No axis is used up: on every top rung all learners stay below an efficiency of 0.9." in read({}, tmp_path)
     page = read({(MODEL, "depth"): (1.0,) * 4}, tmp_path)

@@ -199,6 +199,7 @@ def test_one_study_at_a_time_in_a_folder(tmp_path):
             run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
 
 
+@pytest.mark.slow
 def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     results = [make_result(), make_result(run=1, first=600, near=None), make_result(rule="reset"),
                make_result("smdp-random", first=None, near=None), make_result(buttons=20)]
@@ -247,6 +248,7 @@ def test_runs_of_another_budget_and_unknown_agents_are_refused_before_anything_r
     assert not list(tmp_path.glob("runs/*/runs/*")) and load("scaling", tmp_path) == [make_result()]
 
 
+@pytest.mark.slow_for("1-commands0")
 @pytest.mark.parametrize(("told_runs", "commands"), [
     (1, ["python -m studies scaling --runs 1 --primitives 20000"]),
     (3, ["python -m studies scaling --parts bar agents --runs 1 --primitives 20000",

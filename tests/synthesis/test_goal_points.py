@@ -107,6 +107,7 @@ class EndsWithTheFirstEscape(Callback):
         return evaluation.success_rate == 1.0
 
 
+@pytest.mark.slow_for("tiny")
 @pytest.mark.parametrize("config", ["paper-one-button", TINY], ids=["one button", "tiny"])
 def test_with_events_of_the_room_skills_over_moves_find_the_way_out(config):
     """Without them, over bounds of the observation, the same learner never escapes at an evaluation."""

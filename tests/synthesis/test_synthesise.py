@@ -35,6 +35,7 @@ def make_env(config="paper-two-button", kind="maxq", leaves="planned", **argumen
     return HierarchyEnv(EscapeRoomEnv(config), kind, leaves, **arguments)
 
 
+@pytest.mark.slow_for("ham-four-button-chain")
 @pytest.mark.parametrize(("kind", "preset"), cover(["maxq", "ham", "landmarks"],
                                                    ["paper-two-button", "four-button-chain"]))
 def test_with_planned_leaves_an_agent_is_near_the_best_known_after_a_few_episodes(kind, preset):
@@ -46,6 +47,7 @@ def test_with_planned_leaves_an_agent_is_near_the_best_known_after_a_few_episode
     assert result.evaluations[-1].mean_return >= best - 0.1 * (best + 1000), "within a tenth of the whole range"
 
 
+@pytest.mark.slow_for("maxq")
 @pytest.mark.parametrize("kind", ["maxq", "ham", "landmarks"])
 def test_where_presses_can_be_undone_no_task_undoes_them(kind):
     """Bits can be cleared as well as set, and nothing that opens the exit needs one cleared."""
@@ -227,6 +229,7 @@ def learn_tiny(abstract, leaves="planned", primitives=600):
     return agent.compute_task_value(agent.hierarchy.root, seen), result.evaluations[-1].mean_return
 
 
+@pytest.mark.slow
 def test_abstraction_changes_no_value_and_the_value_is_the_exact_one(planned):
     assert learn_tiny(abstract=True) == learn_tiny(abstract=False) == (pytest.approx(planned.recursive),) * 2
     assert planned.recursive <= planned.hierarchical <= planned.flat
@@ -239,6 +242,7 @@ def test_a_program_with_planned_leaves_is_worth_as_much_as_the_task_graph(model,
     assert program.hierarchical == pytest.approx(planned.hierarchical)
 
 
+@pytest.mark.slow
 def test_learned_leaves_may_walk_any_way_so_that_the_graph_costs_nothing(model):
     learned = compute_price(model, synthesise(generate(TINY, 0), leaves="learned"))
     assert learned.recursive <= learned.hierarchical == pytest.approx(learned.flat)

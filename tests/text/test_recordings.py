@@ -47,6 +47,7 @@ def test_games_replay_to_the_same_bytes(file: Path, tmp_path: Path):
     assert [game.score.escaped for game in games[:2]] == [True, True]
 
 
+@pytest.mark.slow_for("<lambda>-differs3")
 @pytest.mark.parametrize(("change", "problem"), [
     (lambda lines: lines[:1] + [lines[1].replace("Took ", "Took 1")] + lines[2:], "differs"),
     (lambda lines: [lines[0].replace("a closed room", "an open room", 1), *lines[1:]], "differs"),

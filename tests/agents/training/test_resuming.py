@@ -99,6 +99,7 @@ def flatten(tree, where=""):
     return {where: repr(tree.item() if isinstance(tree, np.generic) else tree)}
 
 
+@pytest.mark.slow_for("torchrl-dqn-corrected", "torchrl-sac-corrected")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2, 1), ids=IDS)
 def test_a_restored_agent_goes_on_to_the_same_bits(tmp_path, name, recipe, changes):
     for before in (3, 60):
@@ -166,6 +167,7 @@ def read_log(folder):
     return [{key: value for key, value in row.items() if not key.startswith("time/")} for row in rows]
 
 
+@pytest.mark.slow_for("rainbow-corrected")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2), ids=IDS)
 def test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one(tmp_path, name, recipe, changes):
     whole = run(name, recipe, changes, counting := make_env(), tmp_path / "whole")

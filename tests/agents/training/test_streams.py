@@ -273,6 +273,7 @@ def make_interrupted(kind):
     return env
 
 
+@pytest.mark.slow_for("ppo-rooms-37", "ppo-poles-200", "dqn-rooms-37", "r-max-poles-200")
 @pytest.mark.parametrize(("name", "kind", "stop"), [
     ("ppo", "rooms", 37), ("ppo", "poles", 200), ("dqn", "rooms", 37), ("dac", "rooms", 37),
     ("q-learning", "rooms", 37), ("r-max", "poles", 200),
@@ -297,6 +298,7 @@ def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, kind, stop, monk
     assert evaluate(again, env, 2) == evaluate(whole.agent, env, 2)
 
 
+@pytest.mark.slow_for("200000-1")
 @pytest.mark.parametrize(("remade", "begun"), [(200_000, 1), (100, 4)])
 def test_episodes_that_cannot_be_written_down_are_made_again_and_begin_anew_after_enough_actions(
     tmp_path, monkeypatch, remade, begun
@@ -346,6 +348,7 @@ def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option(name):
     assert len(result.evaluations) >= 2 and sum(segment.episodes for segment in result.segments) > 0
 
 
+@pytest.mark.slow
 def test_a_failed_sea_is_logged_as_no_success():
     class Counted(BatchedOptionsEnv):
         ends = successes = 0

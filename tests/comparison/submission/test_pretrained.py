@@ -24,6 +24,13 @@ load_once = cache(load_pretrained)
 AGENTS = [(rung, agent) for rung, agents in list_pretrained().items() for agent in agents]
 
 
+@pytest.mark.slow_for(
+    "ladder-1/chain-smdp-factored-r-max+no-primitives", "ladder-1/chain-3-smdp-ppo+objects+memory+no-primitives",
+    "ladder-1/chain-3-smdp-q-learning+no-primitives", "ladder-1/clutter-smdp-factored-r-max+no-primitives",
+    "ladder-1/code-smdp-r-max+no-primitives", "ladder-1/house-smdp-factored-r-max+three-parents+no-primitives",
+    "ladder-1/lattice-smdp-factored-r-max+no-primitives", "ladder-1/lattice-7-smdp-factored-r-max+no-primitives",
+    "ladder-1/lattice-8-smdp-factored-r-max+three-parents+no-primitives",
+    "ladder-1/reach-smdp-factored-r-max+no-primitives")
 @pytest.mark.parametrize(("rung", "agent"), AGENTS)
 def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent):
     found = load_once(rung, agent)

@@ -58,6 +58,7 @@ def play(room, seeds, steps=80):
 # --- episodes and streams --------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_room_meets_the_same_fate_alone_and_in_any_batch():
     seeds = list(range(100, 112))
     together = play(make_rooms(12), seeds)

@@ -58,6 +58,7 @@ def encode(form, puzzles, states):
     return torch.tensor([as_signed(form.encode(*pair)) for pair in zip(puzzles, states, strict=True)])
 
 
+@pytest.mark.slow_for("potions, three features", "blocks-world")
 @pytest.mark.parametrize("name", KINDS)
 def test_a_tensor_form_does_what_the_puzzle_does(name):
     compare(name, [KINDS[name].make_puzzle(np.random.default_rng(seed)) for seed in range(32)])

@@ -72,6 +72,7 @@ def test_body_is_inside_and_keeps_its_skin_whatever_it_does_asked_of_bullet(conf
             assert abs(room.state.y) <= instance.reach_y
 
 
+@pytest.mark.slow
 @given(st.integers(0, 20), st.lists(st.integers(0, 3), min_size=5, max_size=25), st.data())
 @settings(max_examples=25)
 def test_body_keeps_its_skin_through_the_doorway_while_the_door_opens_and_shuts(seed, actions, data):

@@ -62,6 +62,7 @@ def play(room, actions):
 WIDE = RoomConfig(room=ShapeConfig(width=200, depth=200), start=StartConfig(place="fixed"))
 
 
+@pytest.mark.slow_for("arm")
 @pytest.mark.parametrize("robot", [
     RobotConfig(), RobotConfig(joints=7, link_length=0.1), RobotConfig(kind="kuka-iiwa", joints=7),
     RobotConfig(move_step=0.3, turn_step_deg=45, joints=2, joint_step_deg=3),
@@ -120,6 +121,7 @@ def check_drive(seed: int, runs: list[tuple[int, int]], step: float) -> None:
         room.close()
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(st.integers(0, 1000), st.lists(st.tuples(st.integers(0, 9), st.integers(1, 4)), max_size=8),
        st.sampled_from([0.7, 5.0]))
@@ -344,6 +346,7 @@ def choose_actions(room, number):
     return np.random.default_rng(7).choice(count, number, p=chances / chances.sum()).tolist()
 
 
+@pytest.mark.slow_for("clutter", "noisy-kuka")
 @pytest.mark.parametrize("name", ROOMS)
 def test_a_state_continues_bit_for_bit_in_its_room_and_in_another(make_room, name):
     room, other = make_room(ROOMS[name]), make_room(ROOMS[name])

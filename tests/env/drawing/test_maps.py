@@ -113,6 +113,7 @@ def test_the_arm_is_drawn_as_far_as_the_hand():
         assert picture.has(palette.HAND, x, y) and not picture.has(palette.HAND, x + 0.3, y)
 
 
+@pytest.mark.slow_for("sixty-four-buttons")
 @pytest.mark.parametrize("name", thin(list(SCHEMATICS), 6, first=1))
 def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
     instance, state = make_room(name, seed=1)
@@ -124,6 +125,7 @@ def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
         assert f"<!-- {target.name}" in text
 
 
+@pytest.mark.slow_for("sixty-four-buttons")
 @pytest.mark.parametrize("name", [
     pytest.param("twenty-button", marks=pytest.mark.slow), "ten-button", "sixty-four-buttons",
     pytest.param("paper-two-button", marks=pytest.mark.slow)])

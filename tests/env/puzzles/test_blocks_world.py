@@ -228,6 +228,7 @@ def test_what_is_no_problem_is_refused_in_one_message(text, message):
         BlocksWorldConfig(problem=text).make_puzzle(np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_large_problems_are_solved_though_not_always_by_the_fewest_moves():
     puzzle = make_puzzle(12, 3)
     plan = puzzle.plan(puzzle.make_state())

@@ -99,6 +99,7 @@ def test_domains_keep_the_contract(success):
     assert FactoredPuzzle.from_dict(draw((4, 3, 3), 1).to_dict()) == draw((4, 3, 3), 1)
 
 
+@pytest.mark.slow_for("factored")
 @pytest.mark.parametrize("name", ["random-lights", "factored"])
 def test_the_planner_escapes_by_planning_anew_where_a_press_did_nothing(name):
     env = EscapeRoomEnv(name, instance_seed=2)

@@ -63,6 +63,7 @@ def test_settings_that_hold_a_table_make_rooms_too():
     assert generate(tabled, 3).targets == generate(plain, 3).targets
 
 
+@pytest.mark.slow
 def test_the_largest_room_is_generated():
     instance = generate(EXTREMES["largest"], 0)
     assert sum(s.role == "obstacle" for s in instance.solids) == 200

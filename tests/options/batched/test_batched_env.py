@@ -115,6 +115,7 @@ def test_no_room_waits_for_another():
     assert ends[:, 1].tolist() == [False] * 8 + [True], "button 1 is nine moves away"
 
 
+@pytest.mark.slow
 def test_an_episode_begins_wherever_one_has_ended():
     env, alone, generator = BatchedOptionsEnv(8, "paper-one-button"), 0, torch.Generator().manual_seed(0)
     env.reset(0)
@@ -173,6 +174,7 @@ def test_without_automatic_reset_a_room_stands_still_until_it_is_reset():
 # --- agreement with planned options --------------------------------------------------------
 
 
+@pytest.mark.slow_for("door-0.05", "inner-doors-0.05")
 @pytest.mark.parametrize(("name", "most"), [
     pytest.param("clutter", 0.05, marks=pytest.mark.slow), ("door", 0.05), ("inner-doors", 0.05),
     ("coarse-steps", 0.15)])
@@ -229,6 +231,7 @@ def play(env, seeds, steps=60):
     return torch.stack(rows, dim=1)
 
 
+@pytest.mark.slow
 def test_a_room_meets_the_same_fate_alone_and_in_any_batch():
     seeds = list(range(40, 60))
     together = play(make_env(20, NOISY), seeds)
@@ -239,6 +242,7 @@ def test_a_room_meets_the_same_fate_alone_and_in_any_batch():
         assert torch.equal(play(make_env(1, NOISY), [seeds[number]])[0], together[number])
 
 
+@pytest.mark.slow
 def test_instances_may_differ_and_be_drawn_anew():
     instances = [generate(SMALL, seed) for seed in (0, 1, 2)]
     env = BatchedOptionsEnv(12, instance=instances, resample_instance=True)

@@ -144,6 +144,7 @@ def test_ancestors_are_pressed_first_and_what_is_on_is_not_pressed_again():
     assert int(step_room(env, 0, last).pressed) == 1 << last
 
 
+@pytest.mark.slow_for("with ancestors", "interrupted and worse")
 @pytest.mark.parametrize("kind", ["with ancestors", "stopping", "interrupted and worse"])
 def test_ragged_decisions_add_up_to_the_return_of_their_primitives(kind):
     """The oracle of SMDPs: R_0 + gamma^k_0 R_1 + ... is the discounted return of the episode, however it was cut."""

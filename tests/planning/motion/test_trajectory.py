@@ -53,6 +53,7 @@ def make_boom(effort: float, mass: float = 2.0) -> RobotConfig:
 # --- presses ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_for("potions-0", "arm-two-button-0")
 @pytest.mark.parametrize(("name", "seed"), [
     ("potions", 0), pytest.param("pin-pad", 0, marks=pytest.mark.slow),
     pytest.param("deep-sea", 0, marks=pytest.mark.slow), ("arm-two-button", 0), ("lights-out, differential", 0)])
@@ -182,6 +183,7 @@ def test_rounded_corners_are_faster_and_some_limit_is_met():
         assert 0.99 < max(measure_peaks(fast, LIMITS).values())
 
 
+@pytest.mark.slow
 def test_clearance_is_kept_where_there_is_a_way_with_it():
     plan = make_plan("clutter", 0)
     shapes = stack_footprints([solid.footprint for solid in plan.instance.solids])

@@ -140,6 +140,7 @@ def test_budget_and_time_stop_every_planner_and_leave_nothing_running(clutter, p
     assert clutter.plan(start, HIDDEN, planner).status == "exact"
 
 
+@pytest.mark.slow_for("BITstar")
 @pytest.mark.parametrize("planner", ANYTIME)
 def test_an_anytime_planner_s_path_becomes_shorter_with_its_budget(clutter, planner):
     start = get_start(clutter)

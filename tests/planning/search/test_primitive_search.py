@@ -85,6 +85,7 @@ def find_ratios(queries, method):
 FLOORS = {"empty": 1.03, "10 obstacles": 1.03, "40 obstacles": 1.05, "interior walls": 1.05}
 
 
+@pytest.mark.slow_for("interior walls-1.05")
 @pytest.mark.parametrize(("floor", "most"), thin(list(FLOORS.items()), 2, first=1))
 def test_primitives_are_within_a_few_percent_of_the_near_exact_reference(floor, most):
     ratios = find_ratios(make_queries(floor, range(1), 8), "fields")
@@ -92,6 +93,7 @@ def test_primitives_are_within_a_few_percent_of_the_near_exact_reference(floor, 
     assert np.quantile(ratios, 0.95) <= 1.15
 
 
+@pytest.mark.slow
 def test_corridors_reach_every_goal_a_little_longer():
     queries = [q for floor in (*FLOORS, "narrow passages") for q in make_queries(floor, range(1), 3)]
     assert np.mean(find_ratios(queries, "corridor")) < 1.2
@@ -179,6 +181,7 @@ ODD = {
 }
 
 
+@pytest.mark.slow_for("200 m")
 @pytest.mark.parametrize("name", ODD)
 def test_every_button_of_odd_rooms_is_reached(name):
     search = PrimitiveSearch(generate(ODD[name], 1))

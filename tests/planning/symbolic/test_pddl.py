@@ -35,6 +35,7 @@ def solve(instance, state=None, engine="fast-downward"):
     return [operators[action.action.name] for action in plan.actions]
 
 
+@pytest.mark.slow_for("paper-one-button")
 @pytest.mark.parametrize("name", thin(list(PRESETS), 8))
 def test_an_independent_planner_solves_every_preset_by_what_is_exported(name):
     instance = generate(get_preset(name), 0)

@@ -141,6 +141,7 @@ def test_a_plan_shown_is_what_the_option_then_does(clutter):
         assert [s[:7] for s in plan.states] == [s[:7] for s in states]
 
 
+@pytest.mark.slow
 def test_a_preview_does_not_disturb_the_option_that_runs(clutter):
     plain, asked = (Watch(open_driver("planner", clutter), Gate(None)) for _ in range(2))
     _, expected = watch_steps(plain)

@@ -24,6 +24,7 @@ def make(env, **settings):
                          PLACES.__getitem__)
 
 
+@pytest.mark.slow
 def test_the_graph_that_it_finds_is_the_true_one_and_its_way_out_is_short():
     env = FourRooms(EAST_HALLWAY, "none", horizon=300)
     agent = make(env, visits=30, gamma=0.9, optimistic_value=1.0)

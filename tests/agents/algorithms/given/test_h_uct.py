@@ -160,6 +160,7 @@ def test_counts_are_kept_by_task_and_state():
     assert all(each.visits == each.counts.sum() for each in search.nodes.values())
 
 
+@pytest.mark.slow
 def test_without_a_simulator_it_explores_what_it_never_did_and_then_plans():
     env = GoalGrid(Grid(["    ", " ## ", "    "]), 0, 50)
     agent = make(env, simulator=False, gamma=0.9, optimistic_value=1.0, simulations=60, depth=20)

@@ -61,6 +61,7 @@ def test_tables_end_when_a_sweep_changes_nothing_and_come_back_from_their_folder
                  ).evaluations == result.evaluations
 
 
+@pytest.mark.slow
 def test_a_clone_of_experts_escapes_where_the_clone_of_random_play_does_not():
     rates = {}
     for kind in ("expert", "play"):

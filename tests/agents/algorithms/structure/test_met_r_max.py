@@ -58,6 +58,7 @@ def test_a_context_forecasts_from_its_third_visit_on():
         assert compared == (n >= 6), "of the seventh sample three of its kind are known"
 
 
+@pytest.mark.slow
 def test_the_true_parents_are_dropped_no_more_often_than_said_and_wrong_ones_always():
     """Bits drawn at random, an action that works in 80 % of the cases where its parents are on."""
     dropped, first, trials, wrong = 0, 0, 20, 0
