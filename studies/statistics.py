@@ -96,15 +96,25 @@ def list_subset_means(values: ArrayLike) -> Floats:
 
     Args:
         values: (n,).
+
+    Returns:
+        An array that cannot be written to: those of the last values asked about are kept.
     """
-    numbers = np.asarray(values, dtype=np.float64)
+    return _list_subset_means(tuple(np.asarray(values, dtype=np.float64).tolist()))
+
+
+@lru_cache(maxsize=64)
+def _list_subset_means(values: tuple[float, ...]) -> Floats:
+    numbers = np.array(values, dtype=np.float64)
     chosen = _list_signs(len(numbers)) > 0
     chosen = chosen[chosen.any(axis=1)]
     finite = np.isfinite(numbers)
     means = np.where(chosen[:, finite], numbers[finite], 0.0).sum(axis=1) / chosen.sum(axis=1)
     for end in (-np.inf, np.inf):
         means[chosen[:, numbers == end].any(axis=1)] = end
-    return np.sort(means)
+    means.sort()
+    means.flags.writeable = False
+    return means
 
 
 def cut_signs(values: ArrayLike, level: float) -> tuple[float, float]:
