@@ -92,7 +92,8 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
     def __getitem__(self, index: int | slice) -> RoomInstance | InstanceSet:
         if isinstance(index, slice):
             chosen = range(*index.indices(len(self)))
-            rooms = self._choose(f"{self.name}[{index.start}:{index.stop}:{index.step}]", chosen)
+            step = f":{chosen.step}" if chosen.step != 1 else ""
+            rooms = self._choose(f"{self.name}[{chosen.start}:{chosen.stop}{step}]", chosen)
             if self.place is not None and "slice" not in self.place and chosen.step == 1 and len(chosen):
                 rooms.place = {**self.place, "slice": f"{chosen.start}:{chosen.stop}"}
             return rooms

@@ -17,6 +17,9 @@ def test_texts_name_the_rooms_of_rungs_presets_and_files(tmp_path):
     assert list(parse_room_set("ladder-1/doormat/train").seeds) == list(train.seeds)
     assert list(parse_room_set("ladder-1/doormat/train[2:5]").seeds) == list(train.seeds[2:5])
     assert list(parse_room_set("ladder-1/doormat/train[:3]").seeds) == list(train.seeds[:3])
+    for part, name in ((train[:3], "[0:3]"), (train[2:4], "[2:4]"), (train[1:9:2], "[1:9:2]")):
+        assert part.name == train.name + name
+    assert list(parse_room_set(train[2:4].name).seeds) == list(train[2:4].seeds)
     assert list(parse_room_set("ladder-1/doormat/train[250:]").seeds) == list(train.seeds[250:])
     (room,) = parse_room_set("ladder-1/doormat/train[7]")
     assert room == train[7]
