@@ -249,6 +249,7 @@ window.addEventListener("load", () => {
   report.lines = count("#curve-chart polyline");
   report.names = [...document.querySelectorAll("#curve-chart .name")].map((n) => n.textContent);
   report.title = document.querySelector("#curve-chart .title").textContent;
+  report.apart = spread([290, 20, 20, 20, 20, 20, 20, 20, 291, 150], 17, 18, 294);
   press('[data-value="decisions"]');
   report.switched = document.querySelector("#curve-chart .title").textContent;
   const rest = ["gap", "progress", "success", "length", "score", "seconds", "close", "best"];
@@ -298,6 +299,9 @@ def test_the_page_works_in_a_browser_without_network(summary: Summary, source: s
     assert report["title"] == "primitives of training" and report["switched"] == "decisions of training"
     assert report["left"] == report["profile"] == len(labels) - 1
     assert report["cards"] == len(labels)
+    *seven, middle, last_but_one, last = sorted(report["apart"])
+    assert seven == [18 + 17 * place for place in range(7)] and middle == 150 and last_but_one <= last - 17 <= 294 - 17
+    assert report["apart"][0] == last_but_one and report["apart"][8] == last
     for player in report["players"]:
         assert player["moved"] and player["words"].endswith(f"of {player['count']:,}")
 

@@ -44,7 +44,7 @@ function listTicks(low, high, isLog, count) {
   return ticks;
 }
 
-// Moves labels apart along y, as little as it takes, in order.
+// Moves labels apart along y, as little as it takes, in order, and between low and high while they fit.
 function spread(places, gap, low, high) {
   const order = places.map((_, i) => i).sort((a, b) => places[a] - places[b]);
   const at = order.map((i) => places[i]);
@@ -53,10 +53,10 @@ function spread(places, gap, low, high) {
       const lack = gap - (at[i] - at[i - 1]);
       if (lack > 0) { at[i - 1] -= lack / 2; at[i] += lack / 2; }
     }
-  const over = at.length ? Math.max(0, at[at.length - 1] - high) : 0;
-  const under = at.length ? Math.max(0, low - (at[0] - over)) : 0;
+  for (let i = 0; i < at.length; i++) at[i] = Math.max(at[i], i ? at[i - 1] + gap : low);
+  for (let i = at.length - 1; i >= 0; i--) at[i] = Math.min(at[i], i < at.length - 1 ? at[i + 1] - gap : high);
   const result = [];
-  order.forEach((i, rank) => { result[i] = at[rank] - over + under; });
+  order.forEach((i, rank) => { result[i] = at[rank]; });
   return result;
 }
 
