@@ -242,7 +242,7 @@ def test_learning_curves_of_taxi_carry_over_to_the_bit():
     assert np.mean(curve[30:40]) > np.mean(curve[:10]), "something is learned"
 
 
-@pytest.mark.slow_for("four-rooms", "puddle-world")
+@pytest.mark.slow_for("four-rooms")
 @pytest.mark.parametrize("config", [
     get_preset("taxi", rainy=True, fickle=True), get_preset("four-rooms", slip="neighbour"), get_preset("puddle-world"),
     get_preset("foraging"),
@@ -307,7 +307,6 @@ class RoundedRewards(gymnasium.RewardWrapper):
         return float(np.round(reward, 9))
 
 
-@pytest.mark.slow
 def test_puddle_world_is_the_published_square_and_its_values_are_those_of_the_domain():
     env = RoundedRewards(gymnasium.make("hrl_escape/PuddleWorld-v1"))
     domain = Puddles()

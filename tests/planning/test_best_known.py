@@ -219,7 +219,6 @@ def test_it_is_the_mean_over_the_starts():
     assert len(set(each)) > 1 and best_known_return(instance) == pytest.approx(np.mean(each))
 
 
-@pytest.mark.slow
 def test_what_no_one_can_do_is_worth_the_horizon():
     instance = generate(get_preset("paper-two-button"), 0)
     fewest = find_best_known(instance, make_start(instance)).primitives

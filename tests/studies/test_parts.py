@@ -142,7 +142,6 @@ def test_a_part_that_costs_is_said_to():
 # --- rules -----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_runs_that_gave_up_stay_in_the_denominator():
     runs = make_runs({"commitment": lambda n: 6.0})
     hard = [dataclasses.replace(run, first_escape=None) if run.cell == "flat" else run for run in runs]
@@ -154,7 +153,6 @@ def test_runs_that_gave_up_stay_in_the_denominator():
     assert answer(left_out, DATA)[0] == other, "what was given up counts as having given up"
 
 
-@pytest.mark.slow
 def test_all_answers_are_one_family():
     """A difference that one test alone would show is open among sixteen, and its interval holds 1."""
     rng = np.random.default_rng(11)

@@ -131,7 +131,6 @@ def test_the_searcher_that_learns_nothing_is_told_beside_all_learners():
     assert f"and 0 of {count} learners later" in few, "three rooms show nothing"
 
 
-@pytest.mark.slow
 def test_the_headline_claims_what_the_sentences_below_claim():
     claimed = []
     for saved in np.linspace(1.0, 1.7, 15):  # from what cannot be shown to what can

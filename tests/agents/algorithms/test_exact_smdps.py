@@ -79,7 +79,7 @@ READ = {
 }
 
 
-@pytest.mark.slow_for("MaxqQ-1", "RMaxq-2")
+@pytest.mark.slow_for("MaxqQ-1")
 @pytest.mark.parametrize(("agent_class", "seed"), cover(list(READ), SEEDS))
 def test_values_of_choices_are_exact(agent_class, seed):
     env = make_env(seed)
@@ -197,7 +197,7 @@ def solve_graph(smdp):
     return inner[:, 1:], solve(whole, GAMMA)
 
 
-@pytest.mark.slow_for("maxq-q-0", "stack-3")
+@pytest.mark.slow_for("stack-3")
 @pytest.mark.parametrize(("name", "seed"), cover(list(GRAPH_MAKERS), RETURNING))
 def test_tasks_are_worth_what_they_earn_also_where_they_get_stuck(name, seed):
     """Learners of a stack bootstrap where a call is cut, in their own view, which is exact for the task below alone."""

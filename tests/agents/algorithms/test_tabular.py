@@ -116,7 +116,6 @@ def test_trap_9_an_illegal_action_of_high_value_does_not_win_the_maximum():
     assert agent.act_greedy(0, np.array([True, False]), np.random.default_rng(0)) == 0
 
 
-@pytest.mark.slow
 def test_ties_are_drawn_so_that_a_goal_is_found_where_steps_cost_nothing():
     """FrozenLake without slip pays at the goal alone; the lowest number among equals would never leave the start."""
     env = gymnasium.make("FrozenLake8x8-v1", is_slippery=False)

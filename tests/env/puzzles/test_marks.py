@@ -136,7 +136,6 @@ def test_wires_of_another_graph_say_nothing():
     assert rules.compute_likelihood((8, 1, 2), classes).tolist() == [1.0, 1.0]
 
 
-@pytest.mark.slow_for("0.6")
 @pytest.mark.parametrize("truth", [1.0, 0.6])
 def test_likelihoods_of_wires_are_those_of_the_draws(truth):
     """Given the colours: over all plugs they sum to 1 under every graph, and are the shares of plugs drawn."""

@@ -115,7 +115,6 @@ def test_no_room_waits_for_another():
     assert ends[:, 1].tolist() == [False] * 8 + [True], "button 1 is nine moves away"
 
 
-@pytest.mark.slow
 def test_an_episode_begins_wherever_one_has_ended():
     env, alone, generator = BatchedOptionsEnv(8, "paper-one-button"), 0, torch.Generator().manual_seed(0)
     env.reset(0)

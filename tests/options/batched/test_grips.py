@@ -186,7 +186,6 @@ def test_the_planners_order_of_grips_and_releases_escapes(name, compiled):
     assert has_escaped.all()
 
 
-@pytest.mark.slow
 def test_a_slip_while_gripping_is_gripped_again():
     config = get_preset("taxi")
     room = generate(dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, slip=0.5)), 0)

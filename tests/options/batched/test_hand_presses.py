@@ -234,7 +234,6 @@ def test_rooms_pressed_by_hand_go_on_where_they_were_written_down():
 # --- fields -----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_fields_of_postures_are_zero_in_touch_and_else_one_more_than_the_best_that_a_primitive_leads_to():
     """Bellman's equation by the scalar rules, in a field of each target; touches by the hand's own kinematics."""
     instance = generate(ARM, 2)

@@ -183,7 +183,6 @@ def test_rounded_corners_are_faster_and_some_limit_is_met():
         assert 0.99 < max(measure_peaks(fast, LIMITS).values())
 
 
-@pytest.mark.slow
 def test_clearance_is_kept_where_there_is_a_way_with_it():
     plan = make_plan("clutter", 0)
     shapes = stack_footprints([solid.footprint for solid in plan.instance.solids])
