@@ -47,12 +47,8 @@ def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterab
                    ) -> tuple[float, list[str]]:
     """Core hours of training of the agents that learn and whose rate is known, and the labels of learners without one.
 
-    Args:
-        agents: each trains wherever there are `buttons`.
-        primitives: of a run.
-        buttons: number of buttons of each room, or mean number of each set.
-        runs: of each agent in each place.
-        rates: see `load_rates`.
+    Each makes so many runs of so many primitives in each place, a room or a set, whose (mean) numbers of buttons are
+    given.
     """
     seconds, unknown, places = 0.0, [], list(buttons)
     for agent in agents:

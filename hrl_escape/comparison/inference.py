@@ -49,16 +49,7 @@ def compute_interval(statistic: Statistic, scores: Scores, bounds: tuple[float, 
                      resamples: int = RESAMPLES, level: float = LEVEL) -> tuple[Floats, Floats]:
     """Interval of a statistic of bounded scores that grows with them, such as their mean or interquartile mean.
 
-    Args:
-        statistic: of scores, (..., runs) a room, and their weights.
-        scores: (..., runs) a room.
-        bounds: lowest and highest possible score.
-        rng: source of the draws.
-        resamples: number of draws.
-        level: confidence.
-
-    Returns:
-        Lower and upper end, each of the statistic's own shape.
+    Scores are (..., runs) a room, `bounds` the lowest and highest possible. Both ends have the statistic's own shape.
     """
     weights = [draw_weights(room.shape[-1], resamples, rng).reshape(resamples, *[1] * (room.ndim - 1), -1)
                for room in scores]
@@ -70,15 +61,11 @@ def compute_ends(statistic: Statistic, scores: Scores, bounds: tuple[float, floa
     """Draws (resamples, ...) of a statistic with the lowest possible score added, and with the highest.
 
     The share of the first at or below a level is the p-value of a statistic above that level, the share of the second
-    at or above it that of a statistic below.
-
-    Args:
-        statistic: of values and weights.
-        scores: (..., runs) a room.
-        bounds: lowest and highest possible score.
-        weights: (resamples, ..., runs + 1) a room, from `draw_weights`.
+    at or above it that of a statistic below. Scores are (..., runs) a room, weights, from `draw_weights`,
+    (resamples, ..., runs + 1).
     """
-    lower, upper = (statistic([_append(room, bound) for room in scores], weights) for bound in bounds)
+    lower, upper = (statistic([np.concatenate([room, np.full((*room.shape[:-1], 1), bound)], axis=-1)
+                               for room in scores], weights) for bound in bounds)
     return lower, upper
 
 
@@ -92,10 +79,6 @@ def draw_weights(count: int, resamples: int, rng: np.random.Generator) -> Floats
     drawn = rng.standard_exponential((resamples, count + 1))
     drawn /= drawn.sum(axis=-1, keepdims=True)
     return drawn
-
-
-def _append(room: Floats, bound: float) -> Floats:
-    return np.concatenate([room, np.full((*room.shape[:-1], 1), bound)], axis=-1)
 
 
 def compute_wilson_interval(share: float, tries: int) -> tuple[float, float]:
@@ -198,14 +181,7 @@ def is_better(pair: Pair) -> bool:
 
 def compare_agents(finals: Sequence[Finals], in_family: Sequence[bool], rng: np.random.Generator,
                    resamples: int = IMPROVEMENT_RESAMPLES) -> tuple[tuple[Pair, ...], ...]:
-    """Compare all agents with each other.
-
-    Args:
-        finals: one an agent.
-        in_family: one an agent; False for a reference that nothing is claimed of.
-        rng: source of the draws for intervals.
-        resamples: number of these draws.
-    """
+    """Compare all agents with each other; `in_family` is False for a reference that nothing is claimed of."""
     couples = list(itertools.combinations(range(len(finals)), 2))
     found = {couple: _compare(finals[couple[0]], finals[couple[1]], rng, resamples) for couple in couples}
     family = [couple for couple in couples if in_family[couple[0]] and in_family[couple[1]]]

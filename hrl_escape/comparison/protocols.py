@@ -127,13 +127,6 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
                        settings: LadderSettings) -> Grid:
     """Grid of a rung under a protocol.
 
-    Args:
-        bench: the benchmark.
-        rung: name of the rung.
-        protocol: see `Protocol`.
-        agents: to be compared.
-        settings: numbers to change.
-
     Raises:
         UnknownNameError: no such rung.
         ConfigError: more rooms than the rung has, or a rung to train on that does not go with the protocol.
@@ -182,13 +175,7 @@ def choose_floors(bench: Benchmark) -> tuple[str, ...]:
 
 def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[AgentSpec], settings: LadderSettings
                     ) -> Grid:
-    """Grid of rungs as the floors of one tower.
-
-    Args:
-        bench: the benchmark.
-        rungs: names of the floors, from the bottom to the top.
-        agents: to be compared.
-        settings: numbers to change; `trials` and `source` are of other protocols.
+    """Grid of rungs, by name from the bottom to the top, as the floors of one tower.
 
     Raises:
         UnknownNameError: no such rung.

@@ -17,13 +17,9 @@ if TYPE_CHECKING:
 
 def record_returns(starts: Sequence[tuple[RoomInstance, RoomState]], best: Sequence[float],
                    evaluations: Iterable[Evaluation], source: str) -> None:
-    """Raise the best known returns that an agent has beaten in evaluations, and warn; see `record_return`.
+    """Raise the `best` known return of each episode, by its start, that evaluations have beaten, and warn.
 
-    Args:
-        starts: room and first state of each episode.
-        best: best known return of each.
-        evaluations: of these episodes.
-        source: agent and seed.
+    `source` is agent and seed in words; see `record_return`.
     """
     from hrl_escape.planning.best_known import record_return  # brings the planners in
 
@@ -39,13 +35,8 @@ def record_escapes(env: gymnasium.Env, seeds: Sequence[int], evaluations: Sequen
 
     It plans once from the start of each episode that escaped, and searches for the best known return only where the
     agent beat that plan. Left alone are other environments than rooms, puzzles with rewards of their own, and returns
-    that a wrapper made: those that an escape after so many primitives does not earn.
-
-    Args:
-        env: the evaluation environment; reset where an episode escaped.
-        seeds: of an evaluation's episodes.
-        evaluations: of these episodes.
-        source: agent and seed.
+    that a wrapper made: those that an escape after so many primitives does not earn. The evaluation environment is
+    reset where an episode escaped; arguments are those of `RUN_OBSERVERS`.
     """
     room: Any = env.unwrapped
     if not isinstance(getattr(room, "instance", None), RoomInstance):

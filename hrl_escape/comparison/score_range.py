@@ -44,13 +44,10 @@ class ScoreRange:
 
 def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent: AgentSpec, cache: Path,
                         floors: int = 1) -> ScoreRange:
-    """Compute the range for episodes that begin in these states of these rooms.
+    """Compute the range for episodes that begin in these states of these rooms, by the actions that an agent has.
 
-    Args:
-        starts: room and first state of each episode.
-        agent: says which actions there are.
-        cache: folder that keeps what planners have found, for other runs.
-        floors: of a tower, on each of which a part of an episode begins; all share the horizon.
+    The folder `cache` keeps what planners have found, for other runs. On each of the `floors` of a tower a part of an
+    episode begins; all share the horizon.
     """
     is_limited = agent.chooses_options and not agent.options.include_primitives
     ends = [_find_ends(*start, agent.options.flavour if is_limited else None, cache) for start in starts]
@@ -70,7 +67,7 @@ def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent:
 
 
 def _has_noise(instance: RoomInstance) -> bool:
-    """Return whether scales are expectations."""
+    """Whether scales are expectations."""
     return instance.dynamics.is_random and instance.dynamics.kind == "kinematic"
 
 

@@ -41,14 +41,8 @@ class Solution:
 class SolvedProbe(Stateful):
     """Measures whether an agent has solved its room; see `SolvedRule`.
 
-    An agent that learns nothing gets no better, so it is done with its first escape.
-
-    Args:
-        rule: when to measure, and what counts as solved.
-        env: where the policy is checked, between training episodes.
-        instance: the room.
-        spec: the agent.
-        score_range: of the room, for this agent.
+    An agent that learns nothing gets no better, so it is done with its first escape. The policy is checked in `env`,
+    between training episodes; `score_range` is the room's for this agent.
     """
 
     STATE = ("_has_escaped", Kept("_structure", pack=lambda steps: list(map(list, steps)),

@@ -109,6 +109,11 @@ class AgentSummary:
         return sum(len(room) for room in self.efficiencies)
 
     @property
+    def stuck_runs(self) -> int:
+        """Number of runs without any escape in the last fifth."""
+        return round(self.stuck * self.runs)
+
+    @property
     def fewest_runs(self) -> int:
         """Number of finished runs in the room that has fewest."""
         return min(len(room) for room in self.efficiencies)

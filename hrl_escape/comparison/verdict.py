@@ -200,7 +200,7 @@ def _describe_gap(summary: Summary) -> list[str]:
 
 
 def _describe_stuck(summary: Summary) -> list[str]:
-    some = [f"{round(agent.stuck * agent.runs)} of {agent.runs} runs of `{agent.label}`"
+    some = [f"{agent.stuck_runs} of {agent.runs} runs of `{agent.label}`"
             for agent in _prefer_learners(summary.agents) if 0 < agent.stuck and agent.success.value > 0]
     return [f"No escape in the last fifth of training: {join_words(some)}."] if some else []
 

@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 
 from hrl_escape.agents.components.offline import OPTION_ENDINGS
 from hrl_escape.data.catalogue import TAPE_KINDS, DataSpec
+from hrl_escape.data.materialise import begin_episode, list_episodes
 from hrl_escape.data.published import PublishedTape
 from hrl_escape.data.tape import Tape
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import Trajectory, draw_room
 from hrl_escape.env.drawing.meshes import compute_extent
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.noise import draw_episode
 from hrl_escape.figures import STYLE, save_figure
 
 DRAWN = 4
@@ -56,9 +56,7 @@ def describe_unrecorded(spec: DataSpec, published: PublishedTape) -> dict[str, A
         "behaviour": TAPE_KINDS[spec.kind],
         "rooms": spec.list_rooms(spec.primitives),
         "actions": None,
-        "primitives": published.primitives,
-        "decisions": published.decisions,
-        "episodes": published.episodes,
+        **{name: getattr(published, name) for name in ("primitives", "decisions", "episodes")},
         "duration": None,
         "endings": None,
         "scores": dict(published.scores),
@@ -101,10 +99,7 @@ def save_card(path: str | Path, tape: Tape) -> None:
 def _replay(tape: Tape, number: int) -> list[RoomState]:
     """States of an episode."""
     rules = Kinematics(tape.rooms[int(tape.room[number])])
-    begins = np.concatenate([[0], np.cumsum(tape.decisions, dtype=np.int64)])
-    at = np.concatenate([[0], np.cumsum(tape.duration, dtype=np.int64)])
-    start, key = draw_episode(int(tape.episode_seed[number]), 0, len(rules.instance.starts))
-    states = [rules.make_state(rules.instance.starts[start], key)]
-    for action in tape.action[at[begins[number]] : at[begins[number + 1]]].tolist():
+    states = [begin_episode(rules, tape, number)]
+    for action in tape.action[list_episodes(tape)[number].primitives].tolist():
         states.append(rules.step(states[-1], action).state)
     return states

@@ -6,7 +6,8 @@ saw, to the bit. It never holds more than one block beside the tape, unless all 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -21,7 +22,6 @@ from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.published import warn_of_other
 from hrl_escape.data.tape import ENDS, Tape, load_tape
 from hrl_escape.env.engine import make_renderer
-from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import draw_episode
 from hrl_escape.env.observations.base import get_observation, make_observer
@@ -33,12 +33,26 @@ BLOCK = 65_536
 """Primitives in a block, at least; an episode is never cut in two."""
 
 
-class _Episode(NamedTuple):
-    """Places of an episode in the tape's arrays: its number, and slices of its decisions and primitives."""
+class TapeEpisode(NamedTuple):
+    """Places of an episode in a tape's arrays: its number, and slices of its decisions and primitives."""
 
     number: int
     decisions: slice
     primitives: slice
+
+
+def list_episodes(tape: Tape) -> list[TapeEpisode]:
+    """Places of all episodes of a tape, in order."""
+    first = np.concatenate([[0], np.cumsum(tape.decisions, dtype=np.int64)])
+    at = np.concatenate([[0], np.cumsum(tape.duration, dtype=np.int64)])
+    return [TapeEpisode(n, slice(int(i), int(j)), slice(int(at[i]), int(at[j])))
+            for n, (i, j) in enumerate(itertools.pairwise(first))]
+
+
+def begin_episode(rules: Kinematics, tape: Tape, number: int) -> RoomState:
+    """First state of an episode of a tape, by its number, under the rules of its room."""
+    start, key = draw_episode(int(tape.episode_seed[number]), 0, len(rules.instance.starts))
+    return rules.make_state(rules.instance.starts[start], key)
 
 
 class DataSet:
@@ -122,37 +136,30 @@ class DataSet:
         """
         every, gamma = (level or self.level) == "primitives", self.gamma if gamma is None else gamma
         make = self._make_primitives if every else self._make_decisions
-        player: _Player | None = None
-        gathered: list[_Episode] = []
+        gathered: list[TapeEpisode] = []
         seen: list[NDArray[Any]] = []
         rewards: list[float] = []
-        for episode in self._episodes:
-            room = int(self.tape.room[episode.number])
-            if player is None or player.index != room:
-                player = _Player(room, self.tape.rooms[room], self.observation, self._vector)
-            self._replay(player, episode, every, seen, rewards)
-            gathered.append(episode)
-            if len(rewards) >= size:
-                yield make(gathered, seen, rewards, gamma)
-                gathered, seen, rewards = [], [], []
+        for room, episodes in itertools.groupby(list_episodes(self.tape), lambda each: self.tape.room[each.number]):
+            instance = self.tape.rooms[int(room)]
+            rules = Kinematics(instance)
+            observer = make_observer(self.observation, rules, None if self._vector else make_renderer(instance))
+            for episode in episodes:
+                self._replay(rules, observer.observe, episode, every, seen, rewards)
+                gathered.append(episode)
+                if len(rewards) >= size:
+                    yield make(gathered, seen, rewards, gamma)
+                    gathered, seen, rewards = [], [], []
         if gathered:
             yield make(gathered, seen, rewards, gamma)
 
-    @cached_property
-    def _episodes(self) -> list[_Episode]:
-        first = np.concatenate([[0], np.cumsum(self.tape.decisions, dtype=np.int64)])
-        at = np.concatenate([[0], np.cumsum(self.tape.duration, dtype=np.int64)])
-        return [_Episode(n, slice(int(i), int(j)), slice(int(at[i]), int(at[j])))
-                for n, (i, j) in enumerate(zip(first[:-1], first[1:], strict=True))]
-
-    def _replay(self, player: _Player, episode: _Episode, every: bool, seen: list[NDArray[Any]], rewards: list[float]
-                ) -> None:
+    def _replay(self, rules: Kinematics, observe: Callable[[RoomState], NDArray[Any]], episode: TapeEpisode,
+                every: bool, seen: list[NDArray[Any]], rewards: list[float]) -> None:
         """Append an episode's rewards, and observations of every state, or where decisions begin; check how it ends."""
         durations = self.tape.duration[episode.decisions].tolist()
         actions = self.tape.action[episode.primitives].tolist()
-        state = player.begin(int(self.tape.episode_seed[episode.number]))
-        seen.append(player.observe(state))
-        step, observe, at, end = player.rules.step, player.observe, 0, 0
+        state = begin_episode(rules, self.tape, episode.number)
+        seen.append(observe(state))
+        step, at, end = rules.step, 0, 0
         for duration in durations:
             for action in actions[at : at + duration]:
                 if end:
@@ -170,9 +177,9 @@ class DataSet:
                                 f"primitives and was recorded as {ENDS[self.tape.end[episode.number]]} after {at}; "
                                 "other rules recorded it")
 
-    def _make_decisions(self, episodes: list[_Episode], seen: list[NDArray[Any]], rewards: list[float], gamma: float
+    def _make_decisions(self, episodes: list[TapeEpisode], seen: list[NDArray[Any]], rewards: list[float], gamma: float
                         ) -> Decisions:
-        tape, rows, after = self.tape, _cover(episodes), _skip_last([len(_range(e.decisions)) for e in episodes])
+        tape, rows, after = self.tape, _cover(episodes), _skip_last(each.decisions for each in episodes)
         duration = tape.duration[rows].astype(np.int64)
         discounted, summed = _discount(np.array(rewards), duration, gamma)
         powers = np.array([gamma**k for k in range(int(duration.max()) + 1)])
@@ -186,10 +193,10 @@ class DataSet:
                          duration, powers[duration], observation[after + 1], mask[after + 1], terminated, last,
                          trajectory, tape.ended[rows].astype(np.int64))
 
-    def _make_primitives(self, episodes: list[_Episode], seen: list[NDArray[Any]], rewards: list[float], gamma: float
+    def _make_primitives(self, episodes: list[TapeEpisode], seen: list[NDArray[Any]], rewards: list[float], gamma: float
                          ) -> Primitives:
         del gamma
-        tape, rows, after = self.tape, _cover(episodes), _skip_last([len(_range(e.primitives)) for e in episodes])
+        tape, rows, after = self.tape, _cover(episodes), _skip_last(each.primitives for each in episodes)
         duration = tape.duration[rows].astype(np.int64)
         ends, count = np.cumsum(duration), len(rewards)
         terminated, last, trajectory = self._find_ends(episodes, rows)
@@ -204,7 +211,7 @@ class DataSet:
                           np.repeat(trajectory, duration), np.repeat(tape.option[rows].astype(np.int64), duration),
                           begins)
 
-    def _find_ends(self, episodes: list[_Episode], rows: slice
+    def _find_ends(self, episodes: list[TapeEpisode], rows: slice
                    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
         """Flags of the decisions that terminate and that are a trajectory's last, and the number of the trajectory."""
         tape = self.tape
@@ -220,19 +227,6 @@ class DataSet:
         last = self.tape.cut != 0
         last[np.cumsum(self.tape.decisions) - 1] = True
         return np.concatenate([[0], np.cumsum(last)[:-1]]).astype(np.int64)
-
-
-class _Player:
-    """Replays in one room."""
-
-    def __init__(self, index: int, room: RoomInstance, observation: str, is_vector: bool) -> None:
-        self.index, self._room, self.rules = index, room, Kinematics(room)
-        self.observe = make_observer(observation, self.rules, None if is_vector else make_renderer(room)).observe
-
-    def begin(self, seed: int) -> RoomState:
-        """First state of the episode of a seed."""
-        number, key = draw_episode(seed, 0, len(self._room.starts))
-        return self.rules.make_state(self._room.starts[number], key)
 
 
 def load_data(name: str | PathLike[str] | Tape, observation: str = "objects", level: DataLevel = "decisions",
@@ -277,19 +271,15 @@ def _discount(rewards: NDArray[np.float64], duration: NDArray[np.int64], gamma: 
     return discounted, summed
 
 
-def _range(part: slice) -> range:
-    return range(part.start, part.stop)
-
-
-def _cover(episodes: list[_Episode]) -> slice:
+def _cover(episodes: list[TapeEpisode]) -> slice:
     """Decisions of neighbouring episodes."""
     return slice(episodes[0].decisions.start, episodes[-1].decisions.stop)
 
 
-def _skip_last(counts: list[int]) -> NDArray[np.int64]:
+def _skip_last(steps: Iterable[slice]) -> NDArray[np.int64]:
     """Places of all states but each episode's last, where an episode of n steps shows n + 1 states."""
-    steps = np.arange(sum(counts))
-    return steps + np.repeat(np.arange(len(counts)), counts)
+    counts = [each.stop - each.start for each in steps]
+    return np.arange(sum(counts)) + np.repeat(np.arange(len(counts)), counts)
 
 
 def _join(kind: Any, blocks: list[Any]) -> Any:

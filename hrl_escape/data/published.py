@@ -29,23 +29,14 @@ PUBLISHED = SHIPPED / "published.toml"
 
 @dataclasses.dataclass(frozen=True)
 class PublishedTape:
-    """A published tape as it is known before it is recorded here.
+    """A published tape as it is known before it is recorded here."""
 
-    Attributes:
-        content: `Tape.content`.
-        bytes: size of its file; another zlib may give another.
-        primitives: in it.
-        decisions: in it.
-        episodes: in it.
-        scores: those of its card, rounded.
-    """
-
-    content: str
-    bytes: int
-    primitives: int
-    decisions: int
-    episodes: int
-    scores: Mapping[str, float]
+    content: str  # `Tape.content`
+    bytes: int  # size of its file; another zlib may give another
+    primitives: int  # in it
+    decisions: int  # in it
+    episodes: int  # in it
+    scores: Mapping[str, float]  # those of its card, rounded
 
 
 def read_published() -> Mapping[str, PublishedTape]:

@@ -57,19 +57,6 @@ ActionRule: TypeAlias = Callable[[Any, NDArray[np.bool_], np.random.Generator, b
 """(observation, legal actions, generator, whether the episode begins) -> action."""
 
 
-class ActionLog(gymnasium.Wrapper):
-    """Keeps the primitives (`actions`, since the list was emptied) that pass through it, below an `OptionsEnv`."""
-
-    def __init__(self, env: gymnasium.Env) -> None:
-        super().__init__(env)
-        self.actions: list[int] = []
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Note the primitive and pass it on."""
-        self.actions.append(int(action))
-        return self.env.step(action)
-
-
 class TapeWriter:
     """Episodes as they are recorded, and the tape of them; begins with those of another tape where one is given."""
 
@@ -146,7 +133,7 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
     total, part = primitives or spec.primitives, path.with_suffix(".part")
     rooms = parse_room_set(text := spec.list_rooms(total))
     share = -(-total // len(rooms))
-    env, log, choose = _make_behaviour(spec, rooms, path.with_suffix(".medium"))
+    env, choose = _make_behaviour(spec, rooms, path.with_suffix(".medium"))
     command = f"hrl-escape data make {spec.name}" + (f" --primitives {primitives}" if primitives else "")
     about = {**make_about(spec.name, spec.kind, text, rooms, env, command),
              "asked_primitives": total}
@@ -158,7 +145,7 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
             episode, done = writer.count_in(room)
             while done < share:
                 seed = derive_seed("data", spec.name, str(room), episode)
-                done += _record_episode(writer, env, log, choose, spec.kind, seed, room, share - done)
+                done += _record_episode(writer, env, choose, spec.kind, seed, room, share - done)
                 episode += 1
                 report(len(writer), f"room {room + 1} of {len(rooms)}")
                 if time.monotonic() - saved > SAVE_SECONDS:
@@ -178,8 +165,8 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
     return tape
 
 
-def _record_episode(writer: TapeWriter, env: gymnasium.Env, log: ActionLog, choose: ActionRule, kind: str, seed: int,
-                    room: int, most: int) -> int:
+def _record_episode(writer: TapeWriter, env: gymnasium.Env, choose: ActionRule, kind: str, seed: int, room: int,
+                    most: int) -> int:
     """Record one episode, cut where it reaches `most` primitives; returns how many it ran."""
     rng = np.random.default_rng(seed)
     observation, info = env.reset(seed=seed, options={"instance_index": room})
@@ -188,13 +175,13 @@ def _record_episode(writer: TapeWriter, env: gymnasium.Env, log: ActionLog, choo
     legal = _read_mask(info, env)
     while not end and count < most:
         action = choose(observation, legal, rng, decisions == 0)
-        log.actions.clear()
         observation, _, terminated, truncated, info = env.step(action)
         end = 1 if terminated else 2 if truncated else 0
-        count, decisions, left = count + len(log.actions), decisions + 1, left - 1
+        primitives = [int(step.action) for step in env.last_steps] if isinstance(env, OptionsEnv) else [action]
+        count, decisions, left = count + len(primitives), decisions + 1, left - 1
         cuts = kind == "stitch" and left == 0
         ended = info["option"]["ended"] if "option" in info else "reached"
-        writer.add_decision(action, legal, list(log.actions), ended, cut=cuts)
+        writer.add_decision(action, legal, primitives, ended, cut=cuts)
         legal = _read_mask(info, env)
         left = int(rng.integers(1, 3)) if cuts else left
     writer.end_episode(seed, room, decisions, legal, end)
@@ -209,18 +196,24 @@ def _read_mask(info: Mapping[str, Any], env: gymnasium.Env) -> NDArray[np.bool_]
 # --- behaviours ------------------------------------------------------------------------------
 
 
-def _make_behaviour(spec: DataSpec, rooms: InstanceSet, folder: Path) -> tuple[gymnasium.Env, ActionLog, ActionRule]:
-    """The environment of a kind, its log of primitives, and its choices."""
-    log = ActionLog(rooms.make_env(observation="objects" if spec.kind == "medium" else "features"))
+def _make_behaviour(spec: DataSpec, rooms: InstanceSet, folder: Path) -> tuple[gymnasium.Env, ActionRule]:
+    """The environment of a kind, and its choices."""
+    room = rooms.make_env(observation="objects" if spec.kind == "medium" else "features")
     if spec.kind == "explore":
-        return log, log, _choose_any
+        return room, _choose_any
     degradation = OptionDegradation(failure=FAILURE) if spec.kind == "noisy" else None
-    env = OptionsEnv(log, degradation, include_primitives=False)
+    env = OptionsEnv(room, degradation, include_primitives=False)
     if spec.kind == "expert":
-        return env, log, _Expert(env)
-    if spec.kind == "medium":
-        return env, log, _Medium(train_medium(rooms[:MEDIUM_ROOMS], folder))
-    return env, log, _choose_any
+        return env, _Expert(env)
+    if spec.kind != "medium":
+        return env, _choose_any
+    agent = train_medium(rooms[:MEDIUM_ROOMS], folder)
+
+    def choose(observation: Any, legal: NDArray[np.bool_], rng: np.random.Generator, begins: bool) -> int:
+        """The agent's greedy choice, but for one in ten."""
+        return sample_legal(legal, rng) if rng.random() < RANDOM_SHARE else agent.act_greedy(observation, legal, rng)
+
+    return env, choose
 
 
 def _choose_any(observation: Any, legal: NDArray[np.bool_], rng: np.random.Generator, begins: bool) -> int:
@@ -245,18 +238,6 @@ class _Expert:
             if goal in goals and legal[goals.index(goal)]:
                 return goals.index(goal)
         return sample_legal(legal, rng)
-
-
-class _Medium:
-    """A trained agent's greedy choice, but for one in ten."""
-
-    def __init__(self, agent: Agent) -> None:
-        self._agent = agent
-
-    def __call__(self, observation: Any, legal: NDArray[np.bool_], rng: np.random.Generator, begins: bool) -> int:
-        if rng.random() < RANDOM_SHARE:
-            return sample_legal(legal, rng)
-        return self._agent.act_greedy(observation, legal, rng)
 
 
 class HalfWay(Stateful):

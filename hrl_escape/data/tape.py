@@ -170,14 +170,9 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, dtype: type) -> np.
         shape, _, found = npy.read_array_header_1_0(file)
         claimed = int(np.prod(shape, dtype=object)) * found.itemsize
         if len(shape) != 1 or found != np.dtype(dtype) or claimed != member.file_size - file.tell():
-            raise ValueError(f"{member.filename} claims {show(shape)} of {found}, in {member.file_size:,} bytes")
-        content = file.read(claimed)
-        return np.frombuffer(content, dtype)
-
-
-def show(shape: tuple[int, ...]) -> str:
-    """Words for a shape."""
-    return " x ".join(f"{side:,}" for side in shape) or "one number"
+            sides = " x ".join(f"{side:,}" for side in shape) or "one number"
+            raise ValueError(f"{member.filename} claims {sides} of {found}, in {member.file_size:,} bytes")
+        return np.frombuffer(file.read(claimed), dtype)
 
 
 def _check_version(about: Mapping[str, Any]) -> None:

@@ -181,13 +181,9 @@ def _measure_depths(family: GraphFamily) -> NDArray[np.int64]:
 
 def condition_on_room(family: GraphFamily, config: ButtonsConfig, room: RoomInstance,
                       odds: NDArray[np.float64] | None = None) -> GraphFamily:
-    """The graphs that may be a room's before its first press, by its marks and by where its buttons hang.
+    """The graphs of a schematic's family that may be a room's before its first press, by its marks and places.
 
-    Args:
-        family: every graph of the schematic.
-        config: its puzzle.
-        room: one of its rooms.
-        odds: probability of each motif of marks, (motifs,); all alike by default.
+    `config` is the schematic's puzzle, `odds` the probability of each motif of marks, (motifs,); all alike by default.
     """
     assert isinstance(room.puzzle, ButtonsPuzzle)
     return condition_on_places(condition_on_marks(family, config.marks, room.puzzle.marks, odds), config.sections,
@@ -198,11 +194,7 @@ def infer_motif(family: GraphFamily, rules: MarksConfig, marks: tuple[int, ...],
                 odds: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
     """Probability of each motif of marks, (motifs,), by the graphs that are still possible in a room.
 
-    Args:
-        family: these graphs, as likely as `condition_on_marks` and all presses since made them.
-        rules: the schematic's marks.
-        marks: of the room's buttons.
-        odds: those before the room; all alike by default.
+    These are as likely as `condition_on_marks` and all presses since made them. `odds` are those before the room.
     """
     by_motif = rules.compute_motif_likelihood(marks, _classify(family, rules))
     by_motif *= 1.0 if odds is None else odds[:, None]
@@ -213,11 +205,7 @@ def condition_on_marks(family: GraphFamily, rules: MarksConfig, marks: tuple[int
                        odds: NDArray[np.float64] | None = None) -> GraphFamily:
     """The graphs that the marks of a room allow, as likely as these make them; the same family where they say nothing.
 
-    Args:
-        family: every graph of the schematic.
-        rules: the schematic's marks, whose code is known.
-        marks: of the room's buttons; none without marks.
-        odds: probability of each motif, (motifs,); all alike by default.
+    The code of the marks is known. `odds` are the probabilities of the motifs, (motifs,); all alike by default.
     """
     if not marks or rules.shuffled:
         return family
@@ -499,11 +487,7 @@ class BeliefGraph:
                             ) -> NDArray[np.float32]:
         """Expected primitives to the exit after a press, float32 (beliefs, places); infinite where it is in vain.
 
-        Args:
-            costs: from the beliefs that the press leads to.
-            beliefs: numbers of the beliefs before it.
-            button: the button that is pressed.
-            ways: lengths of ways.
+        `costs` are those from the beliefs that it leads to, `beliefs` the numbers of those before it.
         """
         opens, lights, fails, resets = (odds[beliefs, button, None] for odds in
                                         (self.opens, self.lights, self.fails, self.resets))
@@ -514,10 +498,8 @@ class BeliefGraph:
         return np.where(opens + lights > 0, after, np.float32(np.inf))
 
 
-@lru_cache(maxsize=8)
-def make_belief_graph(family: GraphFamily) -> BeliefGraph:
-    """The belief graph of a family, kept for the next room."""
-    return BeliefGraph(family)
+_make_belief_graph = lru_cache(maxsize=8)(BeliefGraph)
+"""The belief graph of a family, kept for the next room."""
 
 
 def split_mistakes(rules: NDArray[np.int64], mistaken: NDArray[np.bool_], lit: int) -> list[NDArray[np.bool_]]:
@@ -600,7 +582,7 @@ class _Mind:
         if puzzle.count <= MOST_BUTTONS - min(doubts, 1 if config.graph.kind == "chain" else 2):  # chains are few
             family = make_family(self._config, puzzle.count)
             self._family = condition_on_room(family, config, room, odds)
-            make = make_belief_graph if self._family is family else BeliefGraph  # one for all rooms, or the room's own
+            make = _make_belief_graph if self._family is family else BeliefGraph  # one for all rooms, or the room's own
             self._graph = make(self._family)
             self._ways = measure_ways(self._planner)
             self._costs = self._graph.solve(self._ways)
@@ -633,7 +615,7 @@ class _Mind:
     def choose(self, state: RoomState, targets: Sequence[int]) -> int:
         """The button to press next, among those whose options may be taken."""
         lit = _get_bits(state)
-        legs = np.array([_count_primitives(self._planner, state, PressGoal(target)) for target in targets])
+        legs = np.array([_go(self._planner, state, PressGoal(target))[1] for target in targets])
         belief = None if self._graph is None else self._graph.find(lit, self._graphs)
         if self._graph is not None and belief is not None:
             at, count = np.array([belief]), self._puzzle.count
@@ -674,13 +656,12 @@ def measure_ways(planner: RoomPlanner) -> Ways:
     legs = np.full(((count + 1) * count, count), _NO_WAY, np.float32)
     leaving = np.full((count + 1) * count, _NO_WAY, np.float32)
     start = planner.rules.make_state(room.starts[0])._replace(puzzle=(1 << count) - 1)
-    states = [*(_find_end(planner, start, PressGoal(target)) for target in range(count)), start]
-    for before, button in itertools.product(range(count + 1), range(count)):
-        state = states[before] and _find_end(planner, states[before], PressGoal(button))
+    states = [*(_go(planner, start, PressGoal(target))[0] for target in range(count)), start]
+    for place, (before, button) in enumerate(itertools.product(states, range(count))):
+        state = before and _go(planner, before, PressGoal(button))[0]
         if state is not None:
-            place = before * count + button
-            legs[place] = [_count_primitives(planner, state, PressGoal(other)) for other in range(count)]
-            leaving[place] = _count_primitives(planner, state, ExitGoal())
+            legs[place] = [_go(planner, state, PressGoal(other))[1] for other in range(count)]
+            leaving[place] = _go(planner, state, ExitGoal())[1]
     arrivals = np.tile(np.arange(count) * count, count + 1)[:, None] + np.arange(count)
     return Ways(legs, arrivals, leaving, failure=room.reward.exit / -room.reward.step if room.reward.step < 0 else 0.0)
 
@@ -690,15 +671,10 @@ def _get_bits(state: RoomState) -> int:
     return cast(int, state.puzzle)
 
 
-def _find_end(planner: RoomPlanner, state: RoomState, goal: Goal) -> RoomState | None:
+def _go(planner: RoomPlanner, state: RoomState, goal: Goal) -> tuple[RoomState | None, float]:
+    """State at the end of a planned way, and its primitives; none, and `_NO_WAY`, where the planner finds no way."""
     try:
-        return planner.plan(state, goal).states[-1]
+        plan = planner.plan(state, goal)
+        return plan.states[-1], float(plan.cost)
     except PlanningFailed:
-        return None
-
-
-def _count_primitives(planner: RoomPlanner, state: RoomState, goal: Goal) -> float:
-    try:
-        return float(planner.plan(state, goal).cost)
-    except PlanningFailed:
-        return _NO_WAY
+        return None, _NO_WAY

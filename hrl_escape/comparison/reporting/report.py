@@ -19,7 +19,7 @@ import shlex
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -28,12 +28,12 @@ from numpy.typing import NDArray
 
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.inference import ALPHA, Pair
+from hrl_escape.comparison.inference import ALPHA, Estimate, Pair
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
 from hrl_escape.comparison.runs import RunResult, get_room_file, get_training_folder, read_episodes
 from hrl_escape.comparison.statistics import compute_iqm, compute_score
-from hrl_escape.comparison.summary import PROFILE, AgentSummary, Curve, Summary, summarise
+from hrl_escape.comparison.summary import PROFILE, AgentSummary, Curve, RoomSummary, Summary, summarise
 from hrl_escape.comparison.verdict import Sentence, find_leader, write_verdict
 from hrl_escape.env.drawing.maps import make_map
 from hrl_escape.env.drawing.moving_map import PLAYER, PLAYER_COLOURS, describe_room
@@ -167,10 +167,19 @@ def write_report(comparison: Comparison, command: str) -> Summary:
     return summary
 
 
+class _Entry(NamedTuple):
+    """An agent on the page."""
+
+    agent: AgentSummary
+    look: AgentStyle
+    chip: Markup  # its label, in its colours
+
+
 def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
     """The page as text."""
-    agent_styles = choose_styles([agent.spec for agent in summary.agents])
-    chips = {agent.label: _make_chip(agent, look) for agent, look in zip(summary.agents, agent_styles, strict=True)}
+    looks = choose_styles([agent.spec for agent in summary.agents])
+    entries = [_Entry(agent, look, _make_chip(agent, look)) for agent, look in zip(summary.agents, looks, strict=True)]
+    chips = {entry.agent.label: entry.chip for entry in entries}
     verdict = [(sentence.kind, _mark_agents(sentence.text, chips)) for sentence in write_verdict(summary)]
     replays = choose_replays(comparison)
     leader = find_leader(summary.agents)
@@ -181,7 +190,7 @@ def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
         grid=summary.grid,
         css=_read("report.css", "moving_map.css"),
         script=_read(*SCRIPTS),
-        data=embed_json(make_page_data(summary, agent_styles, replays)),
+        data=embed_json(make_page_data(summary, entries, replays)),
         headline=verdict[0][1],
         findings=[text for kind, text in verdict if kind == "finding"],
         cautions=[text for kind, text in verdict if kind == "caution"],
@@ -189,16 +198,17 @@ def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
         viewings=[] if hero is None or leader.spec.is_reference else _list_viewings(comparison, replays[hero]),
         hero_caption="" if hero is None else _describe_hero(replays[hero], chips[leader.label]),
         facts=_list_facts(summary),
-        rows=[_make_row(agent, look, chips[agent.label], agent is leader)
-              for agent, look in zip(summary.agents, agent_styles, strict=True)],
-        by_room=_make_room_rows(summary, chips) if len(summary.rooms) > 1 else [],
-        odds=_make_odds(summary, chips),
-        rooms=[_describe_room(summary, number, agent_styles, chips) for number in range(len(summary.rooms))],
+        entries=entries,
+        leader=leader,
+        by_room=[(entry.chip, _list_room_cells(summary, entry.agent)) for entry in entries],
+        odds=[(entry, _list_odds_cells(summary, number)) for number, entry in enumerate(entries)],
+        rooms=[_describe_room(room, number, entries) for number, room in enumerate(summary.rooms)],
         settings=_list_settings(summary),
         versions=summary.versions.items(),
-        failures=[{"name": failure.run.name, "message": failure.message, "traceback": failure.traceback}
-                  for failure in comparison.failures],
+        failures=comparison.failures,
         command=command,
+        describe_kind=describe_kind, format_first_escape=format_first_escape, place_bar=_place_bar,
+        tell_seconds=tell_seconds, to_json=json.dumps,
     )
 
 
@@ -273,72 +283,47 @@ def _list_facts(summary: Summary) -> list[tuple[str, str]]:
     ]
 
 
-def _make_row(agent: AgentSummary, look: AgentStyle, chip: Markup, leads: bool) -> dict[str, Any]:
-    low, high = (100 * min(max(end, 0.0), 1.0) for end in (agent.efficiency.low, agent.efficiency.high))
-    failed = f", {agent.failed} failed" if agent.failed else ""
-    return {
-        "chip": chip,
-        "kind": describe_kind(agent.spec) + failed,
-        "leads": leads,
-        "efficiency": f"{agent.efficiency.value:.3f}",
-        "interval": f"{agent.efficiency.low:.3f} to {agent.efficiency.high:.3f}",
-        "progress": f"{agent.progress.value:.2f}",
-        "score": f"{agent.score.value:.3f}",
-        "low": f"{min(low, 99):.2f}",
-        "width": f"{max(high - low, 0):.2f}",
-        "colour": look.colour,
-        "seen": "" if agent.seen is None else f"{agent.seen.value:.3f}",
-        "success": f"{agent.success.value:.0%}",
-        "wilson": f"{agent.success.low:.0%} to {agent.success.high:.0%}",
-        "length": f"{agent.length.value:,.0f}",
-        "area": f"{agent.area.value:.3f}",
-        "first_escape": format_first_escape(agent),
-        "stuck": f"{round(agent.stuck * agent.runs)} of {agent.runs}",
-        "options_gap": f"{agent.gap.options:.3f}",
-        "learning_gap": f"{agent.gap.learning:.3f}",
-        "settings": [(name, json.dumps(value)) for name, value in agent.settings.items()],
-        "cost": f"{agent.decisions:,.0f} decisions, {agent.planner_calls:,.0f} planner calls and "
-                f"{tell_seconds(agent.seconds)} of training a run, {tell_seconds(agent.planner_seconds)} of it "
-                "in planners",
-    }
+def _place_bar(estimate: Estimate) -> str:
+    """Style of the bar from an interval's lower to its upper end, on a scale from 0 to 1."""
+    low, high = (100 * min(max(end, 0.0), 1.0) for end in (estimate.low, estimate.high))
+    return f"left:{min(low, 99):.2f}%;width:{max(high - low, 0):.2f}%"
 
 
-def _make_room_rows(summary: Summary, chips: dict[str, Markup]) -> list[dict[str, Any]]:
-    rows = []
-    for agent in summary.agents:
-        cells = []
-        for room, scores in zip(summary.rooms, agent.efficiencies, strict=True):
-            if not len(scores):
-                cells.append({"text": "-", "style": "", "title": f"{agent.label} has no result in {room.name}"})
-                continue
-            score = float(compute_iqm([scores]))
-            runs = ", ".join(f"{value:.3f}" for value in sorted(scores))
-            cells.append({"text": f"{score:.3f}", "style": _tint(BETTER, min(max(score, 0), 1)),
-                          "title": f"{agent.label} in {room.name}: {runs}"})
-        rows.append({"chip": chips[agent.label], "cells": cells})
-    return rows
+class _Cell(NamedTuple):
+    """Cell of a table whose colour tells its number."""
+
+    text: str
+    style: str = ""
+    title: str = ""
 
 
-def _make_odds(summary: Summary, chips: dict[str, Markup]) -> list[dict[str, Any]]:
-    rows = []
-    for first, odds in zip(summary.agents, summary.pairs, strict=True):
-        cells = [
-            {"text": "", "style": "", "title": ""} if first is second else _make_odds_cell(first, second, pair)
-            for second, pair in zip(summary.agents, odds, strict=True)
-        ]
-        rows.append({"chip": chips[first.label], "short": first.label, "cells": cells})
-    return rows
+def _list_room_cells(summary: Summary, agent: AgentSummary) -> list[_Cell]:
+    """An agent's efficiency in each room."""
+    cells = []
+    for room, scores in zip(summary.rooms, agent.efficiencies, strict=True):
+        if not len(scores):
+            cells.append(_Cell("-", title=f"{agent.label} has no result in {room.name}"))
+            continue
+        score = float(compute_iqm([scores]))
+        runs = ", ".join(f"{value:.3f}" for value in sorted(scores))
+        tint = _tint(BETTER, min(max(score, 0), 1))
+        cells.append(_Cell(f"{score:.3f}", tint, f"{agent.label} in {room.name}: {runs}"))
+    return cells
 
 
-def _make_odds_cell(first: AgentSummary, second: AgentSummary, pair: Pair) -> dict[str, Any]:
+def _list_odds_cells(summary: Summary, number: int) -> list[_Cell]:
+    """How often an agent, by its number, is above each."""
+    first = summary.agents[number]
+    return [_Cell("") if first is second else _make_odds_cell(first, second, pair)
+            for second, pair in zip(summary.agents, summary.pairs[number], strict=True)]
+
+
+def _make_odds_cell(first: AgentSummary, second: AgentSummary, pair: Pair) -> _Cell:
     odds, gain = pair.improvement, pair.difference
     tint = _tint(BETTER if odds.value > 0.5 else WORSE if odds.value < 0.5 else EVEN, abs(odds.value - 0.5) * 2)
-    return {
-        "text": f"{odds.value:.2f}",
-        "style": tint + (";font-weight:700" if pair.p < ALPHA else ""),
-        "title": f"{first.label} above {second.label} in {odds.value:.3f} of {pair.count} pairs; difference of "
-                 f"efficiency {gain:+.3f}, corrected p {pair.p:.3g}",
-    }
+    return _Cell(f"{odds.value:.2f}", tint + (";font-weight:700" if pair.p < ALPHA else ""),
+                 f"{first.label} above {second.label} in {odds.value:.3f} of {pair.count} pairs; difference of "
+                 f"efficiency {gain:+.3f}, corrected p {pair.p:.3g}")
 
 
 def _tint(colour: tuple[int, int, int], strength: float) -> str:
@@ -367,16 +352,10 @@ def _list_settings(summary: Summary) -> list[tuple[str, str]]:
 # --- rooms -----------------------------------------------------------------------------
 
 
-def _describe_room(summary: Summary, number: int, agent_styles: Sequence[AgentStyle], chips: dict[str, Markup]
-                   ) -> dict[str, Any]:
-    room = summary.rooms[number]
+def _describe_room(room: RoomSummary, number: int, entries: Sequence[_Entry]) -> dict[str, Any]:
     instance = room.instance
-    ranks = [
-        {"chip": chips[agent.label], "score": f"{score:.3f}", "width": f"{100 * min(max(score, 0), 1):.1f}",
-         "colour": look.colour, "rank": -score}
-        for agent, look in zip(summary.agents, agent_styles, strict=True) if len(agent.efficiencies[number])
-        for score in [float(compute_iqm([agent.efficiencies[number]]))]
-    ]
+    scores = [(float(compute_iqm([entry.agent.efficiencies[number]])), entry) for entry in entries
+              if len(entry.agent.efficiencies[number])]
     puzzle = instance.puzzle
     edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in get_trait(puzzle, Graphed).edges]
     words = [f"{2 * instance.half_width:g} \N{MULTIPLICATION SIGN} {2 * instance.half_depth:g} m"]
@@ -389,7 +368,7 @@ def _describe_room(summary: Summary, number: int, agent_styles: Sequence[AgentSt
         "id": instance.id,
         "words": f"{'; '.join(words)}.{ends}{split}",
         "picture": _embed_picture(instance),
-        "ranks": sorted(ranks, key=lambda row: row["rank"]),
+        "ranks": sorted(scores, key=lambda row: -row[0]),
     }
 
 
@@ -405,8 +384,7 @@ def _embed_picture(instance: Any) -> str:
 BEST, MEDIAN = "best", "median"
 
 
-def make_page_data(summary: Summary, agent_styles: Sequence[AgentStyle], replays: Sequence[dict[str, Any]]
-                   ) -> dict[str, Any]:
+def make_page_data(summary: Summary, entries: Sequence[_Entry], replays: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Collect what the page's scripts need."""
     rooms = [describe_room(room.instance) for room in summary.rooms]
     for replay in replays:
@@ -414,7 +392,7 @@ def make_page_data(summary: Summary, agent_styles: Sequence[AgentStyle], replays
         chosen = {name for name, _, _ in replay["decisions"]}.difference(primitives)
         room["options"] = sorted(chosen.union(room["options"]))
     return {
-        "agents": [_describe_agent(agent, look) for agent, look in zip(summary.agents, agent_styles, strict=True)],
+        "agents": [_describe_agent(entry.agent, entry.look) for entry in entries],
         "thresholds": PROFILE.tolist(),
         "rooms": rooms,
         "replays": list(replays),
