@@ -205,10 +205,33 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
         FileWriteError: the folder cannot be written.
         EscapeError: no such room, agent or setting.
     """
-    places, runs = _make_runs(grid)
-    out = Path(out).absolute()
+    places, every = _make_runs(grid)
+    runs, out = shard.choose(every), Path(out).absolute()
+    console = console or Console(stderr=True, highlight=False)
     with _lock(out, shard):
-        return _run(grid, places, shard.choose(runs), out, launcher, console, shard == WHOLE)
+        shared = [out, out / "rooms"] if shard == WHOLE else []  # where other parts may be writing at this moment
+        for folder in (*shared, *(get_run_folder(out, run) for run in runs)):
+            clear_unfinished(folder)
+        write_json(out / "grid.json", grid.to_dict())
+        for place in places:
+            place.save(out / "rooms")
+        monitor, unfinished = Monitor(runs, console), []
+        for run in runs:
+            result = _read_finished(out, run, console)
+            if result is None:
+                unfinished.append(run)
+            else:
+                monitor.keep(run, result)
+        if len(unfinished) < len(runs):
+            console.print(f"{len(runs) - len(unfinished)} of {len(runs)} runs were finished before and are kept")
+        else:
+            console.print(describe_cost(grid, places))
+        with monitor.watch():
+            (launcher or LocalLauncher()).run(unfinished, out, monitor)
+    order = {run.folder: number for number, run in enumerate(runs)}
+    finished = sorted(monitor.results, key=lambda result: order[result[0].folder])
+    failures = sorted(monitor.failures, key=lambda failure: order[failure.run.folder])
+    return Comparison(grid, places, tuple(finished), tuple(failures), out)
 
 
 def read_comparison(out: str | os.PathLike[str], grid: Grid | None = None) -> Comparison:
@@ -242,35 +265,6 @@ def _make_runs(grid: Grid) -> tuple[tuple[RunPlace, ...], list[GridRun]]:
     """Make the places and the runs of a grid, which refuses impossible ones."""
     places = grid.make_places()
     return places, grid.make_runs(places)
-
-
-def _run(grid: Grid, places: tuple[RunPlace, ...], runs: Sequence[GridRun], out: Path, launcher: Launcher | None,
-         console: Console | None, is_alone: bool = True) -> Comparison:
-    console = console or Console(stderr=True, highlight=False)
-    shared = [out, out / "rooms"] if is_alone else []  # where other parts may be writing at this moment
-    for folder in (*shared, *(get_run_folder(out, run) for run in runs)):
-        clear_unfinished(folder)
-    write_json(out / "grid.json", grid.to_dict())
-    for place in places:
-        place.save(out / "rooms")
-    monitor = Monitor(runs, console)
-    unfinished = []
-    for run in runs:
-        result = _read_finished(out, run, console)
-        if result is None:
-            unfinished.append(run)
-        else:
-            monitor.keep(run, result)
-    if len(unfinished) < len(runs):
-        console.print(f"{len(runs) - len(unfinished)} of {len(runs)} runs were finished before and are kept")
-    else:
-        console.print(describe_cost(grid, places))
-    with monitor.watch():
-        (launcher or LocalLauncher()).run(unfinished, out, monitor)
-    order = {run.folder: number for number, run in enumerate(runs)}
-    finished = sorted(monitor.results, key=lambda result: order[result[0].folder])
-    failures = sorted(monitor.failures, key=lambda failure: order[failure.run.folder])
-    return Comparison(grid, places, tuple(finished), tuple(failures), out)
 
 
 @contextmanager

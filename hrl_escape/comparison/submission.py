@@ -571,9 +571,17 @@ class Check:
     version: str
 
 
-def save_record(path: Path, submission: Submission, check: Check) -> None:
-    """Write a submission without its agent's files, and how it was verified, as JSON."""
-    write_json(path, {"submission": submission.to_json(), "check": dataclasses.asdict(check)}, indent=None)
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """A submission without its agent's files, and how it was verified."""
+
+    submission: Submission
+    check: Check
+
+    def save(self, path: Path) -> None:
+        """Write it as JSON."""
+        value = {"submission": self.submission.to_json(), "check": dataclasses.asdict(self.check)}
+        write_json(path, value, indent=None)
 
 
 def describe_score(submission: Submission, rung: Rung) -> str:

@@ -121,12 +121,12 @@ def run_verify_submission(args: VerifySubmissionArgs) -> int:
     """
     from hrl_escape.comparison.submission import (  # loads what plays
         Check,
+        Record,
         describe_command,
         describe_package,
         describe_score,
         find_rung,
         read_submission,
-        save_record,
         verify_cells,
     )
 
@@ -146,7 +146,7 @@ def run_verify_submission(args: VerifySubmissionArgs) -> int:
     equal = sum(each.is_equal for each in checked)
     console.print(f"{equal} of {count_nouns(len(checked), 'room')} equal, drawn by --seed {seed}")
     if equal == len(checked) and args.record is not None:
-        save_record(args.record, submission, Check(len(checked), seed, package["version"]))
+        Record(submission, Check(len(checked), seed, package["version"])).save(args.record)
         console.print(f"wrote {make_console_text(str(args.record))}")
     return int(equal < len(checked))
 
