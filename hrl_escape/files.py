@@ -139,7 +139,12 @@ def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = 
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
-            _check_plain(os.fstat(descriptor), path, what, largest)
+            status = os.fstat(descriptor)
+            if kind := _name_kind(status):
+                raise FileReadError(f"{path}: cannot read this {what}: it is {kind}, and only plain files are read")
+            if status.st_size > largest:
+                raise FileReadError(f"{path}: this {what} has {status.st_size:,} bytes; at most {largest:,} are read "
+                                    "here")
             with os.fdopen(descriptor, "rb", closefd=False) as file:  # which refuses a folder in words of its own
                 yield file
         finally:
@@ -150,14 +155,6 @@ def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = 
         raise FileReadError(f"{path}: no such {what}") from error
     except (OSError, ValueError) as error:  # a ValueError is a NUL in the path
         raise FileReadError(f"{path}: cannot read this {what}: {getattr(error, 'strerror', None) or error}") from error
-
-
-def _check_plain(status: os.stat_result, path: Path, what: str, largest: int) -> None:
-    kind = _name_kind(status)
-    if kind:
-        raise FileReadError(f"{path}: cannot read this {what}: it is {kind}, and only plain files are read")
-    if status.st_size > largest:
-        raise FileReadError(f"{path}: this {what} has {status.st_size:,} bytes; at most {largest:,} are read here")
 
 
 def check_files(paths: Iterable[str], what: str, endings: Sequence[str], largest: int) -> None:

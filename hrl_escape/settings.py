@@ -209,10 +209,7 @@ class Settings:
         return cls(**data)
 
 
-SettingsType = TypeVar("SettingsType")
-
-
-def replace_settings(settings: SettingsType, changes: Mapping[str, Any]) -> SettingsType:
+def replace_settings(settings: Dataclass, changes: Mapping[str, Any]) -> Dataclass:
     """Copy of settings with some fields changed.
 
     Raises:
@@ -226,10 +223,7 @@ def replace_settings(settings: SettingsType, changes: Mapping[str, Any]) -> Sett
     return dataclasses.replace(settings, **changes)  # type: ignore[type-var]  # a frozen dataclass
 
 
-RecordType = TypeVar("RecordType")
-
-
-def read_record(kind: type[RecordType], data: Any, path: str = "") -> RecordType:
+def read_record(kind: type[Dataclass], data: Any, path: str = "") -> Dataclass:
     """Make a dataclass from a JSON table, with every field checked against its annotation.
 
     `path` is the table's in messages, dotted; the class's name by default.
@@ -348,11 +342,9 @@ def _make_reader(hint: Any, limits: Range | None = None) -> _Reader:
     if hint is int or hint is float:
         return _make_number_reader(hint, limits)
     kind = origin or hint
-    if issubclass(kind, Settings):
-        return _make_section_reader(kind)
-    words = {str: "text", dict: "a table"}.get(kind, f"a {kind.__name__}")
     if dataclasses.is_dataclass(kind):
-        return _make_record_reader(kind)
+        return _make_table_reader(kind)
+    words = {str: "text", dict: "a table"}.get(kind, f"a {kind.__name__}")
     return _make_test_reader(words, lambda value: isinstance(value, kind))
 
 
@@ -399,24 +391,20 @@ def _take_ranges(reader: _Reader) -> _Reader:
     return dataclasses.replace(reader, read=read)
 
 
-def _make_section_reader(kind: type[Settings]) -> _Reader:
-    allowed = "a table of fields"
+def _make_table_reader(kind: Any) -> _Reader:
+    """Reader of settings, whose own errors name the section, or of another dataclass, whose errors give the path."""
+    is_section, allowed = issubclass(kind, Settings), "a table of fields"
 
     def read(path: str, value: Any) -> Any:
         if isinstance(value, kind):
             return value
+        if not is_section:
+            return read_record(kind, value, path)
         if isinstance(value, Mapping):
             return kind.from_dict(value)
         raise _Refusal(path, value, allowed)
 
-    return _Reader(allowed, read, is_section=True)
-
-
-def _make_record_reader(kind: Any) -> _Reader:
-    def read(path: str, value: Any) -> Any:
-        return value if isinstance(value, kind) else read_record(kind, value, path)
-
-    return _Reader("a table of fields", read)
+    return _Reader(allowed, read, is_section)
 
 
 def _make_tuple_reader(hints: tuple[Any, ...]) -> _Reader:

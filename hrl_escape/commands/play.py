@@ -66,7 +66,6 @@ class PlayArgs(PageAddress, RoomChoice):
     hidden: bool = False
     """Hide which buttons wait for which: the graph shows what your presses prove, and all of it once you escape."""
 
-
     def make_episode(self, saved: SavedEpisode | None = None) -> Episode:
         """Episode in the room that is asked for, or in that of a saved one."""
         if saved is not None:

@@ -46,7 +46,10 @@ class RoomChoice:
             raise UnsupportedError("--arguments belong to a preset: with --config use --set")
         else:
             read = read_toml if self.config.suffix.lower() == ".toml" else read_json
-            table = {"name": self.config.stem} | _require_table(read(self.config, "schematic"))
+            content = read(self.config, "schematic")
+            if not isinstance(content, dict):
+                raise ConfigError("config", content, "a table of fields")
+            table = {"name": self.config.stem} | content
             _read_urdf(table, self.config.parent)
             config = RoomConfig.from_dict(table)
         if not self.set:
@@ -65,12 +68,6 @@ class RoomChoice:
         if self.config or self.set or self.arguments:
             raise UnsupportedError("--load takes a finished room: leave out --config, --set and --arguments")
         return RoomInstance.load(self.load)
-
-
-def _require_table(value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise ConfigError("config", value, "a table of fields")
-    return value
 
 
 def _read_urdf(fields: dict[str, Any], folder: Path) -> None:

@@ -23,7 +23,7 @@ from hrl_escape.comparison.statistics import Floats, Scores, compute_iqm
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.errors import ConfigError
 from hrl_escape.ladder.benchmark import Benchmark
-from hrl_escape.ladder.room_sets import TOWER_HORIZON, join_floors, list_sets
+from hrl_escape.ladder.room_sets import ABOVE, TOWER_HORIZON, list_sets
 from hrl_escape.text.settings import TOOLS
 
 LEAST_HEADROOM = 0.05
@@ -200,7 +200,7 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
             raise ConfigError(field, number, f"from 1 to {most}, the rooms that {role} of every floor has")
 
     def name_rooms(role: str, number: int) -> str:
-        text = join_floors(f"{bench.source}/{rung}/{role}[:{number}]" for rung in rungs)
+        text = ABOVE.join(f"{bench.source}/{rung}/{role}[:{number}]" for rung in rungs)
         return f"{text} x {settings.floors}" if repeats else text
 
     primitives = settings.primitives or max(map(get_budget, rungs))

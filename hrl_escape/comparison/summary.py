@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -182,9 +182,8 @@ def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[F
     best: dict[tuple[float, ...], tuple[float, float, str]] = {}
     for run, result in runs:
         score_range = result.score_range
-        reached = zip(_find_best(result), _find_fewest(result), strict=True)
         known = zip(score_range.starts, score_range.best, score_range.fewest, strict=True)
-        for (start, value, fewest), (new_value, new_fewest) in zip(known, reached, strict=True):
+        for (start, value, fewest), (new_value, new_fewest) in zip(known, _find_reached(result), strict=True):
             found = best.setdefault(start, (value, fewest, score_range.source))
             if new_value > found[0] + 1e-9 or new_fewest < found[1]:
                 best[start] = max(found[0], new_value), min(found[1], new_fewest), run.agent.label
@@ -192,18 +191,15 @@ def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[F
             for run, result in runs]
 
 
-def _find_best(result: RunResult) -> list[float]:
-    """Best return of each evaluation episode over the run; minus infinity if it was never played."""
-    returns = np.array([evaluation.returns for evaluation in result.evaluations])
-    lengths = np.array([evaluation.lengths for evaluation in result.evaluations])
-    return np.where(lengths, returns, -np.inf).max(axis=0).tolist()
+def _find_reached(result: RunResult) -> Iterator[tuple[float, int]]:
+    """Best return, and fewest primitives of an escape, in each evaluation episode over the run.
 
-
-def _find_fewest(result: RunResult) -> list[int]:
-    """Fewest primitives of an escape in each evaluation episode over the run; the largest int64 if none escaped."""
-    lengths = np.array([evaluation.lengths for evaluation in result.evaluations])
-    escaped = np.array([evaluation.successes for evaluation in result.evaluations])
-    return np.where(escaped, lengths, np.iinfo(np.int64).max).min(axis=0).tolist()
+    Minus infinity if it was never played, and the largest int64 if none escaped.
+    """
+    returns, lengths, escaped = (np.array([getattr(evaluation, name) for evaluation in result.evaluations])
+                                 for name in ("returns", "lengths", "successes"))
+    return zip(np.where(lengths, returns, -np.inf).max(axis=0).tolist(),
+               np.where(escaped, lengths, np.iinfo(np.int64).max).min(axis=0).tolist(), strict=True)
 
 
 def _raise_range(score_range: ScoreRange, best: dict[tuple[float, ...], tuple[float, float, str]]) -> ScoreRange:
@@ -260,13 +256,15 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun]) -> Age
     horizon = max(place.instance.horizon for place in comparison.places)
     returns = collect(lambda result: _score(result, result.get_final("mean_return")))
     areas = collect(lambda result: compute_area(result.get_curve("primitives"), result.get_curve("efficiency"), budget))
+    seen = [np.array([result.seen_efficiency for result in room if result.seen_efficiency is not None])
+            for room in occupied]
     filled = iter(efficiencies)
     return AgentSummary(
         spec=run.agent,
         settings=run.settings,
         efficiencies=tuple(next(filled) if room else np.zeros(0) for room in rooms),
         efficiency=efficiency,
-        seen=_summarise_seen(occupied),
+        seen=_estimate(compute_iqm, seen) if all(map(len, seen)) else None,
         trials=tuple(_estimate(compute_iqm, collect(lambda result, number=number: result.trial_efficiencies[number]))
                      for number in range(min(len(result.trials) for result in results))),
         progress=describe("mean_progress", compute_mean),
@@ -287,12 +285,6 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun]) -> Age
         seconds=float(np.mean([result.seconds[-1] for result in results])),
         planner_seconds=float(np.mean([result.planner_seconds for result in results])),
     )
-
-
-def _summarise_seen(rooms: Sequence[Sequence[RunResult]]) -> Estimate | None:
-    seen = [np.array([result.seen_efficiency for result in room if result.seen_efficiency is not None])
-            for room in rooms]
-    return _estimate(compute_iqm, seen) if all(map(len, seen)) else None
 
 
 def _make_rng() -> np.random.Generator:

@@ -141,4 +141,3 @@ def _make_rows(part: Any) -> dict[str, Any]:
         rows |= {"durations": np.append(part.duration, 0), "discounts": np.append(part.discount, 1.0),
                  "action_masks": np.concatenate([part.mask, part.next_mask[-1:]])}
     return {name: np.asarray(values, np.float32) for name, values in rows.items()}
-

@@ -76,10 +76,6 @@ def compute_task_overlap(train: Sequence[str], test: Sequence[str]) -> float:
     return sum(task in known for task in test) / len(test)
 
 
-def _list_tasks(keys: Iterable[RoomKeys]) -> list[str]:
-    return [each.task for each in keys]
-
-
 def certify_rung(rung: Rung) -> RungCertificate:
     """Generate a rung's rooms and check them against the manifest and each other.
 
@@ -88,7 +84,8 @@ def certify_rung(rung: Rung) -> RungCertificate:
     """
     keys = {role: [compute_keys(room, rung.layouts) for room in rooms] for role, rooms in rung.sets.items()}
     roots = {role: compute_root([each.content for each in keys[role]]) for role in keys}
-    overlap = compute_task_overlap(_list_tasks(keys["train"]), _list_tasks(keys["test"]))
+    tasks = {role: [each.task for each in keys[role]] for role in keys}
+    overlap = compute_task_overlap(tasks["train"], tasks["test"])
     problems = [f"the root of {role} is {root[:16]}..., not {stated[:16]}..." for role, root in roots.items()
                 if root != (stated := getattr(rung.record, role).root)]
     problems += find_overlaps(keys)
@@ -98,7 +95,7 @@ def certify_rung(rung: Rung) -> RungCertificate:
         raise VerificationError(f"{rung.benchmark}/{rung.name}: {'; '.join(problems[:5])}"
                                 + (f"; and {len(problems) - 5} more" if len(problems) > 5 else ""))
     return RungCertificate(rung.name, {role: len(each) for role, each in keys.items()}, roots, overlap,
-                           {role: len(set(_list_tasks(each))) for role, each in keys.items()})
+                           {role: len(set(each)) for role, each in tasks.items()})
 
 
 __all__ = ["Benchmark", "list_benchmarks", "load_benchmark"]

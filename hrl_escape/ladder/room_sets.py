@@ -18,7 +18,7 @@ import dataclasses
 import hashlib
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import gymnasium
@@ -105,7 +105,8 @@ def _find(name: str) -> InstanceSet:
 
 TOWER_HORIZON = 20_000
 """Primitives of an episode, on all floors together."""
-_ABOVE = " + "
+ABOVE = " + "
+"""Stands in a tower's short text between a floor and the one above."""
 _REPEATED = re.compile(r"(.+) x (\d+)")
 
 
@@ -167,16 +168,11 @@ def list_sets(rooms: RoomSets) -> tuple[InstanceSet, ...]:
     return rooms.floors if isinstance(rooms, Tower) else (rooms,)
 
 
-def join_floors(texts: Iterable[str]) -> str:
-    """Short text of the tower whose floors have these short texts."""
-    return _ABOVE.join(texts)
-
-
 def parse_rooms(text: str) -> RoomSets:
     """Rooms of a short text: a set, with ` + ` between several the floors of a tower, with ` x 3` one that repeats."""
     if repeated := _REPEATED.fullmatch(text):
         return repeat_floor(parse_room_set(repeated[1].strip()), int(repeated[2]))
-    first, *above = (parse_room_set(part.strip()) for part in text.split(_ABOVE))
+    first, *above = (parse_room_set(part.strip()) for part in text.split(ABOVE))
     return Tower((first, *above)) if above else first
 
 

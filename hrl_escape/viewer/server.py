@@ -265,8 +265,6 @@ def _make_connection_class(guard: Guard) -> type:
     return GuardedConnection
 
 
-
-
 class Server(viser.ViserServer):
     """A viser server behind a guard, without the tunnel that would share it over the internet."""
 

@@ -193,12 +193,7 @@ def read_progress(out: Path, run: GridRun) -> int:
 def choose_workers(workers: int | None) -> int:
     """Number of processes to use, one a core by default; `ConfigError` for fewer than one."""
     if workers is None:
-        return count_cores()
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if workers < 1:
         raise ConfigError("workers", workers, "it must be a whole number, 1 or more; leave it out for one a core")
     return workers
-
-
-def count_cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -63,22 +63,17 @@ def work(run: GridRun, out: Path, checkpoint_seconds: float, answer: Connection)
 def run_guarded(run: GridRun, out: Path, checkpoint_seconds: float) -> dict[str, str] | None:
     """Execute a run and return the error that ended it, as `describe_error` has it: a full disk would take no file."""
     torch.set_num_threads(1)  # the runs fill the cores already, and sums split over threads differ in the last bit
-    try:
-        _run_patiently(run, out, checkpoint_seconds)
-    except Exception as error:
-        return describe_error(error)
-    return None
-
-
-def _run_patiently(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
     deadline = time.monotonic() + ORPHAN_SECONDS
     while True:
         try:
-            return execute_run(run, out, checkpoint_seconds)
-        except RunBusyError:
+            execute_run(run, out, checkpoint_seconds)
+            return None
+        except RunBusyError as error:
             if time.monotonic() > deadline:
-                raise
+                return describe_error(error)
             time.sleep(0.1)
+        except Exception as error:
+            return describe_error(error)
 
 
 def describe_error(error: Exception) -> dict[str, str]:

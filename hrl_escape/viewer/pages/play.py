@@ -166,7 +166,10 @@ class PlayPage:
         command = self.controls.press(asked) if isinstance(asked, str) else asked
         if command is None:
             return True
-        self._note = self._announce(command)
+        if command.verb == "act":
+            self._note = self.episode.names[command.action]
+        elif command.verb == "next":
+            self._note = "Making the next room"
         self._show_facts()
         room, was_over = self.episode.instance.id, self.episode.is_over
         try:
@@ -177,17 +180,12 @@ class PlayPage:
             self.page.enter(self.episode.instance, self.episode.state, self.episode.discovery)
             self._enter_room()
         if command.verb in ("undo", "reset", "next"):
-            self._show_state()
+            self.page.show(self.episode.state)
+            self.page.scene.draw_trail(self.episode.states)
         self._show_facts()
         if command.verb == "act" and was_over != self.episode.is_over and self.episode.end is EpisodeEnd.ESCAPED:
             self.page.celebrate(lambda: self._waiting.qsize() > 0)
         return command.verb != "quit"
-
-    def _announce(self, command: Command) -> str:
-        """Message while a command is carried out."""
-        if command.verb == "next":
-            return "Making the next room"
-        return self.episode.names[command.action] if command.verb == "act" else self._note
 
     def _show_step(self, step: PrimitiveStep) -> None:
         """Show a primitive while it runs, faster while keys are waiting."""
@@ -195,7 +193,3 @@ class PlayPage:
         self.page.move(step.after, self._stride / (1 + waiting))
         self.page.scene.draw_trail(self.episode.states)
         self._show_facts()
-
-    def _show_state(self) -> None:
-        self.page.show(self.episode.state)
-        self.page.scene.draw_trail(self.episode.states)

@@ -291,5 +291,3 @@ def run_in_thread(page: WatchPage) -> threading.Thread:
     thread = threading.Thread(target=page.run, daemon=True)
     thread.start()
     return thread
-
-
