@@ -67,7 +67,7 @@ def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent:
 
 
 def _has_noise(instance: RoomInstance) -> bool:
-    """Whether scales are expectations."""
+    """Return whether scales are expectations."""
     return instance.dynamics.is_random and instance.dynamics.kind == "kinematic"
 
 

@@ -28,7 +28,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.commands.launching import LaunchArgs
+from hrl_escape.commands.compare import LaunchArgs
 from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.protocols import (

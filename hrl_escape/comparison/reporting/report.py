@@ -312,7 +312,7 @@ def _list_room_cells(summary: Summary, agent: AgentSummary) -> list[_Cell]:
 
 
 def _list_odds_cells(summary: Summary, number: int) -> list[_Cell]:
-    """How often an agent, by its number, is above each."""
+    """Share of pairs in which an agent, by its number, is above each."""
     first = summary.agents[number]
     return [_Cell("") if first is second else _make_odds_cell(first, second, pair)
             for second, pair in zip(summary.agents, summary.pairs[number], strict=True)]
