@@ -48,7 +48,7 @@ MUTATIONS = [
     Mutation(
         "pause does not pause",
         "viewer/watch/watch.py",
-        "            self._paused = paused\n            self._primitives = self._decisions = 0",
+        "            self.is_paused = paused\n            self._primitives = self._decisions = 0",
         "            self._primitives = self._decisions = 0",
         "viewer/watch/test_gate.py::test_a_running_driver_can_be_paused_and_goes_on",
     ),

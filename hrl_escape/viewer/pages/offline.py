@@ -177,12 +177,9 @@ def save_motion(path: str | Path, trajectory: TimedTrajectory, instance: RoomIns
 
 
 def make_motion(trajectory: TimedTrajectory, instance: RoomInstance, state: RoomState | None = None) -> str:
-    """One HTML document that plays a trajectory without a network.
+    """One HTML document that plays a trajectory, of the base, the arm, or both, without a network.
 
-    Args:
-        trajectory: of the base, the arm, or both.
-        instance: the room.
-        state: everything that the trajectory does not move, and the lights; None for the room's first start.
+    `state` is everything that the trajectory does not move, and the lights; None for the room's first start.
 
     Raises:
         ConfigError: the room's robot has none of the joints that move.

@@ -27,15 +27,10 @@ class KnownEdges(NamedTuple):
 
 def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH, believed: KnownEdges | None = None,
                is_hidden: bool = False, drawing: str = "puzzle") -> str:
-    """The puzzle's graph as SVG: edges of precedence, lit targets lit, a second ring round the goal.
+    """The puzzle's graph as SVG, some pixels wide: edges of precedence, lit targets lit, a second ring round the goal.
 
-    Args:
-        puzzle: the puzzle.
-        state: its state.
-        width: of the drawing, pixels.
-        believed: edges to draw in place of the true ones; one that is wrong is red.
-        is_hidden: places, on a ring, and colours say nothing of the true graph.
-        drawing: its id in the page.
+    Edges that are `believed` are drawn in place of the true ones, a wrong one red. Where it `is_hidden`, places, on a
+    ring, and colours say nothing of the true graph. `drawing` is its id in the page.
     """
     graph = get_trait(puzzle, Graphed)
     edges = graph.edges if believed is None else sorted({*believed.known, *believed.possible})
@@ -126,15 +121,10 @@ def make_table(header: Sequence[str], rows: Iterable[Sequence[str]], name: str =
 
 def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, chosen: int, meaning: str,
               notes: Mapping[int, str] | None = None) -> str:
-    """Actions with their values as bars; the chosen one is marked, masked ones are grey.
+    """Actions with their values, if any, as bars; the chosen one is marked, masked ones are grey.
 
-    Args:
-        names: names of the actions.
-        values: one number an action, or None.
-        mask: legal actions.
-        chosen: index of the chosen action.
-        meaning: `value`, `preference`, `note`, or empty if there are no values.
-        notes: words in place of numbers, by the index of their action.
+    `meaning` is `value`, `preference`, `note`, or empty if there are no values; `notes` are words in place of numbers,
+    by the index of their action.
     """
     notes = notes or {}
     legal = [bool(on) for on in mask]

@@ -34,14 +34,7 @@ _EPISODE = {"Undo": "z", "Again": "r", "Next room": "n"}
 
 
 class PlayPage:
-    """Page on which an episode is played.
-
-    Args:
-        server: server of the page.
-        episode: the episode.
-        folder: folder for saved episodes.
-        stride: duration of one primitive on the screen, s.
-    """
+    """Page on which an episode is played, a primitive in `stride` seconds; the folder is for saved episodes."""
 
     def __init__(self, server: Server, episode: Episode, folder: Path = Path("episodes"),
                  stride: float = PLAY_STRIDE) -> None:

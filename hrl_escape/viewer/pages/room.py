@@ -34,12 +34,8 @@ _OWN_KEYS = ("<img alt='' style='display:none' src='data:,' onerror=\"if(!window
 class RoomPage:
     """Page that shows a room to any number of clients.
 
-    Args:
-        server: server of the page.
-        instance: the room.
-        state: the state to show first.
-        owns_keys: keys drive something here, so viser's camera must ignore them.
-        discovery: what is known of a graph that is to be discovered, until an escape shows it; None to show it at once.
+    Where it `owns_keys`, keys drive something, so viser's camera must ignore them. A graph that is to be discovered is
+    shown as far as `discovery` knows it, until an escape shows it all.
 
     Attributes:
         scene: the room shown now.

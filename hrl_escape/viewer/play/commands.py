@@ -106,16 +106,9 @@ PERSONAL_BESTS = "personal-bests.json"
 
 
 def carry_out(command: Command, episode: Episode, folder: Path, best: float | None = None) -> str:
-    """Do what a key asks for.
+    """Do what a key asks for; returns a message for the player.
 
-    Args:
-        command: from `Controls`.
-        episode: what is played.
-        folder: where episodes are saved.
-        best: best known return of the room, if it is known yet.
-
-    Returns:
-        A message for the player.
+    Episodes are saved in the folder; `best` is the best known return of the room, if it is known yet.
 
     Raises:
         UnsupportedError: there is no next room.

@@ -151,14 +151,10 @@ class Driver:
 
 def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: str = "features", seed: int = 0,
                 trust: bool = False) -> Driver:
-    """Open the driver that a user names.
+    """Open the driver that a user names: `planner`, a searcher, the folder of a run, or an agent to train.
 
-    Args:
-        agent: `planner`, a searcher such as `smdp-untried-nearest`, the folder of a run, or an agent to train.
-        instance: the room.
-        observation: observation of an agent to train; a run's own is found out.
-        seed: seed of an agent to train.
-        trust: let a run's environment import whatever code its folder names.
+    Observation and seed are those of an agent to train; a run's own observation is found out. With `trust` a run's
+    environment may import whatever code its folder names.
 
     Raises:
         UnknownNameError: neither a folder nor an agent has this name.

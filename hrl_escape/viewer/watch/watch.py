@@ -79,51 +79,46 @@ class Stopped(Exception):
 
 
 class Gate:
-    """Gate that lets primitives through at a pace (so many a second; None for no limit), one by one, or not at all."""
+    """Gate that lets primitives through at a pace (so many a second; None for no limit), one by one, or not at all.
+
+    Attributes:
+        is_paused: only what `step` lets through passes.
+        is_stopped: `stop` has closed the gate for good.
+    """
 
     def __init__(self, pace: float | None = 5.0, paused: bool = False) -> None:
         self.pace = pace
         self._turn = threading.Condition()
-        self._paused, self._stopped = paused, False
+        self.is_paused, self.is_stopped = paused, False
         self._primitives, self._decisions = 0, 0
-
-    @property
-    def is_paused(self) -> bool:
-        """Only what `step` lets through passes."""
-        return self._paused
-
-    @property
-    def is_stopped(self) -> bool:
-        """True once `stop` has closed the gate for good."""
-        return self._stopped
 
     def pause(self, paused: bool = True) -> None:
         """Close the gate, or open it again."""
         with self._turn:
-            self._paused = paused
+            self.is_paused = paused
             self._primitives = self._decisions = 0
             self._turn.notify_all()
 
     def step(self, primitives: int = 0, decisions: int = 0) -> None:
         """Let a number of primitives, or of whole decisions, through and close."""
         with self._turn:
-            self._paused = True
+            self.is_paused = True
             self._primitives, self._decisions = primitives, decisions
             self._turn.notify_all()
 
     def stop(self) -> None:
         """Make the driver give up, waiting or not."""
         with self._turn:
-            self._stopped = True
+            self.is_stopped = True
             self._turn.notify_all()
 
     def pass_primitive(self) -> None:
         """Wait until a primitive may run. Raises `Stopped`."""
         with self._turn:
-            self._turn.wait_for(lambda: self._stopped or not self._paused or self._primitives or self._decisions)
-            if self._stopped:
+            self._turn.wait_for(lambda: self.is_stopped or not self.is_paused or self._primitives or self._decisions)
+            if self.is_stopped:
                 raise Stopped
-            if self._paused and self._primitives:
+            if self.is_paused and self._primitives:
                 self._primitives -= 1
 
     def end_decision(self) -> None:
