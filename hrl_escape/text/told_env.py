@@ -101,6 +101,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         seed: of the game; None where the environment drew its start.
         transcript: the turns since the last reset with a seed.
         log: one SMDP transition a call that took primitives; the action -1 is that of a wrong call.
+        is_over: no game has begun, or it is over.
         characters: that its caller has read; tools and transcript are read anew before every call.
         action: that of the call in progress to step with; -1 for the idle primitive of a wrong call, None without one.
 
@@ -127,7 +128,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self.action: int | None = None
         self.characters = 0
         self.seed: int | None = None
-        self._is_over, self._room_id = True, ""
+        self.is_over, self._room_id = True, ""
 
     # --- the game ------------------------------------------------------------------------
 
@@ -141,7 +142,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         first = self.env.primitive_count
         self._actions = {name: first + number for name, number in self._names.items()}
         self._primitives = {clean(name): number for number, name in enumerate(self.env.action_names[:first])}
-        self._room_id, self._is_over, self.action, self.log = instance.id, False, None, []
+        self._room_id, self.is_over, self.action, self.log = instance.id, False, None, []
         self._start, self._rewards, self._invalid, self.characters, self._looks = self.state, [], 0, 0, 0
         self._end = EpisodeEnd.STOPPED
         self._observation, self._mask = observation, read_action_mask(info, len(self.env.action_names))
@@ -169,7 +170,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         Raises:
             ResetNeededError: no game has begun, or it is over.
         """
-        if self._is_over:
+        if self.is_over:
             raise ResetNeededError("call reset() first: no game has begun, or it is over")
         self.characters += self._size
         call = self._call = _tidy_call(call)
@@ -196,11 +197,6 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         efficiency = min(1.0, self._find_fewest() / primitives) if escaped else 0.0
         return Score(float(sum(self._rewards)), escaped, efficiency, len(self.log), primitives, self._invalid,
                      self.characters)
-
-    @property
-    def is_over(self) -> bool:
-        """No game has begun, or it is over."""
-        return self._is_over
 
     @property
     def instance(self) -> RoomInstance:
@@ -250,10 +246,10 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._rewards += step[4]["rewards"]
         self._observation, self._mask = transition.next_observation, transition.next_action_mask
         self._end = EpisodeEnd.of_step(bool(step[4]["success"]), step[2], step[3])
-        self._is_over = self._end.is_over
+        self.is_over = self._end.is_over
         said = tell_changes(self.instance, self._states)
         self._left -= 1
-        if self._left and not said and not self._is_over:
+        if self._left and not said and not self.is_over:
             return
         self.action = None
         self.log.append(_join(self._parts))
@@ -263,7 +259,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         lines.append(f"Took {count_nouns(took, 'primitive')}, {len(self._rewards)} of {self.instance.horizon}.")
         if step[4]["option"]["ended"] == "planning-failed" and not self._wrong:
             lines.append("No way on was found.")
-        if self.told != "names" and not self._is_over:
+        if self.told != "names" and not self.is_over:
             said.append(f"You are at {place(self.state.x, self.state.y)}.")
         self._answer(" ".join(filter(None, [*lines, *said, self._describe_end()])))
 
@@ -304,7 +300,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     def _describe_end(self) -> str:
         """Options that cannot be carried out, or the end."""
-        if self._is_over:
+        if self.is_over:
             return f"The game is over: {self._end.words}."
         able, unable = ([_show(name) for name, action in self._actions.items() if bool(self._mask[action]) is wanted]
                         for wanted in (True, False))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -305,7 +305,9 @@ def _mix_prop(one: PropPose, mixed: PropPose, other: PropPose) -> PropPose:
 
 
 ROOT = "/room"
-PLAN, PREVIEW = "#d55e00", "#cc79a7"
+PLAN = "#d55e00"
+FUTURES = {"plan": (PLAN, 12), "preview": ("#cc79a7", 16)}
+"""Colour of each way that is foreseen, and its height over the floor, layers."""
 GLASS = 0.25
 """Opacity of an obstacle that hides the robot."""
 LONGEST_TRAIL = 600
@@ -407,13 +409,18 @@ class RoomScene:
         """Draw the way that the robot has come, on the floor."""
         self._draw_line("trail", [(s.x, s.y) for s in states[-LONGEST_TRAIL:]], palette.TRAIL, 8 * meshes.LAYER)
 
-    def draw_plan(self, states: Sequence[RoomState]) -> None:
-        """Draw the planned way and its final posture."""
-        self._draw_future("plan", states, PLAN, 12 * meshes.LAYER)
-
-    def draw_preview(self, states: Sequence[RoomState]) -> None:
-        """Draw the way of another option and its final posture."""
-        self._draw_future("preview", states, PREVIEW, 16 * meshes.LAYER)
+    def draw_future(self, name: Literal["plan", "preview"], states: Sequence[RoomState]) -> None:
+        """Draw the way of the running option (`plan`) or of another (`preview`), and its final posture."""
+        colour, layers = FUTURES[name]
+        self._draw_line(name, [(s.x, s.y) for s in states], colour, layers * meshes.LAYER)
+        ghost = self._ghosts.get(name)
+        if len(states) > 1:
+            if ghost is None:
+                ghost = self._ghosts[name] = _RobotModel(self._scene, f"{ROOT}/ghost-{name}", self.rules.robot,
+                                                         self.instance.robot, colour, 0.35)
+            ghost.place(make_pose(self.rules, states[-1]))
+        if ghost is not None:
+            ghost.frame.visible = len(states) > 1
 
     def draw_path(self, points: Sequence[tuple[float, float]]) -> None:
         """Draw a path planner's path for the body's axis."""
@@ -447,17 +454,6 @@ class RoomScene:
             if place not in self._goals:
                 label = self._scene.add_label(f"{ROOT}/goals/{place[0]:g}/{place[1]:g}", text, position=place)
                 self._goals[place] = text, label
-
-    def _draw_future(self, name: str, states: Sequence[RoomState], colour: str, height: float) -> None:
-        self._draw_line(name, [(s.x, s.y) for s in states], colour, height)
-        ghost = self._ghosts.get(name)
-        if len(states) > 1:
-            if ghost is None:
-                ghost = self._ghosts[name] = _RobotModel(self._scene, f"{ROOT}/ghost-{name}", self.rules.robot,
-                                                         self.instance.robot, colour, 0.35)
-            ghost.place(make_pose(self.rules, states[-1]))
-        if ghost is not None:
-            ghost.frame.visible = len(states) > 1
 
     def _draw_line(self, name: str, points: Sequence[tuple[float, float]], colour: str, height: float) -> None:
         at = np.array([(x, y, height) for x, y in points], dtype=np.float32)

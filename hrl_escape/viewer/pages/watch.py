@@ -113,7 +113,7 @@ class WatchPage:
         self._speed.on_update(lambda _: self._set_pace())
         self._fast.on_update(lambda _: self._set_pace())
         self._ask.on_click(lambda _: self._show_preview())
-        self._clear.on_click(lambda _: self.page.scene.draw_preview([]))
+        self._clear.on_click(lambda _: self.page.scene.draw_future("preview", []))
         keys: tuple[tuple[Any, str, str], ...] = (("space", "Pause or run", "toggle"),
                                                   ("P", "One primitive", "1 primitive"),
                                                   ("D", "One decision", "1 decision"))
@@ -141,7 +141,7 @@ class WatchPage:
             preview = self.watch.previewer.preview(self._choice.value, self.watch.states[-1])
         finally:
             self._previewing.release()
-        self.page.scene.draw_preview(preview.states)
+        self.page.scene.draw_future("preview", preview.states)
         lines = [f"{preview.name}: {len(preview.states) - 1} primitives"]
         if preview.problem:
             lines.append(preview.problem)
@@ -201,7 +201,7 @@ class WatchPage:
     def _show_plan(self) -> None:
         """Draw the predicted course of the running option, its final posture, and OMPL's path for the base."""
         plan, scene = self.watch.plan, self.page.scene
-        scene.draw_plan(plan.states[self.watch.in_decision :] if plan is not None else [])
+        scene.draw_future("plan", plan.states[self.watch.in_decision :] if plan is not None else [])
         path: list[tuple[float, float]] = []
         if plan is not None and not plan.problem:
             option = self.watch.previewer.options[plan.name]
