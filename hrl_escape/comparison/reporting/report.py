@@ -188,6 +188,7 @@ def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
     return render_template(
         "hrl_escape.comparison.reporting", PAGE,
         grid=summary.grid,
+        summary=summary,
         css=_read("report.css", "moving_map.css"),
         script=_read(*SCRIPTS),
         data=embed_json(make_page_data(summary, entries, replays)),
@@ -195,20 +196,19 @@ def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
         findings=[text for kind, text in verdict if kind == "finding"],
         cautions=[text for kind, text in verdict if kind == "caution"],
         hero="" if hero is None else hero,
+        replay=None if hero is None else replays[hero],
         viewings=[] if hero is None or leader.spec.is_reference else _list_viewings(comparison, replays[hero]),
-        hero_caption="" if hero is None else _describe_hero(replays[hero], chips[leader.label]),
-        facts=_list_facts(summary),
+        leader_chip=chips[leader.label],
         entries=entries,
         leader=leader,
         by_room=[(entry.chip, _list_room_cells(summary, entry.agent)) for entry in entries],
         odds=[(entry, _list_odds_cells(summary, number)) for number, entry in enumerate(entries)],
         rooms=[_describe_room(room, number, entries) for number, room in enumerate(summary.rooms)],
-        settings=_list_settings(summary),
-        versions=summary.versions.items(),
         failures=comparison.failures,
         command=command,
-        describe_kind=describe_kind, format_first_escape=format_first_escape, place_bar=_place_bar,
-        tell_seconds=tell_seconds, to_json=json.dumps,
+        training_seconds=sum(agent.seconds * agent.runs for agent in summary.agents),
+        describe_kind=describe_kind, describe_place=describe_place, format_first_escape=format_first_escape,
+        place_bar=_place_bar, tell_seconds=tell_seconds, to_json=json.dumps,
     )
 
 
@@ -237,11 +237,6 @@ def _mark_agents(text: str, chips: dict[str, Markup]) -> Markup:
     )
 
 
-def _describe_hero(replay: dict[str, Any], chip: Markup) -> Markup:
-    return Markup("{}: its median episode at the end of training, {:,} primitives, return {:g}.").format(
-        chip, replay["primitives"], replay["return"])
-
-
 def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
     """The commands that show a replay's run in 3D: with what it thinks, and as a page that plays offline."""
     place = comparison.places[replay["room"]]
@@ -268,19 +263,6 @@ def describe_kind(spec: AgentSpec) -> str:
 
 
 # --- tables ----------------------------------------------------------------------------
-
-
-def _list_facts(summary: Summary) -> list[tuple[str, str]]:
-    grid = summary.grid
-    seconds = sum(agent.seconds * agent.runs for agent in summary.agents)
-    return [
-        ("agents", str(len(grid.agents))),
-        ("rooms", str(len(summary.rooms))),
-        ("runs each", str(grid.runs)),
-        ("training budget", f"{grid.primitives:,} primitives"),
-        ("evaluated", f"every {grid.evaluation_step:,}, {grid.eval_episodes} episodes"),
-        ("training time, all runs", tell_seconds(seconds)),
-    ]
 
 
 def _place_bar(estimate: Estimate) -> str:
@@ -329,24 +311,6 @@ def _make_odds_cell(first: AgentSummary, second: AgentSummary, pair: Pair) -> _C
 def _tint(colour: tuple[int, int, int], strength: float) -> str:
     red, green, blue = colour
     return f"background:rgba({red},{green},{blue},{0.05 + 0.3 * strength:.2f})"
-
-
-def _list_settings(summary: Summary) -> list[tuple[str, str]]:
-    grid = summary.grid
-    last = grid.first_seed + grid.runs - 1
-    rows = [
-        ("agents", ", ".join(agent.label for agent in grid.agents)),
-        ("training seeds", f"{grid.first_seed} to {last}" if grid.runs > 1 else f"{last}"),
-        ("training budget of a run", f"{grid.primitives:,} primitives"),
-        ("evaluation", f"every {grid.evaluation_step:,} primitives, {grid.eval_episodes} episodes with frozen weights; "
-                       "the same episodes for every agent, others for each training seed"),
-        ("observation", grid.observation),
-    ]
-    for room in summary.rooms:
-        rows.append((f"room {room.name}", f"{describe_place(room.place)}; best known escape {room.fewest:g} "
-                                          f"primitives, return {room.best:g}, found by {room.source}; worst return "
-                                          f"{room.worst:g}"))
-    return rows
 
 
 # --- rooms -----------------------------------------------------------------------------
