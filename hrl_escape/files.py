@@ -127,10 +127,7 @@ def write_json(path: str | os.PathLike[str], value: Any, indent: int | None = 2,
 def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = LARGEST_FILE) -> Iterator[IO[bytes]]:
     """Open a plain file for reading; devices, pipes and folders are refused before a byte is read.
 
-    Args:
-        path: the file.
-        what: kind of file, in words, for the message.
-        largest: most bytes it may have.
+    `what` is the kind of file, in words, for the message, and `largest` the most bytes that it may have.
 
     Raises:
         FileReadError: it is missing, no plain file, too large, or may not be read.
@@ -160,11 +157,8 @@ def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = 
 def check_files(paths: Iterable[str], what: str, endings: Sequence[str], largest: int) -> None:
     """Check files that a library is to open: plain, of known kinds, and not too large together.
 
-    Args:
-        paths: the files; one named twice counts once.
-        what: kind of file, in words, for the message.
-        endings: endings of the known kinds, such as `.stl`; an archive could unpack to anything.
-        largest: most bytes that they may have together.
+    A file named twice counts once. `endings` are those of the known kinds, such as `.stl`; an archive could unpack to
+    anything. See `open_plain`.
     """
     left = largest
     for name in sorted(set(paths)):

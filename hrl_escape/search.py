@@ -30,11 +30,7 @@ class OpenNodes(Generic[_Key, _Node]):
     def push(self, key: _Key, cost: float, estimate: float, node: _Node) -> None:
         """Add a node unless one with its key has come that costs no more.
 
-        Args:
-            key: nodes with one key count as one.
-            cost: of the way to it.
-            estimate: of the whole way through it; the least is taken first.
-            node: what the search knows of it.
+        The cost is that of the way to it, the estimate that of the whole way through it; the least is taken first.
         """
         if cost < self._costs.get(key, math.inf):
             self._costs[key] = cost

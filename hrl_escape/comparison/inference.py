@@ -113,9 +113,7 @@ def compare_pairs(differences: Sequence[NDArray[np.float64]], level: float = LEV
     at most. The test of signs would say 2^(1 - n), for any law that is symmetric: of five differences that are more
     than Student's t says of four and a zero.
 
-    Args:
-        differences: (seeds,) a room, first agent less second in the same room with the same seed.
-        level: confidence of the interval.
+    Differences are (seeds,) a room, first agent less second in the same room with the same seed.
     """
     count = sum(map(len, differences))
     rooms = [room for room in differences if len(room)]

@@ -14,14 +14,14 @@ from typing import Annotated, Any
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.files import parse_json, read_json, write_json
+from hrl_escape.files import read_json, write_json
 from hrl_escape.ladder.keys import LATEST_LAYOUTS
 from hrl_escape.settings import Range, Settings, read_record
 
 ROLES = ("train", "valid", "test", "test_task")
 """Sets of a rung: to learn on, to choose by, unseen layouts, and unseen layouts with unseen tasks."""
 
-_DATA = files("hrl_escape.ladder") / "data"
+_DATA = Path(str(files("hrl_escape.ladder") / "data"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,7 +120,7 @@ def list_changes(settings: Settings) -> dict[str, Any]:
 
 def list_benchmarks() -> tuple[str, ...]:
     """Names of the benchmarks that come with the package."""
-    return tuple(sorted(entry.name.removesuffix(".json") for entry in _DATA.iterdir() if entry.name.endswith(".json")))
+    return tuple(sorted(path.stem for path in _DATA.glob("*.json")))
 
 
 def load_manifest(name: str | Path) -> Manifest:
@@ -134,8 +134,7 @@ def load_manifest(name: str | Path) -> Manifest:
 
 @functools.cache
 def _load_own(name: str) -> Manifest:
-    entry = _DATA / f"{name}.json"
-    return Manifest.from_dict(parse_json(entry.read_text(encoding="utf-8"), str(entry), "manifest"))
+    return Manifest.from_dict(read_json(_DATA / f"{name}.json", "manifest"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,8 +152,6 @@ class RungReferences:
 
 def load_references(benchmark: str) -> dict[str, RungReferences]:
     """References of a benchmark that comes with the package, by rung; empty where they were not measured."""
-    entry = files("hrl_escape.ladder") / "data" / "references" / f"{benchmark}.json"
-    if not entry.is_file():
-        return {}
-    table = parse_json(entry.read_text(encoding="utf-8"), str(entry), "references")
+    entry = _DATA / "references" / f"{benchmark}.json"
+    table = read_json(entry, "references") if entry.is_file() else {}
     return {rung: read_record(RungReferences, own, rung) for rung, own in table.items()}

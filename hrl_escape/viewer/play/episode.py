@@ -137,13 +137,9 @@ class PlayedMove:
 
 
 class Episode:
-    """One room being played.
+    """One room being played; the seed fixes the start and the noise.
 
-    Args:
-        instance: the room.
-        config: schematic of the room, needed to enter the next one; None if unknown.
-        seed: of the episode; fixes the start and the noise.
-        is_hidden: the graph is to be discovered.
+    The schematic, `config`, is needed to enter the next room. Where it `is_hidden`, the graph is to be discovered.
 
     Attributes:
         instance: the present room.

@@ -179,12 +179,7 @@ class ShownCall:
 
 
 class Watch:
-    """Record of a driver while it drives.
-
-    Args:
-        driver: the driver.
-        gate: the gate that its primitives pass.
-        seed: seed of its episodes.
+    """Record of a driver while it drives, its primitives through a gate, in episodes of a seed.
 
     Attributes:
         choice: the last choice.
