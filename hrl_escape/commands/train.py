@@ -180,9 +180,7 @@ def _print_settings(args: TrainArgs, resolved: dict[str, Any]) -> None:
         print(json.dumps({name: {"value": value, "about": documents.get(name, "")} for name, value in resolved.items()},
                          indent=2))
         return
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    for heading in ("setting", "value", ""):
-        table.add_column(heading)
+    table = Table("setting", "value", "", box=None, padding=(0, 2, 0, 0), header_style="dim")
     for name, value in resolved.items():
         table.add_row(name, json.dumps(value), documents.get(name, ""))
     Console().print(table)

@@ -124,13 +124,9 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | RoomSets, observation: str,
              ) -> tuple[gymnasium.Env, StateRecorder]:
     """The environment an agent acts in, and the recorder inside it; in a tower the one on the lowest floor.
 
-    Args:
-        agent: of the comparison.
-        rooms: one room, a set of which every episode draws one, or a tower.
-        observation: by name.
-        schedule: numbers of episodes by their seeds. They go round a set, or that of every floor; see `RoomSchedule`.
-        common: spaces to show it in, together with rooms of another schematic.
-        trials: in the same room, an episode; see `SequenceEnv`.
+    Every episode draws a room of a set, but for those in the schedule, whose numbers, by their seeds, go round the set,
+    or that of every floor (see `RoomSchedule`). In `common` spaces rooms of several schematics look alike. An episode
+    has several `trials` in the same room; see `SequenceEnv`.
     """
     import hrl_escape  # noqa: F401  # registers the environment
 

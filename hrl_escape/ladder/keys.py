@@ -166,8 +166,8 @@ class _Search:
     def _refine(self, ranks: list[int]) -> list[int]:
         """Split cells until all nodes of each have equally many neighbours in every cell."""
         while True:
-            signs = [(ranks[node], sorted(ranks[i] for i in self._parents[node]),
-                      sorted(ranks[i] for i in self._children[node])) for node in range(len(ranks))]
+            signs = [(ranks[node], *(tuple(sorted(ranks[i] for i in ends[node]))
+                                     for ends in (self._parents, self._children))) for node in range(len(ranks))]
             finer = _rank(signs)
             if max(finer, default=0) == max(ranks, default=0):
                 return finer
@@ -210,14 +210,10 @@ class _Search:
         return not orbit.isdisjoint(tried)
 
 
-def _rank(signs: Sequence[object]) -> list[int]:
+def _rank(signs: Sequence[Any]) -> list[int]:
     """Rank of each sign among the different ones."""
-    places = {sign: rank for rank, sign in enumerate(sorted(set(map(_freeze, signs))))}  # type: ignore[type-var]
-    return [places[_freeze(sign)] for sign in signs]
-
-
-def _freeze(sign: object) -> object:
-    return tuple(map(_freeze, sign)) if isinstance(sign, (list, tuple)) else sign
+    places = {sign: rank for rank, sign in enumerate(sorted(set(signs)))}
+    return [places[sign] for sign in signs]
 
 
 # --- keys --------------------------------------------------------------------------------

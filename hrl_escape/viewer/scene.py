@@ -169,7 +169,10 @@ class Painted(NamedTuple):
 
 
 def make_fixtures(instance: RoomInstance) -> list[Painted]:
-    """Parts that never change: floor with shadows and puddles, walls. Obstacles are apart, see `make_obstacle`."""
+    """Parts that never change: floor with shadows and puddles, walls.
+
+    Obstacles are apart, for the scene shows one as glass while it hides the robot.
+    """
     floors = compute_floors(instance)
     walls = [solid for solid in instance.solids if solid.role == "wall"]
     others = [solid for solid in instance.solids if solid.role != "wall"]
@@ -190,11 +193,6 @@ def make_fixtures(instance: RoomInstance) -> list[Painted]:
         Painted("walls/top", meshes.merge(tops), meshes.WALL_TOP, 0.55),
     ]
     return [painted for painted in found if len(painted.mesh.triangles)]
-
-
-def make_obstacle(solid: Solid) -> Painted:
-    """One obstacle; the scene shows it as glass while it hides the robot."""
-    return Painted("solid", meshes.make_solid(solid), meshes.OBSTACLE_FACE)
 
 
 def is_hidden_by(solid: Solid, eye: tuple[float, float, float], point: tuple[float, float, float]) -> bool:
@@ -243,12 +241,6 @@ def make_target(instance: RoomInstance, target: Target) -> tuple[Painted, ...]:
             Painted("mat", meshes.make_mat(instance, target), meshes.MAT),
             *(Painted(f"mark-{number}", mesh, colour)
               for number, (colour, mesh) in enumerate(meshes.make_badges(instance, target))))
-
-
-def make_exit(instance: RoomInstance) -> tuple[Painted, Painted]:
-    """The exit's area on the floor and its edge."""
-    area, edge = meshes.make_exit_area(instance)
-    return Painted("area", area, palette.EXIT_LOCKED), Painted("edge", edge, palette.EXIT_LOCKED)
 
 
 PropPose = tuple[float, ...]
@@ -337,11 +329,14 @@ class RoomScene:
             self._root = self._scene.add_frame(ROOT, show_axes=False)
             for painted in make_fixtures(instance):
                 self._add(painted)
-            self._obstacles = [(solid, self._add(make_obstacle(solid), f"obstacles/{number}"))
-                               for number, solid in enumerate(instance.solids) if solid.role != "wall"]
+            self._obstacles = [
+                (solid, self._add(Painted("solid", meshes.make_solid(solid), meshes.OBSTACLE_FACE), f"obstacles/{n}"))
+                for n, solid in enumerate(instance.solids) if solid.role != "wall"]
             self._names: list[viser.LabelHandle] = []
             self._lamps = [self._add_target(i) for i in range(len(instance.targets))]
-            self._exit = [self._add(painted, "exit") for painted in make_exit(instance)]
+            area, edge = meshes.make_exit_area(instance)
+            self._exit = [self._add(Painted(name, mesh, palette.EXIT_LOCKED), "exit")
+                          for name, mesh in (("area", area), ("edge", edge))]
             if not instance.exit.is_flat:
                 self._scene.add_label(f"{ROOT}/exit/name", "exit", position=(*instance.exit.centre, 0.05),
                                       anchor="center-center", font_screen_scale=0.9)
@@ -353,7 +348,9 @@ class RoomScene:
             self._goals: dict[_Point, tuple[str, viser.LabelHandle]] = {}
             self._confetti: viser.PointCloudHandle | None = None
         self._lit: Any = None
-        self._set_initial_camera()
+        camera = server.initial_camera  # it shows the whole room, from the south and well above
+        camera.position, camera.look_at = compute_overview(instance)
+        camera.up, camera.fov = (0.0, 0.0, 1.0), math.radians(OVERVIEW_FIELD)
 
     def remove(self) -> None:
         """Take the room, its robot and its labels out of the scene."""
@@ -514,12 +511,6 @@ class RoomScene:
         self._scene.add_label(f"{name}/name", prop.name, position=(0.0, 0.0, prop.height / 2 + 0.2),
                               anchor="bottom-center", font_screen_scale=0.8)
         return node
-
-    def _set_initial_camera(self) -> None:
-        """Show the whole room, from the south and well above."""
-        camera = self._server.initial_camera
-        camera.position, camera.look_at = compute_overview(self.instance)
-        camera.up, camera.fov = (0.0, 0.0, 1.0), math.radians(OVERVIEW_FIELD)
 
 
 def compute_overview(instance: RoomInstance, aspect: float = 1.6) -> tuple[_Point, _Point]:

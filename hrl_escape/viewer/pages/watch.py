@@ -225,8 +225,8 @@ class WatchPage:
             self._values.content = make_bars(watch.driver.names, choice.values, choice.mask, choice.action,
                                              choice.meaning, choice.notes)
             self._show_learned()
-        rows = [(done.name, str(done.duration), f"{done.reward:.2f}", f"{done.discount:.4f}", f"{done.summed:g}",
-                 _ENDED.get(done.ended, done.ended)) for done in reversed(watch.decisions)]
+        rows = [(name, str(step.duration), f"{step.reward:.2f}", f"{step.discount:.4f}", f"{step.summed_reward:g}",
+                 _ENDED.get(ended, ended)) for name, step, ended in reversed(watch.decisions)]
         header = ("decision", "k", "R", GAMMA_K, "sum of r", "")
         self._table.content = make_table(header, rows, "smdp", "no decision is complete yet") + make_lines([SMDP_NOTE])
         calls = [(f"{NESTED * depth}{each.name}", str(each.call.primitives), f"{each.reward:g}", each.ending)

@@ -146,15 +146,11 @@ class ObservedChoice:
     notes: Mapping[int, str] = dataclasses.field(default_factory=dict)  # what a searcher knows of each press, by action
 
 
-@dataclasses.dataclass(frozen=True)
-class CompletedDecision:
-    """Numbers of the SMDP transition that one decision gave."""
+class CompletedDecision(NamedTuple):
+    """A decision, and the SMDP transition that it gave."""
 
     name: str  # of the primitive or option
-    duration: int  # k
-    reward: float  # R = sum gamma^i r_i
-    discount: float  # gamma^k
-    summed: float  # undiscounted sum of r_i
+    transition: SMDPTransition
     ended: str  # how the option ended, as in `info["option"]["ended"]`
 
 
@@ -284,8 +280,7 @@ class Watch:
         """Record a completed decision."""
         option = info.get("option") or {"ended": "reached", "reason": ""}
         name = self.driver.names[transition.action]
-        self.decisions.append(CompletedDecision(name, transition.duration, transition.reward, transition.discount,
-                                   transition.summed_reward, option["ended"]))
+        self.decisions.append(CompletedDecision(name, transition, option["ended"]))
         if option["ended"] != "reached":
             self._log(f"{name}: {option['ended']}" + (f", {option['reason']}" if option["reason"] else ""))
         end = EpisodeEnd.of_step(bool(info["success"]), transition.terminated, transition.truncated)

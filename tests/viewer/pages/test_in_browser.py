@@ -186,9 +186,9 @@ def test_watch_pauses_steps_and_shows_the_agents_own_option_values(watched, two_
     page.click("1 decision")
     page.wait(f"{FACTS}?.decisions > {before} && {FACTS}?.state === 'paused' && "
               "document.querySelectorAll('#values .action[data-chosen=\"1\"]').length === 1")
-    done = view.watch.decisions[-1]
+    name, step, _ = view.watch.decisions[-1]
     page.click("SMDP")
-    row = json.dumps([done.name, str(done.duration), f"{done.reward:.2f}", f"{done.discount:.4f}"])
+    row = json.dumps([name, str(step.duration), f"{step.reward:.2f}", f"{step.discount:.4f}"])
     page.wait("JSON.stringify([...(document.querySelector('#smdp tbody tr')?.children ?? [])].slice(0, 4)"
               f".map(c => c.innerText)) === JSON.stringify({row})")
     page.click("What if")

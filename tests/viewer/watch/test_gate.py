@@ -32,7 +32,7 @@ def test_the_gate_lets_primitives_and_decisions_through_one_at_a_time(two_button
     for decisions in (1, 2):
         gate.step(decisions=1)
         wait_until(lambda decisions=decisions: len(watch.decisions) == decisions)
-        passed = sum(each.duration for each in watch.decisions)
+        passed = sum(each.transition.duration for each in watch.decisions)
         assert settle(passed + 1) == passed and len(watch.decisions) == decisions
     gate.pause(False)
     thread.join(600)

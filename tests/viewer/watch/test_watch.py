@@ -61,7 +61,8 @@ def test_smdp_bookkeeping_is_that_of_the_environment(run: Path, two_buttons):
         rewards = info["rewards"]
         expected.append((info["option"]["name"], len(rewards), sum(gamma**i * r for i, r in enumerate(rewards)),
                          gamma ** len(rewards)))
-    shown = [(done.name, done.duration, done.reward, done.discount) for done in watch.decisions]
+    steps = [(done.name, done.transition) for done in watch.decisions]
+    shown = [(name, step.duration, step.reward, step.discount) for name, step in steps]
     assert [row[:2] for row in shown] == [row[:2] for row in expected[-len(shown):]]
     np.testing.assert_allclose([row[2:] for row in shown], [row[2:] for row in expected[-len(shown):]], rtol=1e-12)
 
