@@ -426,15 +426,12 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
         raise StepContractError(
             f"action {action} took {duration} primitives; every action must cost at least one, or be masked"
         )
-    return SMDPTransition(observation, int(action), action_mask, discounted, summed, duration, gamma**duration,
-                          next_observation, read_action_mask(info, len(action_mask)), bool(terminated), bool(truncated),
-                          info.get("trace") or (), _is_cut(info, duration, bool(terminated), bool(truncated)))
-
-
-def _is_cut(info: Mapping[str, Any], duration: int, terminated: bool, truncated: bool) -> bool:
     option = info.get("option")
     ended = option.get("ended") if isinstance(option, Mapping) else None
-    return truncated and not terminated and (duration > 1 if ended is None else ended == "episode-over")
+    cut = truncated and not terminated and (duration > 1 if ended is None else ended == "episode-over")
+    return SMDPTransition(observation, int(action), action_mask, discounted, summed, duration, gamma**duration,
+                          next_observation, read_action_mask(info, len(action_mask)), bool(terminated), bool(truncated),
+                          info.get("trace") or (), bool(cut))
 
 
 def _compute_rewards(reward: float, duration: int, info: Mapping[str, Any], gamma: float) -> tuple[float, float]:

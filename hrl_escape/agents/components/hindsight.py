@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import GoalRule, SMDPTransition, compute_backup
 from hrl_escape.agents.components.networks import ObservationEncoder, is_goal_space
 from hrl_escape.agents.components.replay import Experience
-from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
+from hrl_escape.agents.state import Kept, Stateful, read_value
 from hrl_escape.errors import AgentSettingsError, StepContractError
 
 
@@ -40,16 +40,6 @@ class _Decision(NamedTuple):
     bonus: float  # in its reward
 
 
-def _pack_episode(episode: list[_Decision]) -> list[StateTree]:
-    return [read_value(decision._replace(transition=decision.transition._replace(trace=[])), "episode")
-            for decision in episode]
-
-
-def _unpack_episode(saved: list[StateTree]) -> list[_Decision]:
-    return [_Decision(**{**fields, "transition": SMDPTransition(**{**fields["transition"], "trace": ()}),
-                         "experience": Experience(**fields["experience"])}) for fields in saved]
-
-
 class HindsightReplay(Stateful):
     """The episode so far, and its backups under goals that it achieved, of which some are drawn for each decision.
 
@@ -57,7 +47,13 @@ class HindsightReplay(Stateful):
         AgentSettingsError: the environment has no goals.
     """
 
-    STATE = ("_rng", Kept("_episode", pack=_pack_episode, unpack=_unpack_episode))
+    STATE = ("_rng", Kept(
+        "_episode", pack=lambda episode: [
+            read_value(decision._replace(transition=decision.transition._replace(trace=[])), "episode")
+            for decision in episode],
+        unpack=lambda saved: [
+            _Decision(**{**fields, "transition": SMDPTransition(**{**fields["transition"], "trace": ()}),
+                         "experience": Experience(**fields["experience"])}) for fields in saved]))
 
     def __init__(self, space: gymnasium.Space, rule: GoalRule | None, goals: int, n_step: int,
                  encoder: ObservationEncoder, settings: Any, rng: np.random.Generator) -> None:

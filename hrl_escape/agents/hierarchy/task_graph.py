@@ -136,8 +136,8 @@ def maxq(
             raise AgentSettingsError("until", name, "a predicate for every task below the root")
         views: dict[int | None, View] = {None: see[name]} if name in see else {}
         views |= {index: see[name, child] for index, child in enumerate(children) if (name, child) in see}
-        tasks[name] = GraphTask(name, until.get(name, _never), views, primitive_views, pseudo.get(name), len(children),
-                                policies.get(name), places.get(name))
+        tasks[name] = GraphTask(name, until.get(name, lambda seen: False), views, primitive_views, pseudo.get(name),
+                                len(children), policies.get(name), places.get(name))
     for name, children in graph.items():
         for child in children:
             if isinstance(child, str) and child not in tasks:
@@ -185,10 +185,6 @@ def freeze(view: Any) -> Hashable:
     if isinstance(view, dict):
         return tuple((key, freeze(view[key])) for key in sorted(view))
     return view
-
-
-def _never(seen: Seen) -> bool:
-    return False
 
 
 def _refuse_circles(task: GraphTask, callers: tuple[str, ...]) -> None:

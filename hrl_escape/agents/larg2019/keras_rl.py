@@ -10,11 +10,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup
 from hrl_escape.agents.components.replay import Experience
-from hrl_escape.agents.state import Kept, Stateful, StateTree
-
-
-def _pack(experience: Experience) -> StateTree:
-    return {name: np.asarray(field) for name, field in experience._asdict().items()}
+from hrl_escape.agents.state import Kept, Stateful
 
 
 class LateTerminal(Stateful):
@@ -23,7 +19,8 @@ class LateTerminal(Stateful):
     The last decision but one is valued as if nothing followed, and the last bootstraps even from a terminal state.
     """
 
-    STATE = (Kept("_waiting", pack=_pack, unpack=lambda saved: Experience(**saved)),)
+    STATE = (Kept("_waiting", pack=lambda one: {name: np.asarray(field) for name, field in one._asdict().items()},
+                  unpack=lambda saved: Experience(**saved)),)
 
     def __init__(self) -> None:
         self._waiting: Experience | None = None

@@ -221,7 +221,8 @@ class Hamq(RowStreamAgent):
             for depth in range(1, len(stack)):
                 name, _, arguments = stack[depth]
                 if name in machines and not any(isinstance(each, bytes) for each in arguments):
-                    title = " > ".join(_describe_call(*stack[level]) for level in range(1, depth + 1))
+                    title = " > ".join(f"{called}({', '.join(map(str, told))})" if told else called
+                                       for called, _, told in stack[1 : depth + 1])
                     calls.setdefault(title, (functools.partial(machines[name], *arguments), tuple(stack[:depth])))
         return tuple(self._export(title, *calls[title]) for title in sorted(calls)) or super().get_options()
 
@@ -331,7 +332,3 @@ class _CallRun:
             self._agent.advance_greedily(self._run, observation, action_mask, None)
             self._is_told = True
         return float(self._run.request is None)
-
-
-def _describe_call(name: str, line: int, arguments: tuple[Any, ...]) -> str:
-    return f"{name}({', '.join(map(str, arguments))})" if arguments else name

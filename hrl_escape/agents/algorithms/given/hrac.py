@@ -21,10 +21,6 @@ CountSteps = Callable[[GoalPoint, GoalPoint], NDArray[np.float64]]
 """Fewest primitives from a point to points (..., dimensions), (...)."""
 
 
-def _pack_pairs(pairs: set[bytes]) -> NDArray[np.float64]:
-    return np.array([np.frombuffer(each) for each in sorted(pairs)])
-
-
 class Hrac(Hiro):
     """`hiro` over goals whose points are adjacent: at most c primitives away.
 
@@ -36,7 +32,8 @@ class Hrac(Hiro):
         count_steps: exact adjacency; None learns it.
     """
 
-    STATE = (Kept("_adjacent", pack=_pack_pairs, unpack=lambda saved: {row.tobytes() for row in np.asarray(saved)}),)
+    STATE = (Kept("_adjacent", pack=lambda pairs: np.array([np.frombuffer(each) for each in sorted(pairs)]),
+                  unpack=lambda saved: {row.tobytes() for row in np.asarray(saved)}),)
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HiroSettings | None = None, goal_space: GoalSpace | None = None,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -58,15 +58,6 @@ class OptionSamples(NamedTuple):
     goes_on: Tensor  # bool, the task did not end there
 
 
-def _pack_waiting(waiting: Mapping[int, OptionSamples]) -> list[Any]:
-    return [[option, read_value(samples, "samples")] for option, samples in waiting.items()]
-
-
-def _unpack_waiting(saved: list[Any]) -> dict[int, OptionSamples]:
-    return {int(option): OptionSamples(**{name: torch.from_numpy(np.asarray(field)) for name, field in samples.items()})
-            for option, samples in saved}
-
-
 class PPOC(StreamOptionAgent):
     """Learn pi_o, Q(s, o), pi_Omega and beta_o from decisions (s, o, a) -> R, s'.
 
@@ -81,7 +72,11 @@ class PPOC(StreamOptionAgent):
 
     settings: PPOCSettings
     trained: ClassVar[tuple[str, ...]] = ("policy", "critic", "chooser")
-    STATE = ("_ending_learner", Kept("_waiting", pack=_pack_waiting, unpack=_unpack_waiting))
+    STATE = ("_ending_learner", Kept(
+        "_waiting", pack=lambda waiting: [[option, read_value(own, "samples")] for option, own in waiting.items()],
+        unpack=lambda saved: {
+            int(option): OptionSamples(**{name: torch.from_numpy(np.asarray(field)) for name, field in own.items()})
+            for option, own in saved}))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: PPOCSettings | None = None) -> None:
