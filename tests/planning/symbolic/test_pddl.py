@@ -80,7 +80,8 @@ def test_the_text_is_what_planners_read():
 
 
 @pytest.mark.parametrize(("dear", "engine"), [(None, "fast-downward"), (5.0, "fast-downward-opt")])
-def test_conditional_effects_and_costs_are_read_and_heeded_by_an_independent_planner(dear, engine, monkeypatch):
+def test_conditional_effects_and_costs_are_read_and_heeded_by_an_independent_planner(
+        dear, engine, monkeypatch, nothing_kept):
     """The long way works by a condition only (which that optimal planner does not take), or it is the cheap one."""
     none, done, ready = frozenset(), frozenset({"done"}), frozenset({"ready"})
     finish = Operator("finish", "button-2", "press", none, none, none, none, when=(Effect(ready, none, done, ready),))
