@@ -31,15 +31,7 @@ class Nothing(Puzzle):
     """The puzzle of a world: there is none, and it is solved."""
 
     kind: ClassVar[str] = "nothing"
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """None."""
-        return ()
-
-    def make_state(self) -> int:
-        """The only state."""
-        return 0
+    fixed_names = ()
 
     def update(self, state: int, contacts: Contacts) -> int:
         """Nothing changes."""
@@ -48,14 +40,6 @@ class Nothing(Puzzle):
     def is_solved(self, state: int) -> bool:
         """Always true."""
         return True
-
-    def get_lit(self, state: int) -> tuple[bool, ...]:
-        """No target, no light."""
-        return ()
-
-    def observe(self, state: int) -> tuple[float, ...]:
-        """No numbers."""
-        return ()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -121,23 +121,25 @@ class PuzzleConfig(_OfKind):
 class Puzzle(_OfKind):
     """A concrete puzzle: the rules, as pure functions of its hashable state.
 
-    A puzzle defines `kind`, `target_names`, `make_state`, `update`, `is_solved` and `observe`. The other members have
-    defaults; rarer abilities are traits (`traits.py`), among them a symbolic model of its own (`Modelled`).
+    A puzzle defines `kind`, `fixed_names` or `target_names`, `update` and `is_solved`. The other members have defaults;
+    rarer abilities are traits (`traits.py`), among them a symbolic model of its own (`Modelled`).
 
     Attributes:
         kind: registered name.
+        fixed_names: names of the targets, where they are the same in every room.
         are_pads: true if all targets are pads on the floor.
         about: the puzzle in a sentence, for whoever plays it; it says nothing that differs from room to room.
     """
 
+    fixed_names: ClassVar[tuple[str, ...]]
     are_pads: ClassVar[bool] = False
     about: ClassVar[str] = "Its rule is hidden: try things, and see what changes."
     _family = "puzzle_type"
 
     @property
-    @abstractmethod
     def target_names(self) -> tuple[str, ...]:
-        """Names of the targets; a target's number is its index here."""
+        """Names of the targets, by default `fixed_names`; a target's number is its index here."""
+        return self.fixed_names
 
     @property
     def pad_names(self) -> tuple[str, ...]:
@@ -162,9 +164,9 @@ class Puzzle(_OfKind):
         """True if the outcome of a press or grip is drawn: `update` then reads `contacts.uniform`."""
         return bool(self.chances)
 
-    @abstractmethod
     def make_state(self) -> PuzzleState:
-        """Return the state at the start of an episode."""
+        """Return the state at the start of an episode, by default 0."""
+        return 0
 
     def list_starts(self) -> tuple[PuzzleState, ...]:
         """List the states in which episodes may begin, equally likely. The first is `make_state()`."""
@@ -218,9 +220,9 @@ class Puzzle(_OfKind):
         """Lowest and highest value of each of the N_p observation numbers; by default 0 and 1."""
         return ((0.0, 1.0),) * len(self.observe(self.make_state()))
 
-    @abstractmethod
     def observe(self, state: PuzzleState) -> tuple[float, ...]:
-        """Return the N_p observation numbers, within `bounds`."""
+        """Return the N_p observation numbers, within `bounds`; by default one a target, 1 while it is on."""
+        return tuple(map(float, self.get_lit(state)))
 
     def get_lit(self, state: PuzzleState) -> tuple[bool, ...]:
         """Return for each target whether it is on; by default none is."""

@@ -30,17 +30,9 @@ class BitPuzzle(Modelled, Puzzle):
         """Names of the targets, `<word>-1` to `<word>-<count>`."""
         return tuple(f"{self.word}-{i + 1}" for i in range(self.count))
 
-    def make_state(self) -> int:
-        """State with all targets off."""
-        return 0
-
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value is a word of this many bits."""
         return type(state) is int and 0 <= state < 1 << self.count
-
-    def observe(self, state: int) -> tuple[float, ...]:
-        """One number a target: 1 on, 0 off."""
-        return tuple(float(state >> i & 1) for i in range(self.count))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
         """Return for each target whether it is on."""

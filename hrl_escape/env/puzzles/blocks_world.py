@@ -50,25 +50,24 @@ class Problem(NamedTuple):
     goal: TowersGoal
 
 
-def find_top(towers: Towers, base: int) -> int | None:
-    """Block on top of the tower whose lowest block is `base`; None if that does not stand on the table."""
-    if towers[base] != base:
-        return None
+def list_tower(towers: Towers, base: int) -> list[int]:
+    """Blocks of the tower whose lowest block is `base`, from the table up; none if that does not stand on the table."""
     above = {below: block for block, below in enumerate(towers) if below != block}
-    while base in above:
-        base = above[base]
-    return base
+    tower = [base] if towers[base] == base else []
+    while tower and tower[-1] in above:
+        tower.append(above[tower[-1]])
+    return tower
 
 
 def list_moves(towers: Towers) -> Iterator[tuple[int, int, Towers]]:
     """List the moves of a gripper, as (1 to grip or -1 to release, lowest block of the tower, towers after it)."""
     held = towers.index(IN_HAND) if IN_HAND in towers else None
     for base in range(len(towers)):
-        top = find_top(towers, base)
-        if held is None and top is not None:
-            yield 1, base, (*towers[:top], IN_HAND, *towers[top + 1:])
-        elif held is not None and (top is not None or base == held):
-            yield -1, base, (*towers[:held], base if top is None else top, *towers[held + 1:])
+        tower = list_tower(towers, base)
+        if held is None and tower:
+            yield 1, base, (*towers[:tower[-1]], IN_HAND, *towers[tower[-1] + 1:])
+        elif held is not None and (tower or base == held):
+            yield -1, base, (*towers[:held], tower[-1] if tower else base, *towers[held + 1:])
 
 
 def meets_goal(towers: Towers, goal: TowersGoal) -> bool:
@@ -265,14 +264,8 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
             raise ConfigError("puzzle.clear", self.clear, "blocks on which the goal puts nothing")
 
     def _check_towers(self, field: str, towers: Towers) -> None:
-        reached = set[int]()
-        for base in range(len(towers)):
-            top = base if towers[base] == base else None
-            while top is not None and top not in reached:
-                reached.add(top)
-                above = [block for block, below in enumerate(towers) if below == top != block]
-                top = above[0] if len(above) == 1 else None
-        if len(towers) != len(self.names) or len(reached) < len(towers):
+        count = len(towers)
+        if count != len(self.names) or sum(len(list_tower(towers, base)) for base in range(count)) < count:
             raise ConfigError(field, towers, f"towers of {len(self.names)} blocks, one on another from the table up")
 
     @cached_property
@@ -355,12 +348,7 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
 
     def get_sign(self, state: int, target: int) -> str:
         """Names of the blocks in the tower on a place, from the table up."""
-        towers = self.decode(state)
-        above = {below: block for block, below in enumerate(towers) if below != block}
-        tower = [target] if towers[target] == target else []
-        while tower and tower[-1] in above:
-            tower.append(above[tower[-1]])
-        return " ".join(self.names[block] for block in tower)
+        return " ".join(self.names[block] for block in list_tower(self.decode(state), target))
 
     # --- for planners ------------------------------------------------------------------
 

@@ -28,8 +28,6 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
 LockMemory = Literal["reset", "slide"]
-THINGS = ("key", "chest")
-"""Names of Key-Chest's pads, in their order."""
 
 
 class CodePuzzle(Puzzle):
@@ -37,10 +35,6 @@ class CodePuzzle(Puzzle):
 
     code: tuple[int, ...]
     """Numbers of the targets in order."""
-
-    def make_state(self) -> int:
-        """State 0: nothing of the code has been entered."""
-        return 0
 
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value is a number of presses of the code."""
@@ -53,10 +47,6 @@ class CodePuzzle(Puzzle):
     def compute_progress(self, state: int) -> float:
         """Share in [0, 1] of the code that has been entered."""
         return state / len(self.code)
-
-    def observe(self, state: int) -> tuple[float, ...]:
-        """One number a target: 1 while it is lit."""
-        return tuple(map(float, self.get_lit(state)))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
         """Lit targets: those in the part of the code entered so far."""
@@ -222,13 +212,9 @@ class KeyChestPuzzle(CodePuzzle):
     """Concrete rules; the pads are called `key` and `chest`."""
 
     kind = "key-chest"
+    fixed_names = ("key", "chest")
     are_pads = True
-    code = tuple(range(len(THINGS)))
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the two pads, `key` and `chest`."""
-        return THINGS
+    code = (0, 1)
 
     def update(self, state: int, contacts: Contacts) -> int:
         """Take the key on its pad; open the chest with it."""

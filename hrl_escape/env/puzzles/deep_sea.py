@@ -42,9 +42,10 @@ class DeepSeaConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class DeepSeaPuzzle(Puzzle):
-    """A concrete sea; panel i is called `dive-<i+1>`."""
+    """A concrete sea; its panels are called `dive-1` and `dive-2`. Episodes begin in the top left cell, state 0."""
 
     kind = "deep-sea"
+    fixed_names = ("dive-1", "dive-2")
     size: SeaSize = 2
     """Number of rows, and of columns, of the sea."""
     mapping_seed: MappingSeed = 42
@@ -55,15 +56,6 @@ class DeepSeaPuzzle(Puzzle):
         """Number of the panel that moves right, by row and column."""
         drawn = np.random.RandomState(self.mapping_seed).binomial(1, 0.5, [self.size, self.size])
         return tuple(map(tuple, drawn.tolist()))
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the two panels, `dive-1` and `dive-2`."""
-        return ("dive-1", "dive-2")
-
-    def make_state(self) -> int:
-        """State of the top left cell."""
-        return 0
 
     def _read(self, state: int) -> tuple[int, int]:
         return (state & ~_TREASURE) >> COLUMN_BITS, state & (1 << COLUMN_BITS) - 1

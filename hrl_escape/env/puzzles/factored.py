@@ -126,10 +126,6 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
         """Value of each factor."""
         return tuple(state // self.arity**factor % self.arity for factor in range(self.count))
 
-    def make_state(self) -> int:
-        """State 0: every factor has the value 0."""
-        return 0
-
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value is a state from which presses lead to the goal."""
         return type(state) is int and state in self._reachable

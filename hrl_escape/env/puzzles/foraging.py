@@ -38,6 +38,7 @@ class ForagingPuzzle(Modelled, Puzzle):
     """Concrete worms; the ends of the corridors are called `corridor-1` to `corridor-3`."""
 
     kind = "foraging"
+    fixed_names = tuple(f"corridor-{i + 1}" for i in range(CORRIDOR_COUNT))
     are_pads = True
     worms: Worms = 4
     """Worms to eat before the exit opens."""
@@ -47,18 +48,9 @@ class ForagingPuzzle(Modelled, Puzzle):
         """One half: the next worm appears at either of the two other ends."""
         return (0.5,)
 
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the pads, `corridor-1` to `corridor-3`."""
-        return tuple(f"corridor-{i + 1}" for i in range(CORRIDOR_COUNT))
-
     def list_starts(self) -> tuple[int, ...]:
         """The first worm is in any corridor."""
         return tuple(range(CORRIDOR_COUNT))
-
-    def make_state(self) -> int:
-        """State with the first worm in the first corridor."""
-        return 0
 
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value is a number of worms and a corridor."""

@@ -36,13 +36,9 @@ class HanoiPuzzle(Graphed, Modelled, Puzzle):
     """A concrete puzzle. Pegs are called `peg-1` to `peg-3`; all discs begin on the first."""
 
     kind = "hanoi"
+    fixed_names = tuple(f"peg-{i + 1}" for i in range(PEGS))
     discs: Annotated[int, Range(1, 8)] = 1
     """Number of discs, all of different sizes."""
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the panels, `peg-1` to `peg-3`."""
-        return tuple(f"peg-{i + 1}" for i in range(PEGS))
 
     @property
     def goal_targets(self) -> tuple[int, ...]:

@@ -74,10 +74,6 @@ class PotionsPuzzle(Modelled, Puzzle):
         """List the states of the first stone under each rule."""
         return tuple(self.encode(Brew(0, 0, rule)) for rule in range(len(list_rules(self.features))))
 
-    def make_state(self) -> int:
-        """State of the first stone under the first rule."""
-        return 0
-
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value is a stone that is not perfect, in a trial, under a rule."""
         if type(state) is not int or state < 0:

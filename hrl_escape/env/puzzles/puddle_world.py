@@ -40,16 +40,12 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
     """Concrete puddles; the only target is the pad `goal`."""
 
     kind = "puddle-world"
+    fixed_names = ("goal",)
     are_pads = True
     areas: tuple[Capsule, ...] = PUDDLES
     """Puddles; where they overlap, the deepest counts."""
     cost: Cost = 20.0
     """Cost of a primitive that ends in a puddle, per metre of depth inside its edge."""
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Name of the only target, the pad `goal`."""
-        return ("goal",)
 
     @property
     def puddles(self) -> tuple[Capsule, ...]:
@@ -60,10 +56,6 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
     def is_watching(self) -> bool:
         """True, as every primitive may end in a puddle."""
         return True
-
-    def make_state(self) -> int:
-        """State 0: the goal has not been entered."""
-        return 0
 
     def update(self, state: int, contacts: Contacts) -> int:
         """Return 1 once the goal's pad has been entered, else 0."""
@@ -76,10 +68,6 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
     def is_solved(self, state: int) -> bool:
         """Return whether the goal has been entered."""
         return state == 1
-
-    def observe(self, state: int) -> tuple[float, ...]:
-        """1 once the goal has been entered."""
-        return (float(state),)
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
         """The goal is lit once it has been entered."""

@@ -62,9 +62,10 @@ class PushBlockConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class PushBlockPuzzle(Propped, Modelled, Puzzle):
-    """A concrete pushing puzzle: each block belongs onto the plate that follows it."""
+    """A concrete pushing puzzle: each block belongs onto the plate that follows it. Nothing can be pressed."""
 
     kind = "push-block"
+    fixed_names = ()
     things: tuple[Prop, ...] = (Prop(), Prop("plate", "plate"))
     """A block, its plate, the next block, and so on; loose blocks come last."""
 
@@ -86,11 +87,6 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
     def with_props(self, props: tuple[Prop, ...]) -> PushBlockPuzzle:
         """The same puzzle with other blocks and plates."""
         return dataclasses.replace(self, things=props)
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Empty: the puzzle is solved by pushing, and nothing can be pressed."""
-        return ()
 
     @property
     def props(self) -> tuple[Prop, ...]:
@@ -128,10 +124,6 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
             numbers += [min(max(offset, -LARGEST_OFFSET), LARGEST_OFFSET) for offset in (block.x, block.y)]
             numbers += [block.yaw, float(is_on)]
         return tuple(numbers)
-
-    def get_lit(self, state: tuple[BlockPose, ...]) -> tuple[bool, ...]:
-        """Empty: there are no targets."""
-        return ()
 
     def get_facts(self, state: tuple[BlockPose, ...]) -> frozenset[str]:
         """`on-plate(block-i)` for every block on its plate."""

@@ -65,16 +65,12 @@ class RecipesConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
-    """The recipe game with one goal."""
+    """The recipe game with one goal. Panels are called as materials and things are; the store is empty at first."""
 
     kind = "recipes"
+    fixed_names = NAMES
     goal: Craft = "diamond"
     """The material or thing that opens the exit."""
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the panels: five materials, then the things to place or make."""
-        return NAMES
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
@@ -91,10 +87,6 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         """Number of a material in store; 1 or 0 for a thing."""
         number = NAMES.index(name)
         return state >> SHIFTS[number] & (2**COUNT_BITS - 1 if number < MATERIALS else 1)
-
-    def make_state(self) -> int:
-        """State 0: an empty store, and nothing placed or made."""
-        return 0
 
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value keeps at most `MOST_KEPT` of each material."""

@@ -49,6 +49,7 @@ class TaxiPuzzle(Modelled, Puzzle):
     """A concrete ride; the depots are called `red`, `green`, `yellow` and `blue`."""
 
     kind = "taxi"
+    fixed_names = DEPOTS
     are_pads = True
     fickleness: Fickleness = 0.0
     """Probability that the passenger changes the destination on the first ride of one cell."""
@@ -63,11 +64,6 @@ class TaxiPuzzle(Modelled, Puzzle):
     def is_watching(self) -> bool:
         """True if the passenger is fickle: the first ride of one cell may then be any move."""
         return self.fickleness > 0.0
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the pads: `red`, `green`, `yellow` and `blue`."""
-        return DEPOTS
 
     def encode(self, ride: Ride) -> int:
         """Encode a ride as a state."""
