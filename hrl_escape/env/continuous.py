@@ -71,16 +71,6 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
         super().__init__(config, **settings)
         EzPickle.__init__(self, config, **dataclasses.asdict(self.velocities), **settings)
 
-    @property
-    def speeds(self) -> dict[str, float]:
-        """`speed`, `turn_speed` and `joint_speed`."""
-        return self.velocities.speeds
-
-    @property
-    def time_step(self) -> float:
-        """Duration of a step, s."""
-        return self.velocities.time_step
-
     def _enter(self, instance: RoomInstance) -> None:
         super()._enter(instance)
         self._top = np.array(self.velocities.list_bounds(instance.robot))
@@ -108,5 +98,5 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
         return self._finish(*self.velocities.judge(done, self.instance))
 
     def _inform(self, pressed: tuple[int, ...], success: bool) -> dict[str, Any]:
-        info = super()._inform(pressed, success)
-        return info | {"seconds": info.pop("primitives") * self.time_step, "time_step": self.time_step}
+        info, time_step = super()._inform(pressed, success), self.velocities.time_step
+        return info | {"seconds": info.pop("primitives") * time_step, "time_step": time_step}

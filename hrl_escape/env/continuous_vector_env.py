@@ -10,7 +10,7 @@ import torch
 from gymnasium import spaces
 from torch import Tensor
 
-from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom
+from hrl_escape.env.batched.engine import RoomInfo
 from hrl_escape.env.presets import SchematicForm
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.env.velocities import Velocities
@@ -29,25 +29,20 @@ class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
     Args:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one; kinematic dynamics only.
-        time_step: s.
-        speed: largest speed of the base along each of its axes, m/s.
-        turn_speed: rad/s.
-        joint_speed: rad/s.
-        time_limit: s; None for as many seconds as the room's horizon has primitives.
+        time_step: as in `EscapeRoomContinuousEnv`, as are all up to `time_limit`.
         settings: all other arguments of `EscapeRoomVectorEnv`.
 
     Attributes:
         velocities: bounds, time step and time limit.
     """
 
+    velocities: Velocities
+
     def __init__(self, num_envs: int = 1, config: SchematicForm = "paper-two-button", *, time_step: float = 0.1,
                  speed: float = 1.0, turn_speed: float = 1.5, joint_speed: float = 1.0, time_limit: float | None = None,
                  **settings: Any) -> None:
         self.velocities = Velocities(time_step, speed, turn_speed, joint_speed, time_limit)
         super().__init__(num_envs, config, **settings)
-
-    def _make_room(self, autoreset: Autoreset) -> TensorRoom:
-        return TensorRoom(self.rooms, autoreset=autoreset, velocities=self.velocities)
 
     def _make_action_space(self) -> spaces.Space:
         top = np.array(self.velocities.list_bounds(self.room.layout.robot), dtype=np.float32)

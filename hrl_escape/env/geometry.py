@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -218,66 +218,3 @@ class NearCells(dict[tuple[int, int], tuple[Thing, ...]]):
         near = self[cell] = tuple(thing for thing, (shape, reach) in self._all
                                   if reach >= 0.0 and compute_distance(x, y, shape) <= reach + 0.75)
         return near
-
-
-class InnerDoors:
-    """Inner doors of a room: which of them are shut in a state of the puzzle, and which a step may meet.
-
-    A door cannot shut on the robot: one in which the body stands lets it out.
-
-    Args:
-        footprints: outlines of all of them.
-        get_shut: (state of the puzzle) -> bits of those that are shut.
-        radius: of the body, clearance included, m.
-        step: distance from the body's axis to the door ahead of it, m.
-        longest: length of the longest move, m.
-        push: (state of the puzzle, number of a door, number of the one beyond it or -1) -> the state after a move that
-            pushes; None where nothing can be pushed.
-    """
-
-    def __init__(self, footprints: Sequence[Footprint], get_shut: Callable[[Any], int], radius: float, step: float,
-                 longest: float, push: Callable[[Any, int, int], Hashable] | None = None) -> None:
-        self.footprints = tuple(footprints)
-        self._ask, self._radius, self._step, self._push = get_shut, radius, step, push
-        self._shut: dict[Hashable, int] = {}
-        reach = radius + 6.0 * longest  # noise lengthens steps
-        self._near = NearCells(enumerate(self.footprints), ((door, reach) for door in self.footprints))
-
-    def get_shut(self, puzzle: Hashable) -> int:
-        """Bits of the shut doors in a state of the puzzle; cached."""
-        shut = self._shut.get(puzzle)
-        if shut is None:
-            if len(self._shut) > 4096:
-                self._shut.clear()
-            shut = self._shut[puzzle] = self._ask(puzzle)
-        return shut
-
-    def find_blocking(self, x: float, y: float, puzzle: Hashable) -> int:
-        """Bits of the shut doors, except those in which a body at a place stands."""
-        shut = self.get_shut(puzzle)
-        for number, door in enumerate(self.footprints if shut else ()):
-            if shut >> number & 1 and compute_distance(x, y, door) < self._radius - 1e-6:
-                shut &= ~(1 << number)
-        return shut
-
-    def list_near(self, x: float, y: float, puzzle: Hashable) -> Iterator[Footprint]:
-        """Outlines of the shut doors that a step from a place could meet."""
-        shut = self.get_shut(puzzle)
-        for number, door in self._near[math.floor(x), math.floor(y)]:
-            if shut >> number & 1 and compute_distance(x, y, door) >= self._radius - 1e-6:
-                yield door
-
-    def push(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> Hashable:
-        """State of the puzzle after a move from a place has pushed the thing in its way, if it can be pushed."""
-        ahead = -1 if self._push is None else self.find_at(x + dx, y + dy)
-        if self._push is None or ahead < 0 or not self.get_shut(puzzle) >> ahead & 1:
-            return puzzle
-        return self._push(puzzle, ahead, self.find_at(x + 2.0 * dx, y + 2.0 * dy))
-
-    def find_ahead(self, x: float, y: float, cos: float, sin: float) -> int:
-        """Number of the door one stride ahead of the body's axis, along a heading; -1 where there is none."""
-        return self.find_at(x + self._step * cos, y + self._step * sin)
-
-    def find_at(self, x: float, y: float) -> int:
-        """Number of the door at a place; -1 where there is none."""
-        return next((n for n, door in enumerate(self.footprints) if compute_distance(x, y, door) == 0.0), -1)

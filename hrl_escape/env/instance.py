@@ -500,38 +500,28 @@ def is_on_floor(instance: RoomInstance, x: float, y: float, slack: float = 0.0) 
 
 def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:
     """Floor rectangles: the room's, and that of the alcove behind an exit door."""
-    half_x, half_y = instance.half_width, instance.half_depth
-    room = Rectangle(-half_x, half_x, -half_y, half_y)
-    if instance.door is None:
-        return (room,)
-    # the alcove is deeper than the exit in it by the radius that the base needs, and reaches back through the doorway
-    area, deep = instance.exit, instance.robot.outer_radius
-    low_x, high_x = area.x_min < -half_x, area.x_max > half_x
-    low_y, high_y = area.y_min < -half_y, area.y_max > half_y
-    alcove = Rectangle(
-        area.x_min - deep if low_x else half_x if high_x else area.x_min,
-        area.x_max + deep if high_x else -half_x if low_x else area.x_max,
-        area.y_min - deep if low_y else half_y if high_y else area.y_min,
-        area.y_max + deep if high_y else -half_y if low_y else area.y_max,
-    )
-    return room, alcove
+    return tuple(Rectangle(*area) for area in _list_areas(instance, 0.0, 0.0))
 
 
-def _list_areas(instance: RoomInstance) -> list[tuple[float, float, float, float]]:
-    """Rectangles x_min, x_max, y_min, y_max of the floor: the room's, and that of the alcove behind a door."""
-    half_x, half_y = instance.half_width, instance.half_depth
+def _list_areas(instance: RoomInstance, skin: float = CONTACT_SKIN, overlap: float = _OVERLAP
+                ) -> list[tuple[float, float, float, float]]:
+    """Rectangles x_min, x_max, y_min, y_max of the floor: the room's, and that of the alcove behind a door.
+
+    The alcove is deeper than the exit in it, where the body's axis stands, by its radius and a `skin`, and reaches back
+    through the doorway to the floor, an `overlap` into it, m.
+    """
+    half_x, half_y, area = instance.half_width, instance.half_depth, instance.exit
     areas = [(-half_x, half_x, -half_y, half_y)]
     if instance.door is not None:
-        beyond = instance.robot.outer_radius + CONTACT_SKIN  # the body's axis stands in the exit
-        area = instance.exit
-        areas.append((*_stretch(area.x_min, area.x_max, half_x, beyond),
-                      *_stretch(area.y_min, area.y_max, half_y, beyond)))
+        beyond = instance.robot.outer_radius + skin
+        areas.append((*_stretch(area.x_min, area.x_max, half_x, beyond, overlap),
+                      *_stretch(area.y_min, area.y_max, half_y, beyond, overlap)))
     return areas
 
 
-def _stretch(low: float, high: float, half: float, beyond: float) -> tuple[float, float]:
-    """Extent of an alcove along one axis: from inside the floor to the wall behind the exit."""
-    low, high = min(low, half - _OVERLAP), max(high, _OVERLAP - half)
+def _stretch(low: float, high: float, half: float, beyond: float, overlap: float) -> tuple[float, float]:
+    """Extent of an alcove along one axis: from the floor to the wall behind the exit."""
+    low, high = min(low, half - overlap), max(high, overlap - half)
     return low - beyond * (low < -half), high + beyond * (high > half)
 
 

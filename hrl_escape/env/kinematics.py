@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
 from enum import Enum
 from typing import Any, NamedTuple
 
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.geometry import Footprint, InnerDoors, NearCells, compute_distance
+from hrl_escape.env.geometry import Footprint, NearCells, compute_distance
 from hrl_escape.env.instance import RoomInstance, Start, is_on_floor
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
 from hrl_escape.env.poses import RobotPoses, RoomState, list_touched
@@ -82,6 +82,61 @@ class Glide(NamedTuple):
     grip: int = 0  # 1 to grip at its end, -1 to release, 2 to use
 
 
+class InnerDoors:
+    """Inner doors of a room: which of them are shut in a state of the puzzle, and which a step may meet.
+
+    A door cannot shut on the robot: one in which the body stands lets it out.
+    """
+
+    def __init__(self, instance: RoomInstance) -> None:
+        self.footprints = tuple(door.footprint for door in instance.inner_doors)
+        self._puzzle, self._radius = instance.puzzle, instance.robot.outer_radius + CONTACT_SKIN
+        self._stride = instance.robot.actions.stride
+        self._shut: dict[Hashable, int] = {}
+        reach = self._radius + 6.0 * instance.robot.actions.longest  # noise lengthens steps
+        self._near = NearCells(enumerate(self.footprints), ((door, reach) for door in self.footprints))
+
+    def get_shut(self, puzzle: Hashable) -> int:
+        """Bits of the shut doors in a state of the puzzle; cached."""
+        shut = self._shut.get(puzzle)
+        if shut is None:
+            if len(self._shut) > 4096:
+                self._shut.clear()
+            shut = self._shut[puzzle] = get_trait(self._puzzle, Barring).get_shut(puzzle)
+        return shut
+
+    def find_blocking(self, x: float, y: float, puzzle: Hashable) -> int:
+        """Bits of the shut doors, except those in which a body at a place stands."""
+        shut = self.get_shut(puzzle)
+        for number, door in enumerate(self.footprints if shut else ()):
+            if shut >> number & 1 and compute_distance(x, y, door) < self._radius - 1e-6:
+                shut &= ~(1 << number)
+        return shut
+
+    def list_near(self, x: float, y: float, puzzle: Hashable) -> Iterator[Footprint]:
+        """Outlines of the shut doors that a step from a place could meet."""
+        shut = self.get_shut(puzzle)
+        for number, door in self._near[math.floor(x), math.floor(y)]:
+            if shut >> number & 1 and compute_distance(x, y, door) >= self._radius - 1e-6:
+                yield door
+
+    def push(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> Hashable:
+        """State of the puzzle after a move from a place has pushed the thing in its way, if it can be pushed."""
+        ahead = self.find_at(x + dx, y + dy) if isinstance(self._puzzle, Pushing) else -1
+        if ahead < 0 or not self.get_shut(puzzle) >> ahead & 1:
+            return puzzle
+        beyond = self.find_at(x + 2.0 * dx, y + 2.0 * dy)
+        return self._puzzle.update(puzzle, Contacts((), grip=PUSH, ahead=ahead, beyond=beyond))
+
+    def find_ahead(self, x: float, y: float, cos: float, sin: float) -> int:
+        """Number of the door one stride ahead of the body's axis, along a heading; -1 where there is none."""
+        return self.find_at(x + self._stride * cos, y + self._stride * sin)
+
+    def find_at(self, x: float, y: float) -> int:
+        """Number of the door at a place; -1 where there is none."""
+        return next((n for n, door in enumerate(self.footprints) if compute_distance(x, y, door) == 0.0), -1)
+
+
 class Rules(RobotPoses):
     """The part of the MDP that every dynamics shares: touching, presses, the puzzle, reward, exit and horizon.
 
@@ -107,14 +162,7 @@ class Rules(RobotPoses):
         self._near_targets = NearCells(entries, ((shape, by_hand if self._by_hand else reach)
                                                  for _, shape, reach, _ in entries))
         self._presser = None if self._by_hand or instance.robot.base.turns_anywhere else instance.robot.base
-        self.inner_doors = None if not instance.inner_doors else InnerDoors(
-            [door.footprint for door in instance.inner_doors], get_trait(self._puzzle, Barring).get_shut,
-            instance.robot.outer_radius + CONTACT_SKIN, self.actions.stride, self.actions.longest,
-            self._push if isinstance(self._puzzle, Pushing) else None)
-
-    def _push(self, state: Hashable, ahead: int, beyond: int) -> Hashable:
-        """State of the puzzle after a move that pushes the thing in one inner door's cell into another cell."""
-        return self._puzzle.update(state, Contacts((), grip=PUSH, ahead=ahead, beyond=beyond))
+        self.inner_doors = InnerDoors(instance) if instance.inner_doors else None
 
     # --- touching --------------------------------------------------------------------
 
@@ -210,7 +258,7 @@ class Kinematics(Rules):
         self._near_solids = NearCells(self.footprints, ((shape, reach) for shape in self.footprints))
         self._primitives = self.actions.primitives
         self._moves = tuple(
-            tuple(primitive.compute_move(cos, sin) for cos, sin in self._rotations) for primitive in self._primitives)
+            tuple(primitive.compute_move(cos, sin) for cos, sin in self.rotations) for primitive in self._primitives)
 
     def step(self, state: RoomState, action: int) -> Transition:
         """Apply one primitive. Pure: the same state and action give the same transition."""

@@ -74,6 +74,7 @@ class RobotPoses:
         headings: turn steps of a full turn.
         turn_step: angle of one turn step, rad.
         symmetry: number of headings, evenly spread, at which the base covers and moves the same.
+        rotations: cosine and sine of each heading of whole turn steps.
     """
 
     def __init__(self, robot: RobotConfig) -> None:
@@ -82,7 +83,7 @@ class RobotPoses:
         self.turn_step = math.tau / self.headings
         self.symmetry = robot.symmetry
         self._angles = tuple(self.compute_heading(n, 0.0, self.turn_step) for n in range(self.headings))
-        self._rotations = tuple((round(math.cos(a), 15), round(math.sin(a), 15)) for a in self._angles)
+        self.rotations = tuple((round(math.cos(a), 15), round(math.sin(a), 15)) for a in self._angles)
         self._hands: dict[tuple[int, ...], tuple[float, float, float]] = {}
         self._arms: dict[tuple[int, ...], tuple[float, ...]] = {}
 
@@ -105,10 +106,6 @@ class RobotPoses:
             offsets.append(angle - (home + step * robot.step))
         return tuple(steps), tuple(offsets)
 
-    def list_rotations(self) -> tuple[tuple[float, float], ...]:
-        """Cosine and sine of each heading of whole turn steps."""
-        return self._rotations
-
     def get_heading(self, state: RoomState) -> float:
         """Heading of the base in rad, within [-pi, pi)."""
         if state.heading_offset == 0.0:
@@ -118,7 +115,7 @@ class RobotPoses:
     def get_rotation(self, steps: int, offset: float) -> tuple[float, float]:
         """Cosine and sine of a heading; exact at quarter turns."""
         if offset == 0.0:
-            return self._rotations[steps]
+            return self.rotations[steps]
         angle = self.compute_heading(steps, offset, self.turn_step)
         return math.cos(angle), math.sin(angle)
 

@@ -78,7 +78,7 @@ class Robot:
         urdf: the whole robot as URDF text; its root link is `BASE_LINK`.
         joint_names: the joints that primitives move.
         hand_link: the link with the hand at its origin.
-        home: joint angles at the start of an episode, rad.
+        home: joint angles at the start of an episode, rad: zero if the limits allow it, else their middle.
         step: angle of one joint primitive, rad.
         step_low: fewest joint steps from home that stay within the limits (<= 0).
         step_high: most joint steps from home that stay within the limits (>= 0).
@@ -376,7 +376,7 @@ def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Rob
         raise RobotError(f"robot.joints = {config.joints}: only {len(moving)} joints move {hand!r}")
     used = moving[: config.joints]
     step = math.radians(config.joint_step_deg)
-    rest = {joint.name: _find_home(joint) for joint in joints if joint.kind in _MOVING}
+    rest = {j.name: 0.0 if j.low <= 0.0 <= j.high else (j.low + j.high) / 2 for j in joints if j.kind in _MOVING}
     home = tuple(rest.pop(joint.name) for joint in used)
     slack = 1e-9  # a limit a whole number of steps away can be reached
     return Robot(
@@ -393,8 +393,3 @@ def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Rob
         chain=tuple(chain),
         rest=rest,
     )
-
-
-def _find_home(joint: _Joint) -> float:
-    """Home angle of a joint, rad: zero if the limits allow it, else their middle."""
-    return 0.0 if joint.low <= 0.0 <= joint.high else (joint.low + joint.high) / 2

@@ -132,6 +132,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
+    velocities: Any = None  # `Velocities` where actions are no primitives
 
     def __init__(
         self,
@@ -152,7 +153,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         if not isinstance(render_size, (tuple, list)) or len(render_size) != 2:
             raise ConfigError("render_size", render_size, "a pair of width and height")
         self.rooms = Rooms(num_envs, config, observation=observation, **rooms)
-        self.room = self._make_room(_AUTORESETS[self.autoreset_mode])
+        self.room = TensorRoom(self.rooms, autoreset=_AUTORESETS[self.autoreset_mode], velocities=self.velocities)
         self.instances = self.room.instances
         self.render_mode = render_mode
         self._cameras: dict[tuple[str, int, int], BatchedCamera] = {}
@@ -166,9 +167,6 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ids = np.array([one.id for one in self.instances], dtype=object)
         self._every: Any = self._give(torch.ones(num_envs, dtype=torch.bool, device=self.room.device))
-
-    def _make_room(self, autoreset: Autoreset) -> TensorRoom:
-        return TensorRoom(self.rooms, autoreset=autoreset)
 
     def _make_action_space(self) -> spaces.Space:
         return spaces.Discrete(self.room.actions)

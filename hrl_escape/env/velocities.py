@@ -46,11 +46,6 @@ class Velocities:
             if not is_number and (name != "time_limit" or value is not None):
                 raise ConfigError(name, value, "a finite number above 0")
 
-    @property
-    def speeds(self) -> dict[str, float]:
-        """`speed`, `turn_speed` and `joint_speed`."""
-        return {"speed": self.speed, "turn_speed": self.turn_speed, "joint_speed": self.joint_speed}
-
     def list_bounds(self, robot: RobotConfig) -> tuple[float, ...]:
         """Largest velocity forward, to the left where the base strafes, of the turn, and of each joint; then levels.
 

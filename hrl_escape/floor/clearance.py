@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.bases.rectangle import TOUCH
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.floor_grid import FloorGrid, label_parts
-from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact, stack_footprints
+from hrl_escape.env.geometry import Footprint, Neighbourhood, compute_distance, compute_first_contact
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.poses import RobotPoses
 
@@ -52,7 +52,7 @@ class CollisionMap:
         robot = instance.robot
         self.radius, self.inner = robot.outer_radius + CONTACT_SKIN, robot.inner_radius + CONTACT_SKIN
         self.base = robot.base.grow(CONTACT_SKIN)
-        self._rotations = RobotPoses(robot).list_rotations()
+        self._rotations = RobotPoses(robot).rotations
         self._take_solids(_list_footprints(instance, door_shut))
         width, depth = 2 * instance.reach_x, 2 * instance.reach_y
         finest = max(FINEST, min(0.125, robot.inner_radius / 6))
@@ -68,9 +68,16 @@ class CollisionMap:
         self._index()
 
     def _take_solids(self, footprints: tuple[Footprint, ...]) -> None:
-        self.footprints = footprints
-        self.solids = stack_footprints(self.footprints)
-        self._around = np.where(self.solids[:, 0] > 0.5, self.solids[:, 5], np.hypot(*self.solids[:, 5:].T))
+        self.footprints, self._neighbourhood = footprints, Neighbourhood(footprints)
+        self.solids = self._neighbourhood.shapes
+
+    def _copy(self, footprints: tuple[Footprint, ...]) -> CollisionMap:
+        """Copy of the map with other solids, whose distances are still those of the present ones."""
+        new = copy.copy(self)
+        new.__dict__.pop("_labels", None)
+        new._take_solids(footprints)
+        new.distance = self.distance.copy()
+        return new
 
     def _index(self) -> None:
         self._distances = array.array("f", self.distance.tobytes())  # scalar look-ups are ten times as fast as numpy's
@@ -78,10 +85,7 @@ class CollisionMap:
 
     def adapt(self, instance: RoomInstance, door_shut: bool, changed: Sequence[Footprint]) -> CollisionMap:
         """Map of a room that differs in some solids alone, `changed`: their footprints before and after."""
-        new = copy.copy(self)
-        new.__dict__.pop("_labels", None)
-        new._take_solids(_list_footprints(instance, door_shut))
-        new.distance = self.distance.copy()
+        new = self._copy(_list_footprints(instance, door_shut))
         windows = [self.grid.find_window(shape, self.horizon) for shape in changed]
         for low, high in windows:
             new.distance[low[0] : high[0], low[1] : high[1]] = self.horizon
@@ -93,10 +97,7 @@ class CollisionMap:
 
     def keep_out(self, footprints: Sequence[Footprint]) -> CollisionMap:
         """Make the map of a room in which these footprints are solid, too."""
-        new = copy.copy(self)
-        new.__dict__.pop("_labels", None)
-        new._take_solids((*self.footprints, *footprints))
-        new.distance = self.distance.copy()
+        new = self._copy((*self.footprints, *footprints))
         for footprint in footprints:
             new._lower(footprint)
         new._index()
@@ -167,12 +168,10 @@ class CollisionMap:
         if not (self.does_fit(x, y, rotation) and self.does_fit(to_x, to_y, rotation)):
             return False
         dx, dy = to_x - x, to_y - y
-        reach = self._around + (math.hypot(dx, dy) / 2 + self.radius)
-        away = np.hypot(self.solids[:, 1] - (x + dx / 2), self.solids[:, 2] - (y + dy / 2))
-        need, near = self.radius - TOUCH, np.flatnonzero(away <= reach).tolist()
+        near = self._neighbourhood.list_near(x + dx / 2, y + dy / 2, math.hypot(dx, dy) / 2 + self.radius)
         if not self.base.turns_anywhere:
-            return self.base.find_free_fraction(x, y, rotation, dx, dy, (self.footprints[k] for k in near)) == 1.0
-        return not any(compute_first_contact(x, y, dx, dy, need, self.footprints[k]) < 1.0 for k in near)
+            return self.base.find_free_fraction(x, y, rotation, dx, dy, near) == 1.0
+        return not any(compute_first_contact(x, y, dx, dy, self.radius - TOUCH, shape) < 1.0 for shape in near)
 
     def is_turn_free(self, x: float, y: float, heading: float, turn: float) -> bool:
         """Return whether the body can turn by an angle at a place where it fits at a heading; rad. Exact."""

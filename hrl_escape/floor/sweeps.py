@@ -139,24 +139,6 @@ def _list_near(scene, x, y):
 
 
 @kernel_part
-def sweep(scene, x, y, dx, dy, length):
-    """Free fraction of a displacement of a disc, as `Kinematics.compute_free_fraction` computes it."""
-    if is_clear_of_all(scene, x + 0.5 * dx, y + 0.5 * dy, 0.5 * length):
-        return 1.0
-    fraction = 1.0
-    first, last = _list_near(scene, x, y)
-    for k in range(first, last):
-        item = scene.near_items[k]
-        shape = get_shape(scene.solids[item])
-        if item == scene.door and measure_distance(x, y, shape) < scene.radius - 1e-6:
-            continue
-        met = first_contact(x, y, dx, dy, scene.radius, shape)
-        if met < fraction:
-            fraction = met
-    return fraction
-
-
-@kernel_part
 def measure_clearance(scene, x, y):
     """Distance to the nearest solid among those near the place."""
     nearest = 1e9
@@ -169,21 +151,27 @@ def measure_clearance(scene, x, y):
 @kernel_part
 def _lets_out(scene, item, x, y, turn, shape):
     """Return whether a base stands in the shut door, which then lets it out."""
-    return item == scene.door and _base_gap(scene.kind, x, y, turn[0], turn[1], scene.size, shape) < -1e-6
+    if item != scene.door:
+        return False
+    if scene.kind < 0:
+        return measure_distance(x, y, shape) < scene.radius - 1e-6
+    return _base_gap(scene.kind, x, y, turn[0], turn[1], scene.size, shape) < -1e-6
 
 
 @kernel_part
 def sweep_body(scene, x, y, turn, dx, dy, length):
-    """Free fraction of a displacement at a heading, whose cosine and sine a disc does not need."""
-    if scene.kind < 0:
-        return sweep(scene, x, y, dx, dy, length)
+    """Free fraction of a displacement at a heading, as `Kinematics.compute_free_fraction` computes it."""
     if is_clear_of_all(scene, x + 0.5 * dx, y + 0.5 * dy, 0.5 * length):
         return 1.0
     fraction = 1.0
     first, last = _list_near(scene, x, y)
     for k in range(first, last):
         shape = get_shape(scene.solids[scene.near_items[k]])
-        if not _lets_out(scene, scene.near_items[k], x, y, turn, shape):
+        if _lets_out(scene, scene.near_items[k], x, y, turn, shape):
+            continue
+        if scene.kind < 0:
+            fraction = min(fraction, first_contact(x, y, dx, dy, scene.radius, shape))
+        else:
             fraction = min(fraction, _base_contact(scene.kind, x, y, turn[0], turn[1], scene.size, dx, dy, shape))
     return fraction
 

@@ -102,8 +102,8 @@ class TrackedSource:
     @classmethod
     def of(cls, env: EscapeRoomContinuousEnv, planner: str) -> TrackedSource:
         """The source for an environment, within `HEADROOM` of its velocities."""
-        speeds = {name: HEADROOM * env.speeds[name] for name in ("speed", "turn_speed", "joint_speed")}
-        return cls(MotionLimits(**speeds), env.time_step, planner)
+        speeds = {name: HEADROOM * getattr(env.velocities, name) for name in ("speed", "turn_speed", "joint_speed")}
+        return cls(MotionLimits(**speeds), env.velocities.time_step, planner)
 
     def __call__(self, instance: RoomInstance) -> Sequence[Option]:
         """The meta-actions of a room: `meta-01` and so on press, grip or push one target each, `meta-exit` leaves."""

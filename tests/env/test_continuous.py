@@ -64,7 +64,7 @@ def test_a_plan_of_primitives_played_as_velocities_reaches_the_same_states(prese
     env.reset(options={"state": plan.states[0]})
     total, rules, steps = 0.0, planner.rules, 10
     for action, expected in zip(plan.primitives, plan.states[1:], strict=True):
-        for rates in list_velocities(rules, action, steps, env.time_step):
+        for rates in list_velocities(rules, action, steps, env.velocities.time_step):
             _, reward, terminated, _, info = env.step(rates)
             total += reward
             if terminated:

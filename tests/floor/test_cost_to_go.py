@@ -13,7 +13,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.floor import cost_to_go
 from hrl_escape.floor.cost_to_go import FieldMaker
-from hrl_escape.floor.sweeps import measure_clearance, sweep
+from hrl_escape.floor.sweeps import measure_clearance, sweep_body
 from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import ExitGoal, PressGoal
 
@@ -60,7 +60,7 @@ def test_compiled_sweeps_are_bit_for_bit_those_of_the_kinematics(config, shut):
         length = rules.instance.robot.move_step * rng.uniform(0.1, 1.0)
         dx, dy = float(length * np.cos(angle)), float(length * np.sin(angle))
         fraction = rules.compute_free_fraction(x, y, dx, dy, puzzle)
-        assert sweep(maker.scene, x, y, dx, dy, float(np.hypot(dx, dy))) == fraction
+        assert sweep_body(maker.scene, x, y, (1.0, 0.0), dx, dy, float(np.hypot(dx, dy))) == fraction
         cut += fraction < 1.0
     assert cut > 150
 
@@ -74,7 +74,7 @@ def test_a_shut_door_holds_nobody_who_stands_in_it():
         x, y = float(door.x + rng.uniform(-2, 2)), float(door.y + rng.uniform(-2, 2))
         dx, dy = rng.uniform(-0.7, 0.7, 2).tolist()
         fraction = rules.compute_free_fraction(x, y, dx, dy, puzzle)
-        assert sweep(shut.scene, x, y, dx, dy, float(np.hypot(dx, dy))) == fraction
+        assert sweep_body(shut.scene, x, y, (1.0, 0.0), dx, dy, float(np.hypot(dx, dy))) == fraction
         held.append(rules.is_door_shut(x, y, puzzle))
     assert 200 < sum(held) < 1800
 

@@ -84,11 +84,6 @@ class _Box(NamedTuple):
     look: str
 
 
-def list_base_parts(radius: float, height: float) -> tuple[tuple[float, float, float, float], ...]:
-    """Parts of the base: lowest and highest z, radius below and above, m."""
-    return ((0.15 * height, 0.85 * height, radius, radius), (0.85 * height, height, radius, 0.85 * radius))
-
-
 def stack_scenery(instances: Sequence[RoomInstance], layout: Layout, device: torch.device
                   ) -> tuple[Scenery, SceneryForm]:
     """Stack the visible prisms of several instances."""
@@ -437,8 +432,9 @@ def _list_rounds(layout: Layout, things: Scenery, state: TensorState) -> Tensor:
     x, y = state.x.to(torch.float32), state.y.to(torch.float32)
     if layout.robot.base.corners:
         return things.cylinders.expand(-1, -1, len(x))
-    parts = [torch.stack([x, y, *(torch.full_like(x, value) for value in part)])
-             for part in list_base_parts(layout.robot.outer_radius, layout.robot.body_height)]
+    radius, height = layout.robot.outer_radius, layout.robot.body_height
+    parts = [torch.stack([x, y, *(torch.full_like(x, value) for value in part)]) for part in (
+        (0.15 * height, 0.85 * height, radius, radius), (0.85 * height, height, radius, 0.85 * radius))]
     return torch.cat([things.cylinders.expand(-1, -1, len(x)), torch.stack(parts, dim=1)], dim=1)
 
 

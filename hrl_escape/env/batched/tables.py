@@ -75,7 +75,8 @@ class Tables(NamedTuple):
     hiders: Shapes  # the solids that can block the sight between two places on the floor
     doors: Shapes  # (1, instances), out of the way if there is none
     inner_doors: Shapes  # (inner doors, instances), out of the way where there are fewer
-    inner_leaves: Tensor  # true for those that are doors, which hide what is behind them, bool (inner doors, instances)
+    inner_leaves: Tensor
+    """True for doors, which hide what is behind them, false for things in cells, bool (inner doors, instances)."""
     ways: Tensor
     """Bits of the inner doors on the way to each target, and last to the exit, int64 (targets + 1, instances)."""
     target_counts: Tensor
@@ -232,7 +233,8 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         hiders=shapes([list_hiders(i) for i in instances]),
         doors=shapes([[i.door.footprint] if i.door else [] for i in instances]),
         inner_doors=shapes([[door.footprint for door in i.inner_doors] for i in instances]),
-        inner_leaves=_list_leaves(instances, max(1, layout.inner_doors)).to(device),
+        inner_leaves=integers([[len(i.inner_doors) > number and i.inner_doors[number].role == "door" for i in instances]
+                               for number in range(max(1, layout.inner_doors))], torch.bool),
         ways=integers(columns([list_ways(i, layout.targets) for i in instances])),
         target_counts=integers([[len(i.targets) for i in instances]]),
         targets=targets,
@@ -272,9 +274,3 @@ def _stack_marks(instances: Sequence[RoomInstance], targets: int) -> np.ndarray:
     """Marks of every instance, 0 for targets that it lacks, (targets, `MARK_WORDS`, instances)."""
     rows = [make_mark_rows(get_trait(instance.puzzle, Marked).marks) for instance in instances]
     return np.stack([np.pad(row, ((0, targets - len(row)), (0, 0))) for row in rows], axis=-1)
-
-
-def _list_leaves(instances: Sequence[RoomInstance], most: int) -> Tensor:
-    """Return true for inner doors proper, false for things in cells, bool (most, instances)."""
-    roles = [[door.role for door in instance.inner_doors] for instance in instances]
-    return torch.tensor([[number < len(row) and row[number] == "door" for row in roles] for number in range(most)])

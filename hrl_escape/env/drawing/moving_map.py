@@ -19,7 +19,7 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import shorten
 from hrl_escape.env.drawing.meshes import compute_extent, outline_capsule
 from hrl_escape.env.geometry import Solid
-from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, compute_floors
+from hrl_escape.env.instance import Rectangle, RoomInstance, compute_floors
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
 from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
@@ -85,7 +85,8 @@ def describe_room(instance: RoomInstance) -> dict[str, Any]:
              "mark": marks[number] if marks else None}
             for number, target in enumerate(instance.targets)
         ],
-        "props": [_describe_prop(placed) for placed in instance.props],
+        "props": [{**_describe_box(p.x, p.y, p.prop.half_size, p.prop.half_size, p.yaw), "kind": p.prop.kind}
+                  for p in instance.props],
         "radius": instance.robot.inner_radius,
         "corners": [list(corner) for corner in instance.robot.base.corners],
         "hand": instance.robot.hand_radius,
@@ -155,8 +156,3 @@ def _describe_inner_door(door: Solid) -> dict[str, Any]:
     """A door, or a thing in a cell: drawn smaller than what it blocks, as on maps."""
     share = palette.get_inner_share(door)
     return _describe_solid(dataclasses.replace(door, half_x=share * door.half_x, half_y=share * door.half_y))
-
-
-def _describe_prop(placed: PlacedProp) -> dict[str, Any]:
-    half = placed.prop.half_size
-    return {**_describe_box(placed.x, placed.y, half, half, placed.yaw), "kind": placed.prop.kind}

@@ -160,16 +160,12 @@ class ButtonsConfig(PuzzleConfig):
                 if self.marks.shuffled:
                     shown = sample_relabelled(self.graph, self.count, rng, self.goal)
                 marks = () if self.marks.kind == "none" else self.marks.draw(self.count, *shown, rng)
-                rule = self._draw_rule(rng)
+                rule = self.on_violation
+                if rule == "drawn":  # last of all, so that nothing else depends on it
+                    rule = VIOLATION_RULES[rng.integers(len(VIOLATION_RULES))]
                 return ButtonsPuzzle(self.count, edges, goal, rule, self.allow_off, locks, doors, marks)
         raise ConfigError("puzzle.dead_ends", self.dead_ends,
                           "as many as such graphs have pairs of buttons of which neither needs the other")
-
-    def _draw_rule(self, rng: np.random.Generator) -> ViolationRule:
-        """Rule of a room; the last draw of its puzzle, so that nothing else depends on it."""
-        if self.on_violation != "drawn":
-            return self.on_violation
-        return VIOLATION_RULES[rng.integers(len(VIOLATION_RULES))]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,6 @@ Without the key the chest is inert.
 from __future__ import annotations
 
 import dataclasses
-from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -101,13 +100,8 @@ class CodeLockPuzzle(Modelled, CodePuzzle):
         if any(one == other for one, other in zip(self.code, self.code[1:], strict=False)):
             raise ConfigError("puzzle.code", self.code, "no digit twice in a row")
 
-    @cached_property
-    def next_progress(self) -> tuple[tuple[int, ...], ...]:
-        """For each progress below the code's length and each digit, the progress after its press."""
-        return tuple(tuple(self._advance(progress, digit) for digit in range(self.digits))
-                     for progress in range(len(self.code)))
-
     def _advance(self, progress: int, digit: int) -> int:
+        """Progress after the press of a digit."""
         if self.code[progress] == digit:
             return progress + 1
         if self.memory == "reset":
@@ -124,7 +118,7 @@ class CodeLockPuzzle(Modelled, CodePuzzle):
         """Enter each press in index order; an open lock stays open."""
         for digit in contacts.pressed:
             if state < len(self.code):
-                state = self.next_progress[state][digit]
+                state = self._advance(state, digit)
         return state
 
     def observe(self, state: int) -> tuple[float, ...]:

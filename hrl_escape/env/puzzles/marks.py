@@ -118,11 +118,6 @@ class MarksConfig(Schematic):
         return np.random.default_rng([self.code, 3]).permutation(symbols) % self.classes
 
     @cached_property
-    def _plugs(self) -> list[NDArray[np.int64]]:
-        """The plugs that mean the same, by their class."""
-        return [np.flatnonzero(self.meanings == own) for own in range(self.classes)]
-
-    @cached_property
     def orders(self) -> NDArray[np.int64]:
         """Class that a symbol of each class stands for under each motif, (motifs, classes); the first changes none."""
         rng, orders = np.random.default_rng([self.code, 4]), [tuple(range(self.classes))]
@@ -154,7 +149,8 @@ class MarksConfig(Schematic):
         """Colours, each once, and plugs that name the colour of each target's parent."""
         colours = rng.permutation(len(COLOURS))[: len(classes)]
         named = np.array([0, *(colours + 1)])[np.where(rng.random(len(classes)) < self.truth, classes, 0)]
-        plugs = [int((alike := self._plugs[own])[rng.integers(len(alike))]) for own in named]
+        alike = [np.flatnonzero(self.meanings == own) for own in named]
+        plugs = [int(same[rng.integers(len(same))]) for same in alike]
         return tuple(int(colour) + len(COLOURS) * plug for colour, plug in zip(colours, plugs, strict=True))
 
     def _compute_wire_likelihood(self, marks: tuple[int, ...], classes: NDArray[np.int64]) -> NDArray[np.float64]:

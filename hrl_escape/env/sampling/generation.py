@@ -109,17 +109,14 @@ def sample_puzzle(config: RoomConfig, seed: int) -> tuple[RoomConfig, Puzzle]:
 
     Returns the schematic with numbers in place of ranges, and the instance's puzzle.
     """
-    config = _draw_ranges(config, np.random.default_rng([seed, 2]))
+    rng = np.random.default_rng([seed, 2])
+    config = fill_ranges(config, {path: _draw(between.low, between.high, rng)
+                                  for path, between in list_ranges(config).items()})
     return config, config.puzzle.make_puzzle(np.random.default_rng([seed, 0]))
 
 
-def _draw_ranges(config: RoomConfig, rng: np.random.Generator) -> RoomConfig:
-    """Draw a number from every range of a schematic, uniformly, ends included."""
-    values = {path: _draw(between.low, between.high, rng) for path, between in list_ranges(config).items()}
-    return fill_ranges(config, values) if values else config
-
-
 def _draw(low: float, high: float, rng: np.random.Generator) -> float:
+    """Draw a number from a range, uniformly, ends included."""
     if isinstance(low, int) and isinstance(high, int):
         return int(rng.integers(low, high, endpoint=True))
     return float(rng.uniform(low, high))

@@ -32,7 +32,7 @@ from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.env.puzzles.traits import Pushing
-from hrl_escape.env.robot import sample_joint_steps
+from hrl_escape.env.robot import sample_hand_positions, sample_joint_steps
 from hrl_escape.env.sampling.certificate import Floors, find_unmet, make_floors
 from hrl_escape.env.sight import list_hiders
 
@@ -142,8 +142,7 @@ class _Search:
         self._joint_steps = np.zeros((0, 0), dtype=np.int64)
         if instance.dynamics.press_with == "hand":
             self._joint_steps = sample_joint_steps(self._rules.robot, _HANDS)
-            angles = np.array(self._rules.robot.home) + self._rules.robot.step * self._joint_steps
-            self._hands = self._rules.robot.compute_hand(angles)
+            self._hands = sample_hand_positions(self._rules.robot, _HANDS)
 
     def find_unproven(self) -> str | None:
         """Run the search from every start; the returns are those of the module's `find_unproven`."""

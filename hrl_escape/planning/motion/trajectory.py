@@ -410,7 +410,7 @@ def track(trajectory: TimedTrajectory, env: gymnasium.Env) -> Tracking:
     if not isinstance(room, EscapeRoomContinuousEnv):
         raise EscapeError(f"a trajectory is tracked in hrl_escape/EscapeRoomContinuous-v1, not in {env}")
     states, errors, end = [room.get_state()], [], EpisodeEnd.STOPPED
-    tracker = Tracker(trajectory, room.rules, room.time_step, states[0])
+    tracker = Tracker(trajectory, room.rules, room.velocities.time_step, states[0])
     while not (tracker.is_done or end.is_over):
         _, _, terminated, truncated, _ = env.step(tracker.choose())
         states.append(room.get_state())
@@ -419,4 +419,4 @@ def track(trajectory: TimedTrajectory, env: gymnasium.Env) -> Tracking:
         end = EpisodeEnd.of_step(room.rules.has_escaped(states[-1]), terminated, truncated)
     shape = (-1, len(trajectory.names))
     return Tracking(tuple(states), tuple(tracker.pressed), np.array(errors).reshape(shape), end,
-                    (len(states) - 1) * room.time_step)
+                    (len(states) - 1) * room.velocities.time_step)
