@@ -272,7 +272,7 @@ MUTATIONS = [
     Mutation(
         "a block is put down on any empty place",
         "env/puzzles/blocks_world.py",
-        "elif held is not None and (top is not None or base == held):",
+        "elif held is not None and (tower or base == held):",
         "elif held is not None:",
         "env/puzzles/test_blocks_world.py",
     ),

@@ -33,15 +33,13 @@ _GRAZE = 1e-9
 _SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
-def _compute_sides(x: float, y: float, cos: float, sin: float, size: tuple[float, ...],
-                   shape: Footprint) -> tuple[tuple[float, float, float, float], ...]:
+def _compute_sides(px: Any, py: Any, cos: Any, sin: Any, size: tuple[float, ...], box_cos: Any, box_sin: Any,
+                   half_x: Any, half_y: Any) -> tuple[tuple[Any, Any, Any, Any], ...]:
     """The polygon of touching places round a box: (x and y of an axis, place on it, half extent) of each pair of sides.
 
-    The place is that of the base's axis, from the box's centre.
+    The place is that of the base's axis, at (px, py) from the box's centre. Takes numbers and tensors alike.
     """
     half_length, half_width = size[0], size[1]
-    _, cx, cy, box_cos, box_sin, half_x, half_y = shape
-    px, py = x - cx, y - cy
     ahead, aside = abs(cos * box_cos + sin * box_sin), abs(sin * box_cos - cos * box_sin)
     return (
         (box_cos, box_sin, px * box_cos + py * box_sin, half_x + half_length * ahead + half_width * aside),
@@ -62,7 +60,7 @@ def compute_base_contact(x: float, y: float, cos: float, sin: float, size: tuple
     if shape[0]:
         grown = Footprint(False, shape[1], shape[2], cos, sin, half_length, half_width)
         return compute_first_contact(x, y, dx, dy, shape[5], grown)
-    sides = _compute_sides(x, y, cos, sin, size, shape)
+    sides = _compute_sides(x - shape[1], y - shape[2], cos, sin, size, shape[3], shape[4], shape[5], shape[6])
     graze, deepest = _GRAZE * (abs(dx) + abs(dy)), -math.inf
     for _, _, place, half in sides:
         deepest = max(deepest, abs(place) - half)
@@ -98,7 +96,8 @@ def measure_base_gap(x: float, y: float, cos: float, sin: float, size: tuple[flo
         base = Footprint(False, x, y, cos, sin, half_length, half_width)
         return compute_distance(shape[1], shape[2], base) - shape[5]
     gap = -math.inf
-    for _, _, place, half in _compute_sides(x, y, cos, sin, size, shape):
+    sides = _compute_sides(x - shape[1], y - shape[2], cos, sin, size, shape[3], shape[4], shape[5], shape[6])
+    for _, _, place, half in sides:
         gap = max(gap, abs(place) - half)
     return gap
 
@@ -219,22 +218,9 @@ class TensorRectangle(NamedTuple):
         return shapes._replace(cos=self.cos, sin=self.sin, half_x=torch.full_like(self.cos, half_length),
                                half_y=torch.full_like(self.cos, half_width))
 
-    def _compute_sides(self, shapes: Shapes) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:
+    def _compute_sides(self, shapes: Shapes) -> tuple[tuple[Tensor, Tensor, Tensor, Tensor], ...]:
         """Sides of the polygon of touching places round boxes: (x and y of an axis, place on it, half extent)."""
-        half_length, half_width = self.size
-        px, py = shapes.look_from(self.x, self.y)
-        ahead = (self.cos * shapes.cos + self.sin * shapes.sin).abs()
-        aside = (self.sin * shapes.cos - self.cos * shapes.sin).abs()
-        return [
-            (shapes.cos, shapes.sin, px * shapes.cos + py * shapes.sin,
-             shapes.half_x + half_length * ahead + half_width * aside),
-            (-shapes.sin, shapes.cos, py * shapes.cos - px * shapes.sin,
-             shapes.half_y + half_length * aside + half_width * ahead),
-            (self.cos, self.sin, px * self.cos + py * self.sin,
-             half_length + shapes.half_x * ahead + shapes.half_y * aside),
-            (-self.sin, self.cos, py * self.cos - px * self.sin,
-             half_width + shapes.half_x * aside + shapes.half_y * ahead),
-        ]
+        return _compute_sides(*shapes.look_from(self.x, self.y), self.cos, self.sin, self.size, *shapes[2:6])
 
     def measure_gap(self, shapes: Shapes) -> Tensor:
         """Gap to outlines across the axis that separates them best, (shapes, rooms); negative where they overlap."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import torch
@@ -56,65 +56,31 @@ class _Rooms:
         self.x, self.y = state.x, state.y
         self.limits, self.are_cells = layout.arm.limits, layout.has_cells
 
-    @property
-    def heading(self) -> Tensor:
-        return compute_heading(self._layout, self._tables, self._state)
+    heading = property(lambda self: compute_heading(self._layout, self._tables, self._state))
+    rotation = property(lambda self: compute_rotation(self._layout, self._tables, self._state))
+    angles = property(lambda self: compute_angles(self._layout, self._state))
+    puzzle = property(lambda self: self._form.observe(self._columns, self._state.puzzle, self._layout.targets))
+    is_solved = property(lambda self: self._form.is_solved(self._columns, self._state.puzzle))
+    half_sizes = property(lambda self: self._pick("half_sizes").unbind())
+    targets = property(lambda self: Shapes(*(column[: self._layout.targets] for column in self._pick("targets"))))
+    is_present = property(lambda self: torch.arange(
+        self._layout.targets, device=self.x.device).unsqueeze(1) < self._pick("target_counts"))
+    marks = property(lambda self: self._pick("marks"))
+    lit = property(lambda self: unpack_bits(
+        self._form.get_lit(self._columns, self._state.puzzle), self._layout.targets, torch.bool))
+    exit = property(lambda self: self._pick("exits").unbind())
 
-    @property
-    def rotation(self) -> tuple[Tensor, Tensor]:
-        return compute_rotation(self._layout, self._tables, self._state)
-
-    @property
-    def angles(self) -> Tensor:
-        return compute_angles(self._layout, self._state)
-
-    @property
-    def puzzle(self) -> Tensor:
-        return self._form.observe(self._columns, self._state.puzzle, self._layout.targets)
-
-    @property
-    def is_solved(self) -> Tensor:
-        return self._form.is_solved(self._columns, self._state.puzzle)
-
-    @property
-    def half_sizes(self) -> tuple[Tensor, Tensor]:
-        half_x, half_y = pick(self._layout, self._tables.half_sizes, self._state.instance)
-        return half_x, half_y
-
-    @property
-    def targets(self) -> Shapes:
-        columns: Shapes = pick(self._layout, self._tables.targets, self._state.instance)
-        return Shapes(*(column[: self._layout.targets] for column in columns))
-
-    @property
-    def is_present(self) -> Tensor:
-        numbers = torch.arange(self._layout.targets, device=self.x.device).unsqueeze(1)
-        return numbers < pick(self._layout, self._tables.target_counts, self._state.instance)
-
-    @property
-    def marks(self) -> Tensor:
-        return pick(self._layout, self._tables.marks, self._state.instance)
-
-    @property
-    def lit(self) -> Tensor:
-        return unpack_bits(self._form.get_lit(self._columns, self._state.puzzle), self._layout.targets, torch.bool)
-
-    @property
-    def exit(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        x_min, x_max, y_min, y_max = pick(self._layout, self._tables.exits, self._state.instance)
-        return x_min, x_max, y_min, y_max
+    def _pick(self, table: str) -> Any:
+        """Each room's column of a table."""
+        return pick(self._layout, getattr(self._tables, table), self._state.instance)
 
     def cast_rays(self, ray_x: Tensor, ray_y: Tensor, among: Literal["solids", "hiders"]) -> Tensor:
-        layout, tables, instance = self._layout, self._tables, self._state.instance
-        outlines: Shapes = pick(layout, tables.solids if among == "solids" else tables.hiders, instance)
-        ranges = cast_rays(self.x, self.y, ray_x, ray_y, outlines).amin(1)
-        if layout.inner_doors:
-            inner: Shapes = pick(layout, tables.inner_doors, instance)
-            stands = find_shut(layout, tables, self._state) & pick(layout, tables.inner_leaves, instance)
-            met = cast_rays(self.x, self.y, ray_x, ray_y, inner)
+        ranges = cast_rays(self.x, self.y, ray_x, ray_y, self._pick(among)).amin(1)
+        if self._layout.inner_doors:
+            stands = find_shut(self._layout, self._tables, self._state) & self._pick("inner_leaves")
+            met = cast_rays(self.x, self.y, ray_x, ray_y, self._pick("inner_doors"))
             ranges = torch.minimum(ranges, torch.where(stands, met, math.inf).amin(1))
-        if layout.has_door:
-            doors: Shapes = pick(layout, tables.doors, instance)
-            door = cast_rays(self.x, self.y, ray_x, ray_y, doors).amin(1)
+        if self._layout.has_door:
+            door = cast_rays(self.x, self.y, ray_x, ray_y, self._pick("doors")).amin(1)
             ranges = torch.where(self.is_solved, ranges, torch.minimum(ranges, door))
         return ranges

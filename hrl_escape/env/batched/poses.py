@@ -7,10 +7,12 @@ ones cost nothing, so that the hand of a planar arm compiles to a few products a
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -106,24 +108,41 @@ def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tens
 
 
 Number: TypeAlias = Tensor | float
-Vector: TypeAlias = list[Number]
-Matrix: TypeAlias = list[list[Number]]
-
-_AXES = range(3)
 
 
-def compute_hand(robot: Robot, angles: Tensor) -> Vector:
+@dataclasses.dataclass
+class _Folded:
+    """A number whose sums with 0 and products with 0 and 1 cost nothing, as an entry of a matrix."""
+
+    value: Number
+
+    def __add__(self, other: _Folded) -> _Folded:
+        if self._is(0.0):
+            return other
+        return self if other._is(0.0) else _Folded(self.value + other.value)
+
+    def __mul__(self, other: _Folded) -> _Folded:
+        if self._is(0.0) or other._is(1.0):
+            return self
+        return other if self._is(1.0) or other._is(0.0) else _Folded(self.value * other.value)
+
+    def _is(self, number: float) -> bool:
+        return isinstance(self.value, float) and self.value == number
+
+
+_fold: Any = np.frompyfunc(_Folded, 1, 1)
+
+
+def compute_hand(robot: Robot, angles: Tensor) -> list[Number]:
     """Hand position in the base frame at joint angles (joints, rooms), rad.
 
     Returns x, y and z in metres, each (rooms,), or one number if no joint changes it.
     """
     cosines, sines = torch.cos(angles), torch.sin(angles)
-    position: Vector = [0.0, 0.0, 0.0]
-    rotation: Matrix = [[float(i == j) for j in _AXES] for i in _AXES]
+    position, rotation = _fold(np.zeros(3)), _fold(np.eye(3))
     for joint in robot.chain:
-        origin = joint.origin.round(15).tolist()[:3]  # entries that are 0 or 1 up to rounding cost nothing
-        position = _move(position, rotation, [row[3] for row in origin])
-        rotation = _turn(rotation, [row[:3] for row in origin])
+        origin = _fold(joint.origin[:3].round(15))  # entries that are 0 or 1 up to rounding cost nothing
+        position, rotation = position + rotation @ origin[:, 3], rotation @ origin[:, :3]
         if joint.kind == "fixed":
             continue
         if joint.name in robot.joint_names:
@@ -133,47 +152,9 @@ def compute_hand(robot: Robot, angles: Tensor) -> Vector:
             value = robot.rest[joint.name]
             cos, sin = math.cos(value), math.sin(value)
         if joint.kind == "prismatic":
-            position = _move(position, rotation, [_times(a, value) for a in joint.direction])
-        else:
-            rotation = _turn(rotation, _rotate_about(joint.direction, cos, sin))
-    return position
-
-
-def _rotate_about(axis: tuple[float, ...], cos: Number, sin: Number) -> Matrix:
-    """Rotation about a unit axis (Rodrigues)."""
-    x, y, z = axis
-    cross = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-    return [[_plus(_plus(axis[i] * axis[j], _times((i == j) - axis[i] * axis[j], cos)), _times(cross[i][j], sin))
-             for j in _AXES] for i in _AXES]
-
-
-def _move(position: Vector, rotation: Matrix, by: Vector) -> Vector:
-    return [_plus(position[i], _dot(rotation[i], by)) for i in _AXES]
-
-
-def _turn(rotation: Matrix, by: Matrix) -> Matrix:
-    return [[_dot(rotation[i], [by[k][j] for k in _AXES]) for j in _AXES] for i in _AXES]
-
-
-def _dot(left: Vector, right: Vector) -> Number:
-    total: Number = 0.0
-    for a, b in zip(left, right, strict=True):
-        total = _plus(total, _times(a, b))
-    return total
-
-
-def _times(a: Number, b: Number) -> Number:
-    for one, other in ((a, b), (b, a)):
-        if isinstance(one, (int, float)):
-            if one == 0.0:
-                return 0.0
-            if one == 1.0:
-                return other
-    return a * b
-
-
-def _plus(a: Number, b: Number) -> Number:
-    for one, other in ((a, b), (b, a)):
-        if isinstance(one, (int, float)) and one == 0.0:
-            return other
-    return a + b
+            position = position + rotation @ (_fold(joint.axis) * _Folded(value))
+        else:  # Rodrigues
+            (x, y, z), outer = joint.direction, np.outer(joint.axis, joint.axis)
+            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            rotation = rotation @ (_fold(outer) + _fold(np.eye(3) - outer) * _Folded(cos) + _fold(cross) * _Folded(sin))
+    return [entry.value for entry in position]

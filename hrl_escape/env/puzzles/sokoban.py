@@ -183,7 +183,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
 
     def make_contacts(self, operator: Operator) -> Contacts:
         """Contacts of the move that carries out an operator."""
-        cell, to = self._ends[operator.name]
+        cell, to = self._model[1][operator.name]
         return Contacts((), grip=PUSH, ahead=self.level.floor.index(cell), beyond=self.level.floor.index(to))
 
     def make_symbolic_model(self) -> SymbolicModel:
@@ -191,12 +191,8 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         return self._model[0]
 
     @cached_property
-    def _ends(self) -> dict[str, tuple[int, int]]:
-        """For each operator, the cells from which and to which it pushes its box."""
-        return self._model[1]
-
-    @cached_property
     def _model(self) -> tuple[SymbolicModel, dict[str, tuple[int, int]]]:
+        """The model, and for each operator the cells from which and to which it pushes its box."""
         level, boxes = self.level, range(len(self.level.boxes))
         operators, ends = list[Operator](), dict[str, tuple[int, int]]()
         for box, (number, side), cell in itertools.product(boxes, enumerate(PUSH_SIDES), level.floor):
@@ -226,7 +222,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
             box = self.decode(state).index(shove.cell)
             found.append(next(op for op in self.make_symbolic_model().operators
                               if (op.target, op.action) == (self.target_names[box], f"push-{shove.side}")
-                              and self._ends[op.name][0] == shove.cell))
+                              and self._model[1][op.name][0] == shove.cell))
             state = self.update(state, self.make_contacts(found[-1]))
         return tuple(found) if self.is_solved(state) else None
 

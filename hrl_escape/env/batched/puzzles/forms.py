@@ -41,7 +41,7 @@ from hrl_escape.errors import UnsupportedError
 
 
 class _BitTensorPuzzle(TensorPuzzle):
-    """Base of these forms: presses count one after the other, in index order."""
+    """Base of these forms: presses count one after the other, in index order, and the word `goal` is the solution."""
 
     @abstractmethod
     def press(self, tables: PuzzleTables, state: Tensor, target: int, bit: int) -> Tensor:
@@ -52,6 +52,9 @@ class _BitTensorPuzzle(TensorPuzzle):
             bit = as_signed(1 << target)
             state = torch.where((contacts.pressed & bit) != 0, self.press(tables, state, target, bit), state)
         return state
+
+    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        return state == tables["goal"]
 
 
 class _ButtonsTensorPuzzle(_BitTensorPuzzle):
@@ -113,14 +116,11 @@ class _BitFlipTensorPuzzle(_BitTensorPuzzle):
 
     def make_tables(self, puzzles: Sequence[BitFlipPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """The word with all bits on (instances,)."""
-        return {"all_on": np.array([as_signed((1 << puzzle.count) - 1) for puzzle in puzzles], dtype=np.int64)}
+        return {"goal": np.array([as_signed((1 << puzzle.count) - 1) for puzzle in puzzles], dtype=np.int64)}
 
     def press(self, tables: PuzzleTables, state: Tensor, target: int, bit: int) -> Tensor:
         lower = (1 << target) - 1
         return torch.where((state & lower) == lower, state ^ bit, state & ~(lower | bit))
-
-    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        return state == tables["all_on"]
 
 
 class _LightBoxTensorPuzzle(_BitTensorPuzzle):
@@ -161,9 +161,6 @@ class _LightsOutTensorPuzzle(_BitTensorPuzzle):
 
     def press(self, tables: PuzzleTables, state: Tensor, target: int, bit: int) -> Tensor:
         return state ^ tables["flips"][target]
-
-    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        return state == tables["goal"]
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
         goal = tables["goal"].expand_as(state)
