@@ -93,11 +93,6 @@ class ShapeConfig(Schematic):
                 raise ConfigError("room.map", f"{len(self.map)} rows of {sorted(wide)} cells",
                                   "rows and columns of cells that fill room.width and room.depth")
 
-    @property
-    def resolution(self) -> float:
-        """Cell size in metres of the grid on which rooms of this size are certified."""
-        return compute_resolution(self.width / 2, self.depth / 2)
-
 
 @dataclasses.dataclass(frozen=True)
 class RobotConfig(Schematic):
@@ -351,7 +346,8 @@ class RoomConfig(Schematic):
 
     def check(self) -> None:
         """Check the limits that relate several sections."""
-        body = 2 * (self.robot.inner_radius + CONTACT_SKIN + PASSAGE_SLACK + self.room.resolution)
+        cell = compute_resolution(self.room.width / 2, self.room.depth / 2)
+        body = 2 * (self.robot.inner_radius + CONTACT_SKIN + PASSAGE_SLACK + cell)
         if self.room.rooms > 1 and self.room.doorway_width <= body:
             raise ConfigError("room.doorway_width", self.room.doorway_width,
                               f"more than the {body:g} m that the robot needs to pass")

@@ -197,7 +197,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         if not isinstance(options, Mapping | None):
             raise ConfigError("reset options", options, "a table of instance_seed, instance_index and state, or None")
         options = dict(options or {})
-        room = self._get_room()
+        self._get_room()
         instance_seed, state = options.pop("instance_seed", None), options.pop("state", None)
         index = options.pop("instance_index", None)
         if options:
@@ -206,17 +206,15 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             index = int(self.np_random.integers(len(self._instances)))
         if index is not None:
             self._enter_index(index)
-            room = self._get_room()
         if self._resample and instance_seed is None:
             instance_seed = int(self.np_random.integers(2**31))
         if instance_seed is not None:
             if self.config is None:
                 raise ConfigError("reset options.instance_seed", instance_seed, "nothing: there is no schematic")
             self._enter(generate(self.config, instance_seed))
-            room = self._get_room()
         self._begin_stream(seed)
         number, noise_key = draw_episode(self._stream, self._episode, len(self.instance.starts))
-        self._state = room.reset(self.instance.starts[number], noise_key)
+        self._state = self._get_room().reset(self.instance.starts[number], noise_key)
         self._ended = False
         self._trail = [(self._state.x, self._state.y)]
         if state is not None:

@@ -109,18 +109,19 @@ class Robot:
         return tuple(home + n * self.step + extra
                      for home, n, extra in zip(self.home, joint_steps, offsets, strict=True))
 
-    def compute_hand(self, angles: ArrayLike) -> NDArray[np.float64]:
+    def compute_hand(self, angles: ArrayLike, links: int | None = None) -> NDArray[np.float64]:
         """Hand position in the base frame.
 
         Args:
             angles: joint angles in rad, shape (..., joints).
+            links: the position is that of the end of the chain's first so many links; None for all of them.
 
         Returns:
             Shape (..., 3), float64, metres.
         """
         q = np.asarray(angles, dtype=np.float64)
         x, y, z = 0.0, 0.0, 0.0
-        for joint in reversed(self.chain):  # the hand in the frame before each joint
+        for joint in reversed(self.chain[:links]):  # the hand in the frame before each joint
             if joint.kind != "fixed":
                 used = joint.name in self.joint_names
                 value = q[..., self.joint_names.index(joint.name)] if used else self.rest[joint.name]
@@ -134,12 +135,7 @@ class Robot:
 
     def trace_links(self, angles: ArrayLike) -> NDArray[np.float64]:
         """Ends of the arm's links, the last of them the hand, in the base frame, shape (links, 3), m."""
-        return np.array([cut.compute_hand(angles) for cut in self._cuts])
-
-    @cached_property
-    def _cuts(self) -> tuple[Robot, ...]:
-        """The robot with its chain cut after each joint, which ends where the next link begins."""
-        return tuple(dataclasses.replace(self, chain=self.chain[: number + 1]) for number in range(len(self.chain)))
+        return np.array([self.compute_hand(angles, number + 1) for number in range(len(self.chain))])
 
     def compute_elbows(self, angles: tuple[float, ...]) -> NDArray[np.float64]:
         """Polyline of the arm: origins of the chain's joints and of the hand in the base frame, shape (n, 3), m."""

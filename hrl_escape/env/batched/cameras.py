@@ -139,8 +139,11 @@ def _list_boxes(instance: RoomInstance, layout: Layout) -> tuple[list[_Box], ...
     pairs += [(away, away)] * (layout.targets - len(pairs))
     props = [_Box(make_footprint(p.x, p.y, p.prop.half_size, p.prop.half_size, p.yaw), 0.0,
                   _PAINT if p.prop.kind == "plate" else p.prop.height, p.prop.kind) for p in instance.props]
-    inner = [_Box(_shrink(door, 0.98 if door.role == "door" else 0.5), _ABOVE_FLOOR, door.height,
-                  "door" if door.role == "door" else "thing") for door in instance.inner_doors]
+    inner = []
+    for door in instance.inner_doors:
+        look, share = ("door", 0.98) if door.role == "door" else ("thing", 0.5)
+        shape = make_footprint(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw)
+        inner.append(_Box(shape, _ABOVE_FLOOR, door.height, look))
     inner += [away] * (layout.inner_doors - len(inner))
     leaves = [away, away] if layout.has_door else []
     if instance.door is not None:
@@ -155,10 +158,6 @@ def _list_panel(target: Target) -> tuple[_Box, _Box]:
     rim = min(0.08, 0.2 * min(target.half_x, target.half_z))
     frame = make_footprint(target.x, target.y, target.half_x + rim, 0.7 * target.half_y, target.yaw)
     return _Box(frame, max(0.0, low - rim), high + rim, "frame"), _Box(target.footprint, low, high, "off")
-
-
-def _shrink(door: Solid, share: float) -> Footprint:
-    return make_footprint(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw)
 
 
 def _swing(instance: RoomInstance, door: Solid, angle: float) -> Footprint:

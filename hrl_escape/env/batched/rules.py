@@ -56,12 +56,6 @@ def compute_noise(key: Tensor, primitive: Tensor) -> tuple[Tensor, Tensor]:
     return torch.sqrt(-2.0 * torch.log(first)) * torch.cos(2.0 * math.pi * second), third
 
 
-def _draw_chance(state: TensorState) -> Tensor:
-    """Uniform numbers in (0, 1) that decide the random outcomes of puzzles, float64 (rooms,)."""
-    word, *_ = draw_words(state.noise_key, state.primitives.to(torch.int64), CHANCE_PURPOSE)
-    return (word.to(torch.float64) + 0.5) / 2**32
-
-
 # --- one primitive -------------------------------------------------------------------------
 
 
@@ -256,7 +250,10 @@ def _complete_motion(layout: Layout, tables: Tables, before: TensorState, moved:
     form, columns = pick_rules(layout, tables, before.instance)
     touching = compute_touching(layout, tables, moved)
     pressed = touching & ~before.touching
-    chance = _draw_chance(before) if layout.is_puzzle_random else torch.zeros_like(before.x)
+    chance = torch.zeros_like(before.x)
+    if layout.is_puzzle_random:
+        word, *_ = draw_words(before.noise_key, before.primitives.to(torch.int64), CHANCE_PURPOSE)
+        chance = (word.to(torch.float64) + 0.5) / 2**32
     has_moved = (moved.x != before.x) | (moved.y != before.y)
     contacts = TensorContacts(pressed, chance, touching, grip, has_moved, moved.x, moved.y,
                               _find_ahead(layout, tables, moved), torch.full_like(touching, -1))

@@ -253,10 +253,14 @@ def make_mat(instance: RoomInstance, target: Target) -> Mesh:
 
 
 def make_badges(instance: RoomInstance, target: Target) -> list[tuple[str, Mesh]]:
-    """Colours and meshes of a target's mark on the front of its panel, the lower one first; empty without marks."""
-    front = palette.find_front(instance, target)
+    """Colours and meshes of a panel's front: a white disc and the target's mark on it; empty without marks."""
+    marks, front = palette.list_marks(instance.puzzle), palette.find_front(instance, target)
+    if not marks:
+        return []
+    disc = [(math.cos(turn), math.sin(turn)) for turn in (math.tau * number / 24 for number in range(24))]
+    layers = (palette.BACKGROUND, disc), marks[instance.puzzle.target_names.index(target.name)]
     return [(colour, _make_badge(outline, target, front, LAYER * number))
-            for number, (colour, outline) in enumerate(palette.list_badge(instance.puzzle, target.name), 1)]
+            for number, (colour, outline) in enumerate(layers, 1)]
 
 
 def make_exit_area(instance: RoomInstance) -> tuple[Mesh, Mesh]:

@@ -77,15 +77,6 @@ def list_marks(puzzle: Puzzle) -> list[tuple[str, list[tuple[float, float]]]]:
     return found
 
 
-def list_badge(puzzle: Puzzle, target: str) -> list[tuple[str, list[tuple[float, float]]]]:
-    """Colours and outlines of a target's mark on a white disc, the lower one first; empty without marks."""
-    marks = list_marks(puzzle)
-    if not marks:
-        return []
-    disc = [(math.cos(turn), math.sin(turn)) for turn in (math.tau * number / 24 for number in range(24))]
-    return [(BACKGROUND, disc), marks[puzzle.target_names.index(target)]]
-
-
 def get_inner_colour(door: Solid) -> str:
     """Choose the colour of an inner door, or of a thing that blocks a cell."""
     return DOOR if door.role == "door" else PROP

@@ -17,7 +17,7 @@ import numpy as np
 from typing_extensions import Self
 
 from hrl_escape.env.puzzles.contacts import PUSH, USE, Contacts
-from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop, check_places
+from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
 from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
@@ -82,10 +82,14 @@ class PuzzleConfig(_OfKind):
 
     def check(self) -> None:
         """Check that all targets have places; puzzles with settings that relate several fields extend it."""
-        if self.panels is None or self.pads is None:
-            for places in (self.panels, self.pads):
-                if places is not None:
-                    check_places(places, self.count_targets())
+        for section, laid, other in (("panels", self.panels, self.pads), ("pads", self.pads, self.panels)):
+            if laid is None or other is not None:
+                continue
+            count = self.count_targets()
+            if laid.places == "paper" and count > 4:
+                raise ConfigError("puzzle.count", count, "at most 4 with panels.places = 'paper'")
+            if isinstance(laid.places, tuple) and len(laid.places) < count:
+                raise ConfigError(f"{section}.places", len(laid.places), f"at least puzzle.count = {count} places")
 
     def count_targets(self) -> int:
         """Number of panels or pads: the field `count`, or that of the puzzle where nothing in it is random."""
@@ -268,17 +272,14 @@ class DerivedModel(Modelled):
 
     def get_facts(self, state: Hashable) -> frozenset[str]:
         """The state's own proposition, and `SOLVED`."""
-        number = self._derived[1].get(state)
-        if number is None:
+        facts = self._derived[1].get(state)
+        if facts is None:
             raise ConfigError("puzzle.state", state, "a state that presses lead to from a start")
-        return self._list_facts(state, number)
-
-    def _list_facts(self, state: Hashable, number: int) -> frozenset[str]:
-        return frozenset({f"state({number})", *([SOLVED] if self._puzzle.is_solved(state) else [])})
+        return facts
 
     @cached_property
-    def _derived(self) -> tuple[SymbolicModel, dict[Hashable, int]]:
-        """The model, and the number of each state."""
+    def _derived(self) -> tuple[SymbolicModel, dict[Hashable, frozenset[str]]]:
+        """The model, and the facts of each state."""
         puzzle, numbers = self._puzzle, dict[Hashable, int]()
         for state in puzzle.list_starts():
             numbers.setdefault(state, len(numbers))
@@ -297,14 +298,15 @@ class DerivedModel(Modelled):
                                                    "make it Modelled, with make_symbolic_model and get_facts")
                         numbers[after] = len(numbers)
                         queue.append(after)
-        facts = {state: self._list_facts(state, number) for state, number in numbers.items()}
+        facts = {state: frozenset({f"state({number})", *([SOLVED] if puzzle.is_solved(state) else [])})
+                 for state, number in numbers.items()}
         operators = tuple(
             Operator(f"press-{name}", name, "press", when=tuple(
                 Effect(facts[before] - {SOLVED}, add=facts[after] - facts[before], delete=facts[before] - facts[after])
                 for before, after in changed))
             for name, changed in zip(self.target_names, changes, strict=True))
         propositions = (*(f"state({number})" for number in range(len(numbers))), SOLVED)
-        return SymbolicModel(propositions, operators, frozenset({SOLVED})), numbers
+        return SymbolicModel(propositions, operators, frozenset({SOLVED})), facts
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -60,10 +59,9 @@ class FactoredConfig(PuzzleConfig):
             turns = tuple(tuple(int(value) for _ in range(self.arity ** len(others))
                                 for value in rng.permutation(self.arity)) for others in parents)
             drawn = FactoredPuzzle(self.count, self.arity, parents, turns, 1, self.success)
-            distances = compute_distances(drawn.count, drawn.turn)
-            furthest = max(distances.values())
+            furthest = max(drawn.distances.values())
             if furthest >= self.count:
-                goals = sorted(state for state, distance in distances.items() if distance == furthest)
+                goals = sorted(state for state, distance in drawn.distances.items() if distance == furthest)
                 return dataclasses.replace(drawn, goal=goals[int(rng.integers(len(goals)))])
 
     def _draw_parents(self, factor: int, rng: np.random.Generator) -> tuple[int, ...]:
@@ -128,11 +126,19 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
 
     def is_state(self, state: Any) -> bool:
         """Return whether an untrusted value is a state from which presses lead to the goal."""
-        return type(state) is int and state in self._reachable
+        return type(state) is int and state in self.distances
 
     @cached_property
-    def _reachable(self) -> dict[int, int]:
-        return compute_distances(self.count, self.turn)
+    def distances(self) -> dict[int, int]:
+        """Fewest presses from state 0 to each state that presses lead to, where each has its effect."""
+        distances, queue = {0: 0}, [0]
+        for state in queue:
+            for factor in range(self.count):
+                after = self.turn(state, factor)
+                if after not in distances:
+                    distances[after] = distances[state] + 1
+                    queue.append(after)
+        return distances
 
     def turn(self, state: int, factor: int) -> int:
         """State after a successful press of a factor."""
@@ -183,18 +189,6 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
             operators.append(Operator(f"press-{name}", name, "press", when=tuple(effects)))
         facts = tuple(self._name(factor, value) for factor in range(self.count) for value in range(self.arity))
         return SymbolicModel(facts, tuple(operators), self.get_facts(self.goal))
-
-
-def compute_distances(count: int, turn: Callable[[int, int], int]) -> dict[int, int]:
-    """Fewest presses from state 0 to each state that presses lead to; `turn` gives a state after one of a factor."""
-    distances, queue = {0: 0}, [0]
-    for state in queue:
-        for factor in range(count):
-            after = turn(state, factor)
-            if after not in distances:
-                distances[after] = distances[state] + 1
-                queue.append(after)
-    return distances
 
 
 register_puzzle(FactoredConfig, FactoredPuzzle)

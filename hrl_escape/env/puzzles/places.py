@@ -7,7 +7,6 @@ import math
 from typing import Annotated, Literal
 
 from hrl_escape.env.schema import Schematic
-from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
 
@@ -65,19 +64,6 @@ class Pads(Schematic):
     """Size along its own y."""
     places: Literal["random"] | tuple[Place, ...] = "random"
     """Anywhere on the floor, parallel to the walls, or explicit ones."""
-
-
-def check_places(laid: Panels | Pads, count: int) -> None:
-    """Check that there are places for a number of panels or pads.
-
-    Raises:
-        ConfigError: there are fewer.
-    """
-    if laid.places == "paper" and count > 4:
-        raise ConfigError("puzzle.count", count, "at most 4 with panels.places = 'paper'")
-    if isinstance(laid.places, tuple) and len(laid.places) < count:
-        section = "panels" if isinstance(laid, Panels) else "pads"
-        raise ConfigError(f"{section}.places", len(laid.places), f"at least puzzle.count = {count} places")
 
 
 @dataclasses.dataclass(frozen=True)
