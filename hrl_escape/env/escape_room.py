@@ -328,7 +328,6 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             if len(self._lit) < 4096:
                 self._lit[state.puzzle] = lit
         begun = np.zeros(len(lit), dtype=np.int8)
-        for target in pressed:
-            begun[target] = 1
+        begun[list(pressed)] = 1
         return {"instance": self.instance.id, "primitives": state.primitives, "buttons_on": lit.copy(),
                 "pressed": begun, "success": success}

@@ -316,15 +316,6 @@ class Standing:
     """Position and quaternion of the bodies."""
 
 
-@dataclass
-class _Lamp:
-    """Parts that change colour with a target: its face, whole and cut, and a mat on the floor before it."""
-
-    faces: list[int]
-    mat: int
-    is_lit: bool | None = None
-
-
 class Stage:
     """A copy of one room for cameras, or for Bullet's window; `client` is pybullet's number of it.
 
@@ -342,6 +333,7 @@ class Stage:
         if window:
             for flag in (pybullet.COV_ENABLE_GUI, pybullet.COV_ENABLE_RENDERING):
                 pybullet.configureDebugVisualizer(flag, 0, physicsClientId=self.client)
+        self._colours: dict[int, str] = {}  # of the bodies
         self.standing = [self._add_solid(solid) for solid in instance.solids]
         self._lamps = [self._add_target(target) for target in instance.targets]
         self._base, self._shadow = self._add_base()
@@ -351,7 +343,7 @@ class Stage:
         self._inner = [self._add_leaf(door, meshes.make_inner_door, palette.get_inner_colour(door))
                        for door in instance.inner_doors]
         inside, edge = meshes.make_exit_area(instance)
-        self._exit, self._exit_edge, self._is_open = self._add(inside, _EXIT_LOCKED), self._add(edge, _EXIT_EDGE), None
+        self._exit, self._exit_edge = self._add(inside, _EXIT_LOCKED), self._add(edge, _EXIT_EDGE)
         self._add_floor()
         if window:
             pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=self.client)
@@ -381,9 +373,13 @@ class Stage:
         shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
         for number, standing in enumerate(self._inner):
             self._move(standing, (0.0, 0.0, 0.0) if shut >> number & 1 else _AWAY, _STILL)
-        for lamp, is_lit in zip(self._lamps, puzzle.get_lit(state.puzzle), strict=True):
-            self._light(lamp, is_lit)
-        self._open_exit(puzzle.is_solved(state.puzzle))
+        for (faces, mat), is_lit in zip(self._lamps, puzzle.get_lit(state.puzzle), strict=True):
+            for face in faces:
+                self._paint(face, palette.LIT.fill if is_lit else palette.OFF.fill)
+            self._paint(mat, _MAT_LIT if is_lit else meshes.MAT)
+        is_open = puzzle.is_solved(state.puzzle)
+        self._paint(self._exit, _EXIT_OPEN if is_open else _EXIT_LOCKED)
+        self._paint(self._exit_edge, palette.EXIT_OPEN if is_open else _EXIT_EDGE)
         if self._door is not None:
             self._move(self._door, meshes.find_hinge(self._door.solid), pybullet.getQuaternionFromEuler(
                 (0.0, 0.0, self._door.solid.yaw + self._find_door_angle(state))))
@@ -395,19 +391,6 @@ class Stage:
         rotation = self.rules.get_rotation(state.heading_steps, state.heading_offset)
         is_shut = self.rules.is_door_shut(state.x, state.y, state.puzzle, rotation)
         return 0.0 if is_shut else math.pi / 2 * self._instance.door_swing
-
-    def _light(self, lamp: _Lamp, is_lit: bool) -> None:
-        if is_lit != lamp.is_lit:
-            lamp.is_lit = is_lit
-            for face in lamp.faces:
-                self._paint(face, palette.LIT.fill if is_lit else palette.OFF.fill)
-            self._paint(lamp.mat, _MAT_LIT if is_lit else meshes.MAT)
-
-    def _open_exit(self, is_open: bool) -> None:
-        if is_open != self._is_open:
-            self._is_open = is_open
-            self._paint(self._exit, _EXIT_OPEN if is_open else _EXIT_LOCKED)
-            self._paint(self._exit_edge, palette.EXIT_OPEN if is_open else _EXIT_EDGE)
 
     def _move(self, standing: Standing, at: tuple[float, float, float],
               turn: tuple[float, float, float, float]) -> None:
@@ -431,6 +414,9 @@ class Stage:
         pybullet.resetBasePositionAndOrientation(body, at, turn, physicsClientId=self.client)
 
     def _paint(self, body: int, colour: str) -> None:
+        if colour == self._colours[body]:
+            return
+        self._colours[body] = colour
         pybullet.changeVisualShape(body, -1, rgbaColor=(*palette.to_rgb(colour), 1.0), physicsClientId=self.client)
 
     # --- building ----------------------------------------------------------------------
@@ -438,7 +424,9 @@ class Stage:
     def _add(self, mesh: Mesh, colour: str, shown: bool = True) -> int:
         shape = create_mesh_shape(self.client, mesh, (*palette.to_rgb(colour), 1.0))
         at = (0.0, 0.0, 0.0) if shown else _AWAY
-        return pybullet.createMultiBody(0.0, -1, shape, at, physicsClientId=self.client)
+        body = pybullet.createMultiBody(0.0, -1, shape, at, physicsClientId=self.client)
+        self._colours[body] = colour
+        return body
 
     def _add_solid(self, solid: Solid) -> Standing:
         wall = solid.role == "wall"
@@ -452,7 +440,8 @@ class Stage:
             bodies.append(made)
         return Standing(solid, bodies[0], bodies[1])
 
-    def _add_target(self, target: Target) -> _Lamp:
+    def _add_target(self, target: Target) -> tuple[list[int], int]:
+        """Add a target; returns what changes colour with it: its face, whole and cut, and the mat before it."""
         bodies = []
         for height, shown in ((math.inf, True), (CURB, False)):
             face, frame = meshes.make_panel(target, height)
@@ -463,7 +452,7 @@ class Stage:
         self.standing.append(Standing(solid, bodies[0], bodies[1]))
         for colour, mesh in meshes.make_badges(self._instance, target):
             self._add(mesh.facing(SUN), colour)
-        return _Lamp([bodies[0][0], bodies[1][0]], self._add(meshes.make_mat(self._instance, target), meshes.MAT))
+        return [bodies[0][0], bodies[1][0]], self._add(meshes.make_mat(self._instance, target), meshes.MAT)
 
     def _add_base(self) -> tuple[list[int], int]:
         """The wheeled base and its shadow."""

@@ -298,7 +298,7 @@ class DerivedModel(Modelled):
                                                    "make it Modelled, with make_symbolic_model and get_facts")
                         numbers[after] = len(numbers)
                         queue.append(after)
-        facts = {state: frozenset({f"state({number})", *([SOLVED] if puzzle.is_solved(state) else [])})
+        facts = {state: frozenset([f"state({number})"] + [SOLVED] * bool(puzzle.is_solved(state)))
                  for state, number in numbers.items()}
         operators = tuple(
             Operator(f"press-{name}", name, "press", when=tuple(

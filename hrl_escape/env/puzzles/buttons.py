@@ -24,6 +24,7 @@ from hrl_escape.env.puzzles.graphs import (
     GraphConfig,
     compute_order,
     find_ancestors,
+    mask_parents,
     sample_locks,
     sample_relabelled,
 )
@@ -206,10 +207,7 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
     @cached_property
     def lock_masks(self) -> tuple[int, ...]:
         """For each button, the bits of the buttons that lock it."""
-        masks = [0] * self.count
-        for locking, locked in self.locks:
-            masks[locked] |= 1 << locking
-        return tuple(masks)
+        return mask_parents(self.locks, self.count)
 
     @cached_property
     def failure(self) -> int:

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from hrl_escape.env.puzzles.contacts import Contacts
+from hrl_escape.search import find_cheapest_steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,20 +103,9 @@ class SymbolicModel:
 
     def find_fewest(self, facts: frozenset[str]) -> tuple[Operator, ...] | None:
         """Find the fewest operators that make the goal true from here, breadth first; None if there are none."""
-        came: dict[frozenset[str], tuple[frozenset[str], Operator] | None] = {facts: None}
-        queue = [facts]
-        for here in queue:
-            if self.goal <= here:
-                found: list[Operator] = []
-                while (step := came[here]) is not None:
-                    here, operator = step
-                    found.append(operator)
-                return tuple(reversed(found))
-            for operator in self.operators:
-                if operator.is_applicable(here) and (then := operator.apply(here)) not in came:
-                    came[then] = here, operator
-                    queue.append(then)
-        return None
+        return find_cheapest_steps(
+            facts, lambda here: self.goal <= here,
+            lambda here: ((op, 1, op.apply(here)) for op in self.operators if op.is_applicable(here)), lambda here: 0)
 
 
 class Modelled(ABC):

@@ -329,10 +329,7 @@ def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace, d
         near = np.flatnonzero((np.abs(x - target.x) <= around) & (np.abs(y - target.y) <= around))
         away[near] &= compute_distance_many(centres[near], stack_footprints([target.footprint])) > apart
     space.work.spend(len(centres) / 30 * (1 + len(instance.targets) / 4))
-    for allowed in (outside & away, away, np.ones_like(away)):
-        if allowed.any():
-            centres = centres[allowed]
-            break
+    centres = next(centres[allowed] for allowed in (outside & away, away, np.ones_like(away)) if allowed.any())
     turns = round(360 / instance.robot.turn_step_deg)
     space.work.spend(15 * config.start.choices)
     starts = [

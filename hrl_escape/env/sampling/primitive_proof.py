@@ -313,11 +313,8 @@ class _Search:
 
     def _reach(self, start: RoomState, goal: _Goal) -> RoomState | None:
         """Best-first search; the state that reaches the goal, or None."""
-        for fineness in _FINENESS:
-            found = self._search(start, goal, fineness * self._step)
-            if found is not None:
-                return found
-        return None
+        tried = (self._search(start, goal, fineness * self._step) for fineness in _FINENESS)
+        return next((found for found in tried if found is not None), None)
 
     def _search(self, start: RoomState, goal: _Goal, width: float) -> RoomState | None:
         numbers, seen = itertools.count(), {self._identify(start, width)}
