@@ -64,7 +64,7 @@ class LearnedOption(FunctionOption):
             observation -> primitive, with a generator as its second argument if it is stochastic.
         termination: state -> probability of ending there.
         observe: state -> the observation that the policy was trained on, such as
-            `make_observer(instance, "features")` in a room; None for the state itself.
+            `make_observer("features", rules).observe` in a room; None for the state itself.
         initiation: state -> whether it may start there; None for anywhere.
         is_stochastic: the policy draws, from the caller's generator: of an agent, what `act_greedy` leaves to chance.
         legal: for an agent, the number of its actions, or state -> bool (actions,) of the legal ones.
@@ -209,7 +209,7 @@ def make_learned_options(agent: Any, legal: LegalActions, *, observe: Callable[[
         agent: a trained agent, as `train` and `load_agent` return it.
         legal: number of its actions, or state -> bool (actions,) of the legal ones.
         observe: state -> the observation it was trained on; None for the state itself. In a room that is
-            `make_observer(instance, "features")` and the like, for a synthesised hierarchy `HierarchyEnv.observe`.
+            `make_observer("features", rules).observe` and the like, for a synthesised hierarchy `HierarchyEnv.observe`.
         until: state -> probability of ending there, for all its options, in addition to their own ends.
         prefix: put before every name, to tell the options of several agents apart.
 

@@ -159,9 +159,11 @@ class Puzzle(_OfKind):
     def chances(self) -> tuple[float, ...]:
         """Numbers, ascending, at which the outcome of `contacts.uniform` changes: (0.9,) for success 9 times in 10.
 
-        Each is the first number of its outcome, so rules compare by `contacts.uniform < chance`.
+        Each is the first number of its outcome, so rules compare by `contacts.uniform < chance`. By default that of the
+        field `success`, if the puzzle has one and it is less than 1.
         """
-        return ()
+        success: float = getattr(self, "success", 1.0)
+        return (success,) if success < 1.0 else ()
 
     @property
     def is_random(self) -> bool:

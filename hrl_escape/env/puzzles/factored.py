@@ -106,11 +106,6 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
             raise ConfigError("puzzle.turns", self.turns, "a permutation for each setting of a factor's parents")
 
     @property
-    def chances(self) -> tuple[float, ...]:
-        """The probability `success`: with the rest, a press has no effect."""
-        return (self.success,) if self.success < 1.0 else ()
-
-    @property
     def target_names(self) -> tuple[str, ...]:
         """Names of the panels, `factor-1` to `factor-<count>`."""
         return tuple(f"factor-{i + 1}" for i in range(self.count))

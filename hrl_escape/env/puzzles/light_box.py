@@ -72,11 +72,6 @@ class LightBoxPuzzle(GraphPuzzle):
                     masks[light] |= masks[child]
         return tuple(masks)
 
-    @property
-    def chances(self) -> tuple[float, ...]:
-        """The probability `success`: with the rest, a press has no effect."""
-        return (self.success,) if self.success < 1.0 else ()
-
     def update(self, state: int, contacts: Contacts) -> int:
         """Apply presses in index order; one chance decides for all presses of a primitive."""
         if contacts.uniform >= self.success:
