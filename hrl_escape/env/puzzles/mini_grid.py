@@ -134,10 +134,6 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         """Return whether a door stands open."""
         return bool(state >> 2 * door & 1)
 
-    def is_unlocked(self, state: int, door: int) -> bool:
-        """Return whether a door needs no key any more: it never did, or has been opened once."""
-        return bool(state >> 2 * door & 2) or not self.grid.is_locked(door)
-
     def make_state(self) -> int:
         """State with all doors shut and all things in their first places."""
         return sum(cell << self._shift(thing) for thing, cell in enumerate(self.grid.things))
@@ -162,7 +158,8 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         if cell in grid.doors:
             door = grid.doors.index(cell)
             has_key = held is not None and held < grid.keys
-            if contacts.grip != USE or not (self.is_unlocked(state, door) or has_key):
+            was_opened = state >> 2 * door & 2
+            if contacts.grip != USE or not (has_key or was_opened or not grid.is_locked(door)):
                 return state
             return (state | 2 << 2 * door) ^ 1 << 2 * door
         places = self._list_places(state)
