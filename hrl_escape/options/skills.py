@@ -140,8 +140,7 @@ class PressOption(Option):
 
     def _find_place(self, state: RoomState, going: list[int]) -> PoseGoal:
         rules, dynamics, robot = self._planner.rules, self._planner.instance.dynamics, self._planner.instance.robot
-        for primitive in going:
-            state = rules.step(state, primitive).state
+        state = self._planner.routes.follow(state, going)[-1]
         away = max(ARRIVAL, ARRIVAL_NOISE * dynamics.noise * rules.actions.longest)
         turned = math.radians(max(1.0, ARRIVAL_NOISE * dynamics.noise * robot.turn_step_deg))
         return PoseGoal(state.x, state.y, rules.get_heading(state), away, turned)

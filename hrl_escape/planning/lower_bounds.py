@@ -18,6 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.env.bases.rectangle import compute_base_distance
 from hrl_escape.env.geometry import Footprint, compute_distance, make_footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -152,26 +153,8 @@ class LegBounds:
 
 
 def _compute_gap(a: Footprint, b: Footprint) -> float:
-    """Distance between two boxes: they are convex, so it is that of some corner to the other box, or 0."""
-    corners = [*(compute_distance(x, y, b) for x, y in _list_corners(a)),
-               *(compute_distance(x, y, a) for x, y in _list_corners(b))]
-    return 0.0 if _do_cross(a, b) else min(corners)
-
-
-def _list_corners(shape: Footprint) -> NDArray[np.float64]:
-    signs = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) * (shape.half_x, shape.half_y)
-    return signs @ np.array([[shape.cos, shape.sin], [-shape.sin, shape.cos]]) + (shape.x, shape.y)
-
-
-def _do_cross(a: Footprint, b: Footprint) -> bool:
-    """Return whether two boxes overlap, by the separating axis theorem."""
-    corners = _list_corners(a), _list_corners(b)
-    for shape in (a, b):
-        for axis in ((shape.cos, shape.sin), (-shape.sin, shape.cos)):
-            (low_a, high_a), (low_b, high_b) = ((float(min(c @ axis)), float(max(c @ axis))) for c in corners)
-            if high_a < low_b or high_b < low_a:
-                return False
-    return True
+    """Distance between two boxes; 0 where they overlap."""
+    return compute_base_distance(a.x, a.y, a.cos, a.sin, (a.half_x, a.half_y), b)
 
 
 BOUND_LEGS = 20_000

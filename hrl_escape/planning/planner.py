@@ -162,7 +162,7 @@ class Orders:
                 left -= failure.expansions
                 return None
             left -= route.expansions
-            end = self._routes.follow(here, route)
+            end = self._routes.follow(here, route.primitives)[-1]
             return Leg(len(route.primitives), end, puzzle.symbolic.get_facts(end.puzzle))
 
         return extend
@@ -557,14 +557,12 @@ class RoomPlanner:
                     sum(leg.expansions for leg in legs), 0.0)
 
     def _make_leg(self, state: RoomState, goal: Goal, route: Route, seconds: float = 0.0) -> Plan:
-        states = [state]
-        for primitive in route.primitives:
-            states.append(self.rules.step(states[-1], primitive).state)
+        states = self.routes.follow(state, route.primitives)
         name = describe_goal(goal, self.instance)
         name = f"press-{name}" if isinstance(goal, PressGoal) else name
         others = tuple(self.instance.targets[i].name for i in route.also_pressed)
         part = PlanPart(name, goal, 0, len(route.primitives), others)
-        return Plan(self.instance, name, route.primitives, tuple(states), (part,), route.method, route.expansions,
+        return Plan(self.instance, name, route.primitives, states, (part,), route.method, route.expansions,
                     seconds, route.timed_out)
 
 

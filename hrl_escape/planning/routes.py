@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import itertools
 import math
 import numbers
 import threading
@@ -326,7 +327,7 @@ class Routes:
             route = self._search_round_props(state, PressGoal(goal.target), clock, settings)
         if isinstance(route, PlanningFailed):
             return route
-        end = self.follow(state, route)
+        end = self.follow(state, route.primitives)[-1]
         if (move := find_move(goal, end, self.rules)) is None:
             return self.make_failure(PlanningReason.PRECONDITION_UNMET, state, goal)
         poses = (*route.poses, get_pose(self.rules.step(end, move).state))
@@ -374,11 +375,10 @@ class Routes:
             self._reasons[goal.target] = self.search.reacher.explain_unreachable(goal.target, floor)
         return self._reasons[goal.target]
 
-    def follow(self, state: RoomState, route: Route) -> RoomState:
-        """State at the end of a route from here."""
-        for primitive in route.primitives:
-            state = self.rules.step(state, primitive).state
-        return state
+    def follow(self, state: RoomState, primitives: Sequence[int]) -> tuple[RoomState, ...]:
+        """States that primitives lead through from here, the first one included."""
+        return tuple(itertools.accumulate(primitives, lambda here, primitive: self.rules.step(here, primitive).state,
+                                          initial=state))
 
     def has_undone(self, before: RoomState, now: RoomState) -> bool:
         """Return whether a prop has been moved away from a place that the open exit needs."""

@@ -89,7 +89,7 @@ class TaskMotionPlanner:
             route = self.planner.routes.find_route(begin, goal)
         except PlanningFailed:
             return None
-        return len(route.primitives), self.planner.routes.follow(begin, route)
+        return len(route.primitives), self.planner.routes.follow(begin, route.primitives)[-1]
 
     def export(self, state: RoomState, goals: Iterable[str] | None = None,
                forbidden: Iterable[tuple[str, str]] = ()) -> tuple[str, str]:

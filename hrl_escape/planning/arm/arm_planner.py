@@ -36,7 +36,6 @@ DISTINCT = 0.05
 """Postures nearer to each other than this in every joint are one, rad."""
 CONFIGURATIONS = 200_000
 """Configurations whose hand positions enter a reach map: points of a Halton sequence between the joint limits."""
-_PRIMES = (2, 3, 5, 7, 11, 13, 17)
 _Test: TypeAlias = Callable[[NDArray[np.float64], float], bool]
 
 
@@ -421,11 +420,7 @@ def _read_srdf(source: str | Path, robot: Robot) -> tuple[str, dict[str, tuple[f
 
 
 def _make_halton(count: int, dimensions: int) -> NDArray[np.float64]:
-    """First points of the Halton sequence in the unit cube, shape (count, dimensions); up to 7 dimensions."""
-    points = np.zeros((count, dimensions))
-    for k, prime in zip(range(dimensions), _PRIMES, strict=False):
-        number, share = np.arange(1, count + 1), 1.0 / prime
-        while number.any():
-            points[:, k] += share * (number % prime)
-            number, share = number // prime, share / prime
-    return points
+    """First points of the Halton sequence in the unit cube, shape (count, dimensions)."""
+    from scipy.stats import qmc  # takes half a second to load
+
+    return qmc.Halton(dimensions, scramble=False).fast_forward(1).random(count)

@@ -238,7 +238,8 @@ def lower_costs(hands, hand_cell, headings, half_x, half_y, cell, columns, rows)
                 for j in range(j0, j1 - rows_each + 2):
                     if plane[i + columns // 2, j + rows // 2] > steps[n]:
                         plane[i + columns // 2, j + rows // 2] = steps[n]
-        _lower_windows(plane, columns_each, rows_each)
+        _lower_windows(plane, columns_each)
+        _lower_windows(plane.T, rows_each)
         for i in range(columns):
             for j in range(rows):
                 costs[i, j, h] = plane[i, j] if plane[i, j] != NEVER else -1
@@ -246,26 +247,15 @@ def lower_costs(hands, hand_cell, headings, half_x, half_y, cell, columns, rows)
 
 
 @kernel_part
-def _lower_windows(plane, columns, rows):
-    """Let each cell lower a window of columns and rows that begins with it; by doubling, in place."""
+def _lower_windows(plane, count):
+    """Let each cell lower as many in its column, itself the first; by doubling, in place."""
     width = 1
-    while 2 * width <= columns:
-        for i in range(plane.shape[0] - 1, width - 1, -1):
+    while width < count:
+        step = min(width, count - width)
+        for i in range(plane.shape[0] - 1, step - 1, -1):
             for j in range(plane.shape[1]):
-                plane[i, j] = min(plane[i, j], plane[i - width, j])
-        width *= 2
-    for i in range(plane.shape[0] - 1, columns - width - 1, -1):
-        for j in range(plane.shape[1]):
-            plane[i, j] = min(plane[i, j], plane[i - (columns - width), j])
-    width = 1
-    while 2 * width <= rows:
-        for i in range(plane.shape[0]):
-            for j in range(plane.shape[1] - 1, width - 1, -1):
-                plane[i, j] = min(plane[i, j], plane[i, j - width])
-        width *= 2
-    for i in range(plane.shape[0]):
-        for j in range(plane.shape[1] - 1, rows - width - 1, -1):
-            plane[i, j] = min(plane[i, j], plane[i, j - (rows - width)])
+                plane[i, j] = min(plane[i, j], plane[i - step, j])
+        width += step
 
 
 def bound_costs(hands: NDArray[np.int16], hand_cell: float, headings: NDArray[np.float64], yaw: float, half_x: float,
