@@ -117,18 +117,13 @@ class OptionDomain:
                                "OptionsEnv(env, options) a list of them")
 
     def get_state(self, observation: Any) -> Any:
-        """State that options see at present.
-
-        Args:
-            observation: last observation of the environment.
-        """
+        """State that options see at present."""
         return observation
 
     def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
         """Primitive of a decision that cannot run: the first legal one, or the one nearest to zero.
 
-        Args:
-            mask: int8 (primitives,), the legal ones; empty unless the action space is Discrete.
+        The mask is int8 (primitives,), empty unless the action space is Discrete.
         """
         space = self.env.action_space
         if self._discrete is not None:
@@ -196,10 +191,7 @@ class OptionDomain:
     def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
         """Add the entries of this kind of environment to a decision's `info`; none here.
 
-        Args:
-            info: of the decision, changed in place.
-            steps: those of the decision; none at a reset.
-            option: the option that ran, if any.
+        There are no steps at a reset, and no option where a primitive ran.
         """
 
 

@@ -42,11 +42,7 @@ class GoalOption(Option):
 class PlannedOption(GoalOption):
     """Reach one goal by plan, and replan when off the plan.
 
-    Args:
-        name: stable name.
-        planner: the room's planner.
-        goal: goal of the option.
-        max_replans: most plans after the first one in a run.
+    A run makes at most `max_replans` plans after the first one.
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, max_replans: int = 100) -> None:
@@ -179,14 +175,8 @@ def _tell_unavoidable(option: Option, instance: RoomInstance, route: Route) -> N
 class AncestorsOption(GoalOption):
     """Carry out an operator's missing preconditions in the cheapest order, then the operator itself.
 
-    Operators already done are not repeated, except that the last one always runs (as in the
-    meta-actions of the published 2019 code).
-
-    Args:
-        name: stable name.
-        planner: the room's planner.
-        goal: goal of the operator.
-        parts: the plain option for each goal of an operator.
+    Operators already done are not repeated, except that the last one always runs (as in the meta-actions of the
+    published 2019 code). `parts` are the plain options for the goal of each operator.
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, parts: dict[Goal, Option]) -> None:

@@ -95,11 +95,7 @@ class PushField:
     def find_push(self, x: float, y: float, headings: int, others: Sequence[Footprint] = ()) -> _Push | None:
         """Find the best next push of the block from a place, among the headings of the base.
 
-        Args:
-            x: the block's place, m.
-            y: the block's place, m.
-            headings: headings of the base in a full turn.
-            others: footprints that neither block nor body may meet.
+        Neither block nor body may meet the footprints of `others`.
         """
         step = self._instance.robot.actions.stride
         goal_x, goal_y = self.goal

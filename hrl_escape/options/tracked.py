@@ -33,13 +33,8 @@ HEADROOM = 0.9
 class TrackedOption(GoalOption):
     """Reach one goal by a trajectory; where it ends short of the goal, by another from there.
 
-    Args:
-        name: stable name.
-        planner: the room's planner.
-        goal: goal of the option.
-        limits: of the trajectories.
-        time_step: of the environment, s.
-        sampler: finds trajectories first; None for those of plans of primitives alone.
+    Trajectories keep the limits; the environment's step takes `time_step` seconds. The sampler finds them first;
+    without one all are those of plans of primitives.
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, limits: MotionLimits, time_step: float,

@@ -237,11 +237,8 @@ def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
 def list_grips(goal: GripGoal, instance: RoomInstance, model: SymbolicModel) -> tuple[Operator, ...]:
     """Operators with this action at this target.
 
-    Args:
-        goal: the action and the target.
-        instance: the room.
-        model: of its puzzle, or of a state of it, with things where they lie then; that has none where no way leads to
-            the thing.
+    The model is that of the room's puzzle, or of a state of it, with things where they lie then; that has none where
+    no way leads to the thing.
     """
     name = instance.targets[goal.target].name
     return tuple(operator for operator in model.operators if (operator.target, operator.action) == (name, goal.action))

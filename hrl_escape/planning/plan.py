@@ -155,8 +155,7 @@ class Plan:
     def draw(self, path: str | Path | None = None) -> Any:
         """Draw the plan on the room's map.
 
-        Args:
-            path: PNG, SVG or PDF to write; None only returns the figure.
+        Writes a PNG, SVG or PDF if a path is given.
 
         Returns:
             The matplotlib figure.
@@ -175,8 +174,7 @@ class Plan:
     def play(self, width: int = 480) -> str:
         """Play the plan on the room's map: an HTML frame for notebooks and pages, which loads nothing.
 
-        Args:
-            width: of the frame, in pixels.
+        The frame is `width` pixels wide.
         """
         from hrl_escape.env.drawing.moving_map import embed_moving_map, make_moving_map  # loads matplotlib
 

@@ -30,12 +30,8 @@ def list_blocks(state: RoomState, instance: RoomInstance, *, grown: float = 0.0,
                 without: int | None = None) -> tuple[Footprint, ...]:
     """Footprints of the blocks, each side grown by some metres.
 
-    Args:
-        state: the state.
-        instance: the room.
-        grown: growth, m; negative to shrink.
-        only_done: leave out blocks that do not stand where the puzzle wants them.
-        without: index of a prop to leave out.
+    A negative growth shrinks them. `only_done` leaves out blocks that do not stand where the puzzle wants them,
+    `without` the prop of an index.
     """
     if not instance.props:
         return ()

@@ -166,12 +166,7 @@ def bound_cost(instance: RoomInstance, state: RoomState, goals: tuple[Goal, ...]
                primitives: float) -> float:
     """Lower bound of the cost of every plan that reaches goals in order.
 
-    Args:
-        instance: the room.
-        state: first state.
-        goals: in order.
-        request: says by which objective.
-        primitives: bound of the number of primitives.
+    `primitives` is a bound of their number.
     """
     if request.objective == "primitives":
         return primitives

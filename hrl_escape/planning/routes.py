@@ -180,12 +180,8 @@ class Routes:
                    clock: Clock | None = None, settings: SearchSettings | None = None) -> Route:
         """Find the route from a state to a goal, or recall it.
 
-        Args:
-            state: first state.
-            goal: the goal.
-            report: counts calls, cache hits and seconds.
-            clock: time limit of a call that this one is part of; None for the planner's own.
-            settings: of the search; None for the planner's own.
+        The report counts calls, cache hits and seconds. Without a clock, of a call that this one is part of, the
+        planner's own time limit holds, without settings its own settings.
 
         Raises:
             PlanningFailed: no route; a failure is cached like a route.
@@ -221,14 +217,8 @@ class Routes:
                           report: PlanningReport, *, refine: bool = True, clock: Clock | None = None) -> Route:
         """Find the route to a goal round movable things such as blocks; it is not cached.
 
-        Args:
-            state: first state.
-            goal: the goal.
-            keep_out: footprints that the body must not meet.
-            budget: search nodes that may be expanded.
-            report: counts calls and seconds.
-            refine: search finer grids, too, before giving up.
-            clock: time limit of a call that this one is part of; None for the planner's own.
+        The body must not meet the footprints `keep_out`. `refine` says whether finer grids are searched, too, before
+        giving up; the others are as in `find_route`.
 
         Raises:
             PlanningFailed: no route within the budget.
@@ -273,11 +263,7 @@ class Routes:
                keep_out: Sequence[Footprint] | None = None) -> Route | None:
         """Route of given primitives from here, cut where the goal is reached; None if it never is.
 
-        Args:
-            state: first state.
-            primitives: the primitives.
-            goal: the goal.
-            keep_out: footprints that the body must not meet; None for blocks that it must not move.
+        The body must not meet the footprints `keep_out`; None stands for blocks that it must not move.
         """
         poses, pressed = [get_pose(state)], 0
         here = state

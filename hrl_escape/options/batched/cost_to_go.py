@@ -373,14 +373,9 @@ def interpolate_cost(layout: Layout, fields: CostFields, instance: Tensor, field
                      heading: Tensor, between: Tensor | None) -> Tensor:
     """Interpolate the cost-to-go among the cells from which there is a way; float32 (..., rooms).
 
-    Args:
-        layout: properties that all rooms share.
-        fields: their fields.
-        instance: index of each room's instance, int64 (rooms,).
-        field: index of the field in its instance, int64 (rooms,).
-        place: position, from `locate`.
-        heading: class of the heading, int64 (..., rooms).
-        between: share of the way to the next class, float32 (rooms,); None if all headings are classes.
+    `field` is its number in the room's instance, int64 (rooms,), `place` from `locate`, `heading` its class, int64
+    (..., rooms), and `between` the share of the way to the next class, float32 (rooms,), or None if all headings are
+    classes.
     """
     column = pick_column(layout, instance)
     first = fields.begins[field, column] + place.cell * fields.classes

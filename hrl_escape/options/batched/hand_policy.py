@@ -93,19 +93,10 @@ def estimate_hand_costs(layout: Layout, tables: Tables, fields: CostFields, stat
                         is_held: Tensor) -> Tensor:
     """Cost-to-go of presses by hand from places near the present one; float32 (places, rooms).
 
-    Args:
-        layout: properties that all rooms share.
-        tables: their instances.
-        fields: their fields.
-        state: their present states.
-        reach: from `find_reach`.
-        x: places of the base, (places, rooms), m.
-        y: likewise.
-        turn: turn steps from the present heading, int64 (places, 1).
-        heading: class of the present heading, int64 (rooms,).
-        between: share of the way to the next class, float32 (rooms,); None if all headings are classes.
-        is_held: where the hand touches the target in its present posture, so that another press needs a moment
-            without touch, bool (places, rooms).
+    Places of the base, x and y, are (places, rooms), m. `turn` are turn steps from the present heading, int64 (places,
+    1); `heading` is its class, int64 (rooms,), and `between` the share of the way to the next class, float32 (rooms,),
+    or None if all headings are classes. `is_held`, bool (places, rooms), is true where the hand touches the target in
+    its present posture, so that another press needs a moment without touch.
     """
     cos, sin = compute_rotation(layout, tables, state)
     place = locate(layout, fields, state.instance, *_displace(state.x, state.y, cos, sin, *reach.shifts))

@@ -357,15 +357,9 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
                      postures: Tensor, cells: Tensor, costs: Tensor) -> Choice:
     """Choose every room's next primitive.
 
-    Args:
-        layout: properties that all rooms share.
-        tables: their instances.
-        fields: their fields.
-        state: their states.
-        goal: the target to press, or the number of targets for the exit, int64 (rooms,).
-        postures: postures that a hand may press in, int64 (chosen, rooms).
-        cells: last cells of each room, int64 (memory, rooms).
-        costs: costs found there, float32 (memory, rooms).
+    `goal` is the target to press, or the number of targets for the exit, int64 (rooms,). `postures` are those that a
+    hand may press in, int64 (chosen, rooms), `cells` the last ones of each room, int64 (memory, rooms), and `costs`
+    those found there, float32 (memory, rooms).
     """
     depth = 1 if layout.headings >= _FINE_HEADINGS else 2
     reach = find_reach(layout, tables, fields, state, goal, postures) if presses_by_hand(layout) else None

@@ -127,15 +127,8 @@ def find_touched_by_hand(layout: Layout, tables: Tables, instance: Tensor, hand:
                          y: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
     """Bits of the targets that the hand touches, int64 (cases, rooms).
 
-    Args:
-        layout: properties that all rooms share.
-        tables: their instances.
-        instance: index of each room's instance, int64 (rooms,).
-        hand: x, y and z in the base frame, m; this and the following are (cases, rooms) or (rooms,).
-        x: place of the base, m.
-        y: likewise.
-        cos: cosine of its heading.
-        sin: its sine.
+    The hand's x, y and z in the base frame, m, the place of the base, m, and cosine and sine of its heading are each
+    (cases, rooms) or (rooms,).
     """
     ahead, left, up = hand
     room_x, room_y = x + cos * ahead - sin * left, y + sin * ahead + cos * left

@@ -105,10 +105,7 @@ class ArmPlanner:
     def is_free(self, state: RoomState, angles: Sequence[float], margin: float = 0.0) -> bool:
         """Return whether the arm is clear of solids, the shut door and the robot itself.
 
-        Args:
-            state: says where the base stands.
-            angles: joint angles, rad.
-            margin: distance that counts as a collision already, m.
+        The base stands where the state says. Angles are rad; what is nearer than `margin`, m, counts as a collision.
         """
         return self._get_collisions(margin).is_free(state.x, state.y, self.rules.get_heading(state), angles)
 

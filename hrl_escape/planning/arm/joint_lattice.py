@@ -152,13 +152,8 @@ def make_lattice(halves: Halves, at: tuple[int, ...]) -> tuple[ArmLattice, NDArr
 def map_hands(lattice, z_low, z_high, cell, half_cells, budget):
     """Fewest joint steps that bring the hand into each cell of the floor, at heights within a window.
 
-    Args:
-        lattice: the arm's configurations.
-        z_low: m.
-        z_high: m.
-        cell: side of a cell, m.
-        half_cells: cells from the base's axis to each edge of the map.
-        budget: pairs of halves beyond which no further cost is begun.
+    Heights are from `z_low` to `z_high`, m. Cells have the side `cell`, m, and there are `half_cells` from the base's
+    axis to each edge of the map. Beyond `budget` pairs of halves no further cost is begun.
 
     Returns:
         costs (cells, cells), int16, x ahead first; first and last half of the first configuration found at that cost,
@@ -262,14 +257,7 @@ def bound_costs(hands: NDArray[np.int16], hand_cell: float, headings: NDArray[np
                 half_y: float, cell: float) -> NDArray[np.int16]:
     """Tabulate the joint steps to touch a rectangle along the room's axes: see `lower_costs`.
 
-    Args:
-        hands: of `map_hands`.
-        hand_cell: side of its cells, m.
-        headings: of the base, rad, shape (headings,).
-        yaw: of the rectangle, rad.
-        half_x: half size of the rectangle with its margin of touch, along its own x, m.
-        half_y: half size of the rectangle with its margin of touch, along its own y, m.
-        cell: side of a cell of the result, m.
+    Half sizes are along the rectangle's own axes; its yaw and the base's headings are rad.
 
     Returns:
         Shape (columns, rows, headings), int16; -1 where out of reach. The rectangle's centre is the corner

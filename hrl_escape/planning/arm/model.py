@@ -289,11 +289,7 @@ class ArmCollisions:
     def is_free(self, x: float, y: float, heading: float, angles: Sequence[float]) -> bool:
         """Return whether no link meets a solid, the floor or another link.
 
-        Args:
-            x: the base's axis in the room, m.
-            y: the base's axis in the room, m.
-            heading: rad.
-            angles: joint angles, rad.
+        The place is that of the base's axis in the room, m; heading and joint angles are rad.
         """
         return self._find_near(x, y)._test(x, y, heading, angles)
 

@@ -51,9 +51,7 @@ class TimedPath(NamedTuple):
 def time_path(path: MotionPath, rates: NDArray[np.float64]) -> TimedPath:
     """Time a path; it rests at corners that its margin does not let it round.
 
-    Args:
-        path: the path.
-        rates: largest speed, acceleration and jerk of each coordinate, shape (coordinates, 3).
+    `rates` are the largest speed, acceleration and jerk of each coordinate, shape (coordinates, 3).
     """
     def measure(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sizes that are limited, of vectors (n, coordinates): those of the base by its motion in the plane."""
@@ -141,11 +139,7 @@ def _run_profile(length: float | None, begin: float, end: float, limits: NDArray
                  ) -> list[tuple[float, float, float]]:
     """Time, way and speed at the end of each phase of the fastest motion between two speeds.
 
-    Args:
-        length: of the way; None for the shortest time, however long the way.
-        begin: speed.
-        end: speed.
-        limits: of speed, acceleration and jerk.
+    A length of None asks for the shortest time, however long the way. Limits are of speed, acceleration and jerk.
 
     Raises:
         ConfigError: limits so far apart that there is none.
@@ -410,10 +404,7 @@ def list_shut_doors(room: RoomInstance, state: RoomState) -> list[Footprint]:
 def list_bodies(room: RoomInstance, pushed: int, door_shut: bool) -> list[Footprint]:
     """List what else is in the base's way under physics: panels, and the hinge's end of an open doorway.
 
-    Args:
-        room: the room; none of it is in the way unless it has physics.
-        pushed: bits of the targets that the base may push against.
-        door_shut: whether the exit's door stands shut.
+    Nothing is in the way of a room without physics. `pushed` are bits of the targets that the base may push against.
     """
     if room.dynamics.kind != "physics":
         return []

@@ -92,11 +92,7 @@ def compute_rest_to_rest(distance: float, speed: float, acceleration: float, jer
 def compute_duration(states: Sequence[RoomState], limits: MotionLimits, robot: Robot, turn_step: float) -> float:
     """Shortest time to go through states one after another, s; the base rests wherever its direction changes.
 
-    Args:
-        states: states of a plan, each one primitive after the one before.
-        limits: of speed, acceleration and jerk.
-        robot: the robot.
-        turn_step: angle of a turn, rad.
+    Each state is one primitive after the one before; `turn_step` is the angle of a turn, rad.
     """
     rates = limits.stack(("x", "heading", *robot.joint_names), robot).tolist()
     total, now, length = 0.0, (0, 0.0, 0.0), 0.0

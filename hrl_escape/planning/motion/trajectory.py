@@ -129,9 +129,7 @@ class TimedTrajectory:
     def draw(self, instance: RoomInstance, path: str | Path | None = None) -> Any:
         """Draw the base's way on the room's map, with dots where touches begin and where the hand acts.
 
-        Args:
-            instance: the room.
-            path: PNG, SVG or PDF to write; None only returns the figure.
+        Writes a PNG, SVG or PDF if a path is given.
 
         Returns:
             The matplotlib figure.
@@ -183,12 +181,7 @@ def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionL
                  ) -> TimedTrajectory:
     """Join pieces, each of which begins where the one before ends, and slow them down until the arm can do it.
 
-    Args:
-        names: of the coordinates.
-        parts: the pieces.
-        limits: that they keep.
-        robot: the robot; None for a bare path.
-        name: of the motion, for errors.
+    All keep the limits. A bare path has no robot. The name is the motion's, for errors.
 
     Raises:
         ConfigError: see `make_trajectory`.

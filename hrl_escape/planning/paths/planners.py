@@ -64,10 +64,6 @@ def get_factory(name: str) -> PlannerFactory:
 def find_line_path(planner: str, problem: PathProblem) -> NDArray[np.float64] | None:
     """Find a path of lines that are tested whole, between places where the body fits at any heading.
 
-    Args:
-        planner: one of `OMPL_PLANNERS`.
-        problem: start and goals.
-
     Returns:
         Places to go through, shape (n, 2), m, from the start to one of the goals; None if the planner gave up.
 

@@ -225,14 +225,8 @@ class TaskSearch:
         """Find several cheap orders, cheapest first, by a beam search.
 
         Unlike `find_order`, each (facts, last operator) keeps its `count` cheapest places, as the next leg may be
-        shorter from a place that took longer to reach.
-
-        Args:
-            facts: facts that hold.
-            place: the place, as `extend` needs it.
-            extend: costs a leg.
-            count: orders to find.
-            most: legs to examine, roughly: the beam is as wide as that allows.
+        shorter from a place that took longer to reach. About `most` legs are examined: the beam is as wide as that
+        allows. Facts, place and `extend` are as in `find_order`.
         """
         width = max(1, 2 * most // max(len(self.operators), 1) ** 2)
         finished = self._search_beam(self._encode(facts), place, extend, width, count, 2 * len(self.operators) + 1)
@@ -255,13 +249,8 @@ class TaskSearch:
                      ) -> list[tuple[float, Any]]:
         """Beam search: after every operator keep the most promising orders.
 
-        Args:
-            begin: facts that hold.
-            place: the place, as `extend` needs it.
-            extend: costs a leg.
-            width: orders kept.
-            kept: most of them with the same facts and last operator, the cheapest.
-            most: most legs of an order.
+        It keeps `width` orders of at most `most` legs, and of those with the same facts and last operator the `kept`
+        cheapest.
 
         Returns:
             Complete orders as (cost, trail), and the number of legs examined.
