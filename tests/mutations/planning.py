@@ -252,8 +252,8 @@ MUTATIONS = [
     Mutation(
         "trajectories under physics count what is near as pressed",
         "planning/motion/legs.py",
-        "plan, make_planned_room(plan.instance), clearance",
-        "plan, plan.instance, clearance",
+        "make_planned_room(instance), Rules(instance), planner",
+        "instance, Rules(instance), planner",
         "planning/motion/test_trajectory.py::test_under_physics_nothing_is_pressed_by_a_margin",
     ),
     Mutation(

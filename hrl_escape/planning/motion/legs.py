@@ -242,15 +242,50 @@ def differ_in_boxes(room: RoomInstance, one: RoomState, other: RoomState) -> boo
     return isinstance(room.puzzle, Pushing) and one.puzzle != other.puzzle
 
 
-class _Legs:
+class Mover:
+    """A room's robot in motion: its coordinates, their limits, and its paths played by kinematics with nothing random.
+
+    They are those of the room that plans are made in. But what is touched stays touched until it is left by the room's
+    own margin of presses, which under physics is more than takes to begin a touch.
+    """
+
+    def __init__(self, instance: RoomInstance, limits: MotionLimits, planner: str) -> None:
+        self._room, self._near, self._planner = make_planned_room(instance), Rules(instance), planner
+        self._rules = Kinematics(self._room, is_still=True)
+        self._names = ("x", "y", "heading", *self._rules.robot.joint_names)
+        self._rates = limits.stack(self._names, self._rules.robot)
+
+    def _get_pose(self, state: RoomState) -> NDArray[np.float64]:
+        return np.array([state.x, state.y, self._rules.get_heading(state), *self._rules.get_angles(state)])
+
+    def _make_path(self, points: NDArray[np.float64], margin: float = 0.0) -> MotionPath:
+        return MotionPath(self._names, points, np.ones(len(self._names)), margin, self._planner)
+
+    def _play(self, motion: TimedPath, state: RoomState) -> tuple[tuple[Contact, ...], RoomState] | None:
+        """Touches that begin in a motion of base and arm, and the last state; None where a solid is in the way."""
+        rules, contacts = self._rules, []
+        for time, at in zip(*_list_looks(motion), strict=True):
+            x, y, heading, *angles = at
+            turn = math.remainder(heading - rules.get_heading(state), math.tau)
+            joints = tuple(a - b for a, b in zip(angles, rules.get_angles(state), strict=True))
+            before = state.touching
+            state, _, _, _, pressed = rules.glide(state, Glide(x - state.x, y - state.y, turn, joints, 0.0))
+            if before & ~state.touching:
+                touching = state.touching | before & self._near.compute_touching(*state.pose)
+                state = state._replace(touching=touching)
+            if (math.hypot(x - state.x, y - state.y) > _LOST
+                    or abs(math.remainder(heading - rules.get_heading(state), math.tau)) > _LOST):
+                return None
+            contacts += [Contact(time, target) for target in pressed]
+        return tuple(contacts), state
+
+
+class _Legs(Mover):
     """One plan's pieces."""
 
     def __init__(self, plan: Plan, limits: MotionLimits, clearance: float) -> None:
-        self._plan, self._room, self._clearance = plan, make_planned_room(plan.instance), clearance
-        self._rules = rules = Kinematics(self._room, is_still=True)
-        self._near = Rules(plan.instance)
-        self._names = ("x", "y", "heading", *rules.robot.joint_names)
-        self._rates = limits.stack(self._names, rules.robot)
+        super().__init__(plan.instance, limits, plan.planner)
+        self._plan, self._clearance = plan, clearance
         self._radius = plan.instance.robot.outer_radius + CONTACT_SKIN
         self._strafes = plan.instance.robot.drive == "strafing" and plan.instance.robot.base.turns_anywhere
         self._by_body = plan.instance.dynamics.press_with == "body"
@@ -265,7 +300,7 @@ class _Legs:
             margins = ROUNDINGS if self._strafes and len(path.points) > 2 else (0.0,)
             for margin in margins:
                 motion = time_path(dataclasses.replace(path, margin=margin), self._rates)
-                played = play(self._rules, self._near, motion, states[begin])
+                played = self._play(motion, states[begin])
                 if played is None or sorted(c.target for c in played[0]) != list(list_touched(wanted)):
                     continue
                 if not differ_in_boxes(self._room, states[end], played[1]):
@@ -358,42 +393,6 @@ class _Legs:
                 poses.append(pose)
         return self._make_path(np.array(poses))
 
-    def _get_pose(self, state: RoomState) -> NDArray[np.float64]:
-        return np.array([state.x, state.y, self._rules.get_heading(state), *self._rules.get_angles(state)])
-
-    def _make_path(self, points: NDArray[np.float64]) -> MotionPath:
-        return MotionPath(self._names, points, np.ones(len(self._names)), 0.0, self._plan.planner)
-
-
-def play(rules: Kinematics, near: Rules, motion: TimedPath, state: RoomState
-         ) -> tuple[tuple[Contact, ...], RoomState] | None:
-    """Follow a motion by the room's kinematics.
-
-    Args:
-        rules: of the room that plans are made in, without noise.
-        near: rules of the room itself. What is touched stays touched until it is left by their margin of presses,
-            which under physics is more than takes to begin a touch.
-        motion: of base and arm.
-        state: where it begins.
-
-    Returns:
-        Touches that begin, and the last state; None where a solid is in the way.
-    """
-    contacts = []
-    for time, at in zip(*list_looks(motion), strict=True):
-        x, y, heading, *angles = at
-        turn = math.remainder(heading - rules.get_heading(state), math.tau)
-        joints = tuple(a - b for a, b in zip(angles, rules.get_angles(state), strict=True))
-        before = state.touching
-        state, _, _, _, pressed = rules.glide(state, Glide(x - state.x, y - state.y, turn, joints, 0.0))
-        if before & ~state.touching:
-            state = state._replace(touching=state.touching | before & near.compute_touching(*state.pose))
-        if (math.hypot(x - state.x, y - state.y) > _LOST
-                or abs(math.remainder(heading - rules.get_heading(state), math.tau)) > _LOST):
-            return None
-        contacts += [Contact(time, target) for target in pressed]
-    return tuple(contacts), state
-
 
 def list_shut_doors(room: RoomInstance, state: RoomState) -> list[Footprint]:
     """Footprints of the inner doors that are shut."""
@@ -417,7 +416,7 @@ def list_bodies(room: RoomInstance, pushed: int, door_shut: bool) -> list[Footpr
     return bodies
 
 
-def list_looks(motion: TimedPath) -> tuple[list[float], list[list[float]]]:
+def _list_looks(motion: TimedPath) -> tuple[list[float], list[list[float]]]:
     """Times after the start, and positions there, between which nothing moves by more than `LOOK`."""
     spans, moved = np.diff(motion.times), np.abs(np.diff(motion.positions, axis=0)).max(axis=1, initial=0.0)
     counts = 1 + np.ceil(2.0 * moved / LOOK).astype(int)  # cubics may move up to twice as fast as in the mean

@@ -23,7 +23,7 @@ from hrl_escape.clock import NO_LIMIT
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Glide, Kinematics, RoomState, Rules
+from hrl_escape.env.kinematics import Glide, RoomState
 from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.floor.clearance import CollisionMap
@@ -35,19 +35,18 @@ from hrl_escape.planning.motion.drives import Floor, find_drive, list_docks
 from hrl_escape.planning.motion.legs import (
     MISSED_BY,
     ROUNDINGS,
+    Mover,
     Press,
     act_at,
     differ_in_boxes,
     list_bodies,
     list_shut_doors,
-    play,
     rest,
     time_path,
 )
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.trajectory import TimedTrajectory, join_presses
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, MotionPath
-from hrl_escape.planning.plan import make_planned_room
 from hrl_escape.planning.routes import COMPASS, list_places
 
 WAY_PLANNER = "InformedRRTstar"
@@ -81,7 +80,7 @@ class _Place(NamedTuple):
 _NO_POSTURES = np.zeros((0, 0))
 
 
-class MotionSampler:
+class MotionSampler(Mover):
     """Plans trajectories to the goals of one room. Not thread-safe.
 
     Args:
@@ -93,12 +92,9 @@ class MotionSampler:
 
     def __init__(self, instance: RoomInstance, limits: MotionLimits, way_planner: str = WAY_PLANNER, seed: int = 0
                  ) -> None:
-        self._limits, self._way_planner, self._seed = limits, way_planner, seed
-        self._room, self._floors = make_planned_room(instance), dict[bool, CollisionMap]()
-        self._rules, self._near = Kinematics(self._room, is_still=True), Rules(instance)
+        super().__init__(instance, limits, way_planner)
+        self._limits, self._seed, self._floors = limits, seed, dict[bool, CollisionMap]()
         self._is_physical = self._room.dynamics.kind == "physics"
-        self._names = ("x", "y", "heading", *self._rules.robot.joint_names)
-        self._rates = limits.stack(self._names, self._rules.robot)
         self._strafes = self._room.robot.drive == "strafing"
         self._needs_room = not (self._strafes or self._room.robot.base.turns_anywhere)
         self._by_hand = self._room.dynamics.press_with == "hand"
@@ -116,7 +112,7 @@ class MotionSampler:
             if presses is not None:
                 return join_presses(self._names, presses, self._limits, self._rules.robot, name)
         raise PlanningFailed(PlanningReason.UNREACHABLE_AT_RESOLUTION, name,
-                             (state.x, state.y, self._rules.get_heading(state)), 0.0, (self._way_planner,))
+                             (state.x, state.y, self._rules.get_heading(state)), 0.0, (self._planner,))
 
     def _list_plans(self, state: RoomState, goal: Goal) -> Iterator[list[MotionPath]]:
         """Paths of base and arm, one after another, to a goal, or to where a grip or push begins."""
@@ -135,7 +131,7 @@ class MotionSampler:
         wanted, pressed, presses, before = getattr(goal, "target", None), [], [], state
         for path in paths:
             motion = time_path(path, self._rates)
-            played = play(self._rules, self._near, motion, state)
+            played = self._play(motion, state)
             if played is None or differ_in_boxes(self._room, state, played[1]):
                 return None
             contacts, state = played
@@ -174,16 +170,10 @@ class MotionSampler:
         line = np.stack([pose, pose])
         line[1, :2] += actions.stride * np.array(COMPASS[side][:2])
         motion = time_path(self._make_path(line), self._rates)
-        played = play(self._rules, self._near, motion, state)
+        played = self._play(motion, state)
         if played is None or not is_reached(goal, state, played[1], self._rules):
             return None
         return Press(motion, played[0])
-
-    def _get_pose(self, state: RoomState) -> NDArray[np.float64]:
-        return np.array([state.x, state.y, self._rules.get_heading(state), *self._rules.get_angles(state)])
-
-    def _make_path(self, points: NDArray[np.float64], margin: float = 0.0) -> MotionPath:
-        return MotionPath(self._names, points, np.ones(len(self._names)), margin, self._way_planner)
 
     # --- the base ------------------------------------------------------------------------
 
@@ -212,7 +202,7 @@ class MotionSampler:
         aim = np.array([place.at for place in goal]) if isinstance(goal, Sequence) else self._aim(goal, floor)
         tries = (navigator.plan(begin, aim, planner, seed=self._seed, optimise=True, budget=WAY_CHECKS,
                                 clock=NO_LIMIT, door_shut=shut, heading=heading)
-                 for planner in dict.fromkeys((self._way_planner, DEFAULT_PLANNER)))
+                 for planner in dict.fromkeys((self._planner, DEFAULT_PLANNER)))
         found = next((way for way in tries if way.status == "exact" and len(way.path) > 1), None)
         if found is None:
             return None
@@ -236,7 +226,7 @@ class MotionSampler:
         floor = Floor(self._avoid(state, None, shut) if state.touching else between, between,
                       self._avoid(untouched, getattr(goal, "target", None), shut))
         ends = self._list_ends(goal, floor.entering)
-        planners = tuple(dict.fromkeys((self._way_planner, DEFAULT_PLANNER)))
+        planners = tuple(dict.fromkeys((self._planner, DEFAULT_PLANNER)))
         begin = np.array([*self._back_off((state.x, state.y), start[2], floor.leaving), start[2]])
         found = find_drive(floor, begin, ends, self._rates[:3], planners, seed=self._seed, budget=WAY_CHECKS)
         return found if found is None or begin.tolist() == start else np.concatenate([[start], found])
@@ -340,7 +330,7 @@ class MotionSampler:
             yield [path]
         places = self._list_places(state, goal, find_postures)
         for way in self._list_ways(state, places) if places else ():
-            played = play(self._rules, self._near, time_path(way, self._rates), state)
+            played = self._play(time_path(way, self._rates), state)
             if played is None or {contact.target for contact in played[0]} - {goal.target}:
                 continue
             if played[0]:
