@@ -118,8 +118,11 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
     known = find_best_known(instance, state)
     if value <= known.value + 1e-9:
         return False
+    step = instance.reward.step
+    is_told = step and not instance.puzzle.has_reward  # without noise an episode's length follows from its return
+    primitives = 1 + round((value - compute_escape_return(instance, 1)) / step) if is_told else None
     with _LOCK:
-        _remember(instance, state, _make_record(known, instance, value, source))
+        _remember(instance, state, BestKnown(value, source, known.upper_bound, primitives))
     warnings.warn(
         f"{source} reached a return of {value:g} in room {instance.id} from ({state.x:.2f}, {state.y:.2f}), where "
         f"{known.value:g} was the best known (by {known.source}). Scores of this room are normalised anew",
@@ -141,14 +144,6 @@ def _remember(instance: RoomInstance, state: RoomState, found: BestKnown) -> Non
     _KNOWN.move_to_end(key)
     if len(_KNOWN) > MOST_REMEMBERED:
         _KNOWN.popitem(last=False)
-
-
-def _make_record(known: BestKnown, instance: RoomInstance, value: float, source: str) -> BestKnown:
-    """Best known return that an agent reached; without noise its length follows from it."""
-    step = instance.reward.step
-    is_told = step and not instance.puzzle.has_reward
-    primitives = 1 + round((value - compute_escape_return(instance, 1)) / step) if is_told else None
-    return BestKnown(value, source, known.upper_bound, primitives)
 
 
 def compute_worst_return(instance: RoomInstance) -> float:

@@ -119,8 +119,7 @@ class PlanningResult:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; numbers that are infinite become None."""
         return {
-            "status": self.status if isinstance(self.status, str) and self.status == "reached" else str(
-                PlanningReason(self.status).value),
+            "status": self.status.value if isinstance(self.status, PlanningReason) else self.status,
             "objective": self.request.objective, "cost": self.cost if math.isfinite(self.cost) else None,
             "lower_bound": self.lower_bound, "method": self.method, "spent": self.spent, "seconds": self.seconds,
             "seed": self.seed, "cut_short": self.cut_short, "plan": self.plan and self.plan.to_dict(),
@@ -190,11 +189,24 @@ PATH_PLANNERS = ("BITstar", "InformedRRTstar")
 
 def iterate_routes(routes: Routes, state: RoomState, goal: Goal, request: PlanningRequest,
                    settings: SearchSettings, clock: Clock) -> Iterator[Route]:
-    """Routes to one goal after the first one, until the nodes of `settings.budget` are spent; failures are skipped."""
-    left, others = settings.budget, len(WAY_MARGINS) + len(PATH_PLANNERS) if request.objective != "primitives" else 0
-    for number in range(len(EFFORTS) + others):
+    """Routes to one goal after the first one, until the nodes of `settings.budget` are spent; failures are skipped.
+
+    They are found by lower and lower heuristics, then with growing margins, then round paths of path planners.
+    """
+    def find(way: int | float | str) -> Route:
+        """Find a route by an effort, with a margin or round a planner's path."""
+        rest = settings._replace(budget=left)
+        if isinstance(way, float):
+            keep_out = (*list_obstacles(state, routes.instance)[-1], *grow_solids(routes.instance, state, goal, way))
+            return routes.find_route_around(state, goal, keep_out, left, PlanningReport(), refine=False, clock=clock)
+        rest = rest._replace(method=way) if isinstance(way, str) else rest._replace(effort=way)
+        return routes.find_route(state, goal, None, clock, rest)
+
+    left = settings.budget
+    others = () if request.objective == "primitives" else (*WAY_MARGINS, *PATH_PLANNERS)
+    for way in (*range(1, len(EFFORTS) + 1), *others):
         try:
-            route = _find_way(routes, state, goal, number, settings._replace(budget=left), clock)
+            route = find(way)
         except PlanningFailed as failure:
             left -= failure.expansions
         else:
@@ -202,18 +214,3 @@ def iterate_routes(routes: Routes, state: RoomState, goal: Goal, request: Planni
             yield route
         if left <= 0 or clock.is_up():
             return
-
-
-def _find_way(routes: Routes, state: RoomState, goal: Goal, number: int, settings: SearchSettings, clock: Clock
-              ) -> Route:
-    """Route number `number`: lower and lower heuristics, then growing margins, then path planners."""
-    if number < len(EFFORTS):
-        return routes.find_route(state, goal, None, clock, settings._replace(effort=number + 1))
-    number -= len(EFFORTS)
-    if number < len(WAY_MARGINS):
-        keep_out = (*list_obstacles(state, routes.instance)[-1],
-                    *grow_solids(routes.instance, state, goal, WAY_MARGINS[number]))
-        return routes.find_route_around(state, goal, keep_out, settings.budget, PlanningReport(), refine=False,
-                                        clock=clock)
-    planner = PATH_PLANNERS[number - len(WAY_MARGINS)]
-    return routes.find_route(state, goal, None, clock, settings._replace(method=planner))

@@ -252,14 +252,8 @@ class ArmPlanner:
                         time_limit: float | None = None) -> MotionPath:
         """Plan a collision-free motion of base and arm together.
 
-        Args:
-            state: base and arm at the beginning.
-            place: of the base at the end: x, y, m, and heading, rad.
-            goal: joint angles at the end, (joints,), rad.
-            planner: as in `plan`.
-            seed: as in `plan`.
-            budget: as in `plan`.
-            time_limit: as in `plan`.
+        At the end the base is at a place, x, y, m, and heading, rad, and the arm at the goal's joint angles, (joints,),
+        rad. The other arguments are as in `plan`.
 
         Raises:
             PlanningFailed: there is no path; its reason says why.

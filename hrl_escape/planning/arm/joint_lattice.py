@@ -207,16 +207,8 @@ def lower_costs(hands, hand_cell, headings, half_x, half_y, cell, columns, rows)
         Shape (columns, rows, headings), int16; -1 where out of reach.
     """
     costs = np.empty((columns, rows, headings.shape[0]), dtype=np.int16)
-    size = hands.shape[0]
-    ahead, left = np.empty(size * size), np.empty(size * size)
-    steps = np.empty(size * size, dtype=np.int16)
-    count = 0
-    for i in range(size):
-        for j in range(size):
-            if hands[i, j] != NEVER:
-                ahead[count], left[count] = (i + 0.5 - size / 2) * hand_cell, (j + 0.5 - size / 2) * hand_cell
-                steps[count] = hands[i, j]
-                count += 1
+    ahead, left = np.nonzero(hands != NEVER)
+    size, count = hands.shape[0], len(ahead)
     plane = np.empty((columns, rows), dtype=np.int16)
     for h in range(headings.shape[0]):
         cos, sin = math.cos(headings[h]), math.sin(headings[h])
@@ -225,14 +217,15 @@ def lower_costs(hands, hand_cell, headings, half_x, half_y, cell, columns, rows)
         columns_each, rows_each = int(2.0 * wide / cell) + 1, int(2.0 * deep / cell) + 1
         plane[:] = NEVER
         for n in range(count):
-            x, y = sin * left[n] - cos * ahead[n], -sin * ahead[n] - cos * left[n]
+            u, v = (ahead[n] + 0.5 - size / 2) * hand_cell, (left[n] + 0.5 - size / 2) * hand_cell
+            x, y, steps = sin * v - cos * u, -sin * u - cos * v, hands[ahead[n], left[n]]
             i0, j0 = int(math.floor((x - wide) / cell)), int(math.floor((y - deep) / cell))
             i1, j1 = int(math.floor((x + wide) / cell)), int(math.floor((y + deep) / cell))
             # cells from i0 to i1: as many as each window has, or one more
             for i in range(i0, i1 - columns_each + 2):
                 for j in range(j0, j1 - rows_each + 2):
-                    if plane[i + columns // 2, j + rows // 2] > steps[n]:
-                        plane[i + columns // 2, j + rows // 2] = steps[n]
+                    if plane[i + columns // 2, j + rows // 2] > steps:
+                        plane[i + columns // 2, j + rows // 2] = steps
         _lower_windows(plane, columns_each)
         _lower_windows(plane.T, rows_each)
         for i in range(columns):

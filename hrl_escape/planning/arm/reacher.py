@@ -291,11 +291,8 @@ class Reacher:
             Primitives, verified by the room's kinematics: as many as moves and joint steps if possible, else
             with the fewest more that take the arm round; None if no order was found.
         """
-        for detours in (False, True):
-            actions = self._search_order(state, moves, joint_steps, target, detours, avoiding)
-            if actions is not None:
-                return actions
-        return None
+        orders = (self._search_order(state, moves, joint_steps, target, detours, avoiding) for detours in (False, True))
+        return next((order for order in orders if order is not None), None)
 
     def _search_order(self, begin: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
                       detours: bool, avoiding: bool) -> tuple[int, ...] | None:

@@ -98,8 +98,9 @@ class Navigator:
         """
         factory = get_factory(planner)
         turns_anywhere = self.instance.robot.base.turns_anywhere
-        if not turns_anywhere:
-            check_pose_planner(planner)
+        if not turns_anywhere and planner not in OMPL_PLANNERS:
+            raise UnsupportedError(f"path planner {planner!r} plans places of a disc; poses of a rectangular base are "
+                                   f"planned by {', '.join(OMPL_PLANNERS)}")
         start = self._check_query(start, goal, seed, budget)
         began, clock = read_clock(), clock or Clock(time_limit)
         calls, path, bound = 0, np.zeros((0, 2)), 0.0
@@ -258,13 +259,6 @@ def _read_path(answer: Any, name: str, start: NDArray[np.float64]) -> NDArray[np
 _ASIDE = (1.0, 1.5, 2.0, 4.0)
 """Margins by which a pose in contact is left before the search."""
 _MOST_ENDS = 64
-
-
-def check_pose_planner(name: str) -> None:
-    """Refuse a path planner that plans in the plane only. Raises `UnsupportedError`, which lists the others."""
-    if name not in OMPL_PLANNERS:
-        raise UnsupportedError(f"path planner {name!r} plans places of a disc; poses of a rectangular base are planned "
-                               f"by {', '.join(OMPL_PLANNERS)}")
 
 
 def find_pose_path(collision: CollisionMap, start: NDArray[np.float64], ends: NDArray[np.float64], planner: str,
