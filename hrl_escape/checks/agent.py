@@ -6,7 +6,6 @@ lamp that must be lit first, actions of one to four primitives, masks, terminati
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
 from collections.abc import Mapping
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read_action_mask
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
-from hrl_escape.checks.claims import Claims
+from hrl_escape.checks.claims import Claims, dump_state
 
 LENGTH, HORIZON = 6, 60
 
@@ -28,11 +27,8 @@ LENGTH, HORIZON = 6, 60
 def check_agent(agent_class: type[Agent], settings: Any = None, decisions: int = 400, seed: int = 0) -> None:
     """Check an agent by training it in a small corridor.
 
-    Args:
-        agent_class: constructed as `agent_class(observation_space, action_space, seed, settings)`.
-        settings: what to construct it with; None takes `agent_class.Settings()`.
-        decisions: length of training.
-        seed: of the agent and of the corridor.
+    It is constructed as `agent_class(observation_space, action_space, seed, settings)`, with `agent_class.Settings()`
+    unless settings are given. The seed is also the corridor's.
 
     Raises:
         ContractError: the first claim that does not hold.
@@ -156,7 +152,7 @@ class _AgentCheck(Claims):
 
     def _check_greedy(self, agent: Any, seen: list[SMDPTransition]) -> None:
         """Evaluation is legal, repeatable, and leaves the agent as it is."""
-        before = self._dump(agent)
+        before = dump_state(agent)
         places = seen[-50:]
 
         def choose() -> list[int]:
@@ -171,7 +167,7 @@ class _AgentCheck(Claims):
             chosen = agent.act_greedy(step.observation, only.copy(), np.random.default_rng(0))
             self._require_legal(chosen, only, "act_greedy, where one action is legal,")
         self.require(choose() == first, "act_greedy repeats itself with the same generator", first)
-        self.require(self._dump(agent) == before, "act_greedy changes nothing in the agent", "state_dict changed")
+        self.require(dump_state(agent) == before, "act_greedy changes nothing in the agent", "state_dict changed")
 
     def _check_resuming(self, decisions: int) -> None:
         """A checkpoint through a file, taken between episodes, goes on to the same bits."""
@@ -191,7 +187,7 @@ class _AgentCheck(Claims):
                 fresh.load_state_dict(load_checkpoint(path))
             except (KeyError, TypeError, ValueError, IndexError, RuntimeError) as error:
                 self.require(False, "load_state_dict takes what state_dict gave", repr(error))
-        self.require(self._dump(fresh) == self._dump(agent), "load_state_dict restores all of state_dict",
+        self.require(dump_state(fresh) == dump_state(agent), "load_state_dict restores all of state_dict",
                      "the state differs after loading")
         seed = self._seed + 1
         ways = [self._train(each, _Play(_Corridor(), each.gamma, seed), decisions // 2) for each in (agent, fresh)]
@@ -199,12 +195,8 @@ class _AgentCheck(Claims):
         self.require(actions[0] == actions[1], "a resumed agent makes the decisions of one that was never stopped",
                      next(n for n, (a, b) in enumerate(zip(*actions, strict=True)) if a != b) if
                      actions[0] != actions[1] else None)
-        self.require(self._dump(fresh) == self._dump(agent), "a resumed agent learns what one learns that was never "
+        self.require(dump_state(fresh) == dump_state(agent), "a resumed agent learns what one learns that was never "
                      "stopped", "the state differs after more training")
-
-    def _dump(self, agent: Any) -> str:
-        """The agent's state as text that is equal where all numbers are."""
-        return json.dumps(agent.state_dict(), default=_encode, sort_keys=True)
 
 
 class _Play:
@@ -226,13 +218,6 @@ class _Play:
         if transition.terminated or transition.truncated:
             self._begin(None)
         return transition
-
-
-def _encode(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    detached = value.detach().cpu().numpy() if type(value).__module__.startswith("torch") else np.asarray(value)
-    return [str(detached.dtype), detached.shape, detached.tobytes().hex()]
 
 
 def _read_global_random_state() -> tuple[Any, ...]:

@@ -7,7 +7,6 @@ among legal choices at random and writes down what it is told, and every claim i
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from typing import Any, NamedTuple
 
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read_action_mask
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackAgent, StackSettings
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
-from hrl_escape.checks.claims import Claims
+from hrl_escape.checks.claims import Claims, dump_state
 from hrl_escape.errors import ContractError, StepContractError
 
 GAMMA = 0.9
@@ -29,13 +28,7 @@ def check_hierarchy(hierarchy: Hierarchy, env: gymnasium.Env, primitives: int = 
     """Check a hierarchy by running it in an environment.
 
     Its root must be paid by the environment. Episodes are cut at random lengths, so that calls are cut at every depth.
-
-    Args:
-        hierarchy: what to check; its learners are left out.
-        env: where it runs.
-        primitives: length of the run.
-        seed: of choices and episodes.
-        agent_class: what runs it.
+    It runs for so many primitives; learners of its own are left out. The seed is that of choices and episodes.
 
     Raises:
         ContractError: the first claim that does not hold.
@@ -261,9 +254,9 @@ class _HierarchyCheck(Claims):
     def _check_greedy(self, agent: CallRunner, observation: Any, mask: NDArray[np.bool_], rng: np.random.Generator
                       ) -> None:
         """Invariant 6: evaluation in the midst of learning changes nothing."""
-        before = _dump(agent)
+        before = dump_state(agent)
         agent.act_greedy(observation, mask, rng)
-        self.require(_dump(agent) == before, "evaluation changes nothing in the agent", "state_dict changed")
+        self.require(dump_state(agent) == before, "evaluation changes nothing in the agent", "state_dict changed")
 
     def _check_time(self, played: _Played) -> None:
         """Invariant 1: k is the time since the choice, gamma^k its discount, and calls fill their caller's time."""
@@ -328,8 +321,3 @@ class _HierarchyCheck(Claims):
                 same = (ours.task == theirs.task and ours.transition.reward == theirs.transition.reward
                         and ours.transition.duration == theirs.transition.duration)
                 self.require(same, words, (ours, theirs))
-
-
-def _dump(agent: CallRunner) -> str:
-    """The agent's state as text that is equal where all numbers are."""
-    return json.dumps(agent.state_dict(), default=lambda value: np.asarray(value).tolist(), sort_keys=True)

@@ -183,8 +183,7 @@ class OptionDomain:
     def make_key(self, seed: int | None) -> list[int] | None:
         """Key of the episode's stream of terminations and stochastic policies; None to go on with the last one's.
 
-        Args:
-            seed: of `reset`.
+        The seed is that of `reset`.
         """
         return None if seed is None else [seed, TERMINATIONS, *([self.level] if self.level else [])]
 

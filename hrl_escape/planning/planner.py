@@ -368,11 +368,7 @@ class RoomPlanner:
 
         Legs are first planned one by one, in the cheapest order. One search over all orders then looks for a shorter
         escape, whose legs end where the rest is short; not where a hand with five joints or more presses, or under
-        physics.
-
-        Args:
-            state: first state.
-            method: method of this plan; None for the planner's own.
+        physics. Without a method it is the planner's own.
 
         Raises:
             PlanningFailed: there is no plan; its reason says why.

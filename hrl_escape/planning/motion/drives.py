@@ -101,11 +101,8 @@ def _get_seconds(drive: _Drive) -> float:
 def list_docks(collision: CollisionMap, panel: Footprint, margin: float, beyond: float) -> NDArray[np.float64]:
     """Poses (n, 3) to which the base drives straight at a panel, ahead or backwards, m and rad.
 
-    Args:
-        collision: the room.
-        panel: a box on the floor.
-        margin: distance at which the base touches it, m.
-        beyond: way that is driven after the first touch, up to the first solid, m.
+    The base touches the panel, a box on the floor, at a distance of `margin`, and goes on for `beyond` after the first
+    touch, up to the first solid; m.
     """
     base, docks = collision.base, []
     front = base.front - CONTACT_SKIN + margin

@@ -131,12 +131,8 @@ def step_aside(place: tuple[float, float], angle: float, distances: Sequence[flo
                ) -> tuple[float, float] | None:
     """Nearest place with the clearance that tests of motions need, straight from one that may touch a wall.
 
-    Args:
-        place: the place, m.
-        angle: direction that is tried first, rad.
-        distances: tried in this order, each in 16 directions, m.
-        is_clear: says whether a place has that clearance.
-        is_move_free: says whether the base can go straight between two places.
+    Distances, m, are tried in this order, each in 16 directions, `angle` first, rad. `is_clear` says whether a place
+    has that clearance, `is_move_free` whether the base can go straight between two.
     """
     x, y = place
     if is_clear(x, y):
