@@ -48,7 +48,7 @@ MUTATIONS = [
     Mutation(
         "check_agent lets evaluation change the agent",
         "checks/agent.py",
-        "self.require(self._dump(agent) == before,",
+        "self.require(dump_state(agent) == before,",
         "self.require(bool(before),",
         "checks/test_agent.py::test_a_broken_promise_is_found_and_named",
     ),
