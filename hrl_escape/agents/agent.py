@@ -385,6 +385,8 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
                     step: tuple[Any, Any, bool, bool, Mapping[str, Any]], gamma: float) -> SMDPTransition:
     """Turn what `env.step(action)` gave at an observation into an SMDP transition, at a gamma per primitive.
 
+    `action_mask` says which actions were legal there, bool (actions,).
+
     The contract of `info`, all keys optional:
 
     - `duration`: int k >= 1, primitives that ran; absent means 1.

@@ -29,7 +29,11 @@ class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
     Args:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one; kinematic dynamics only.
-        time_step: as in `EscapeRoomContinuousEnv`, as are all up to `time_limit`.
+        time_step: s.
+        speed: largest speed of the base along each of its axes, m/s.
+        turn_speed: rad/s.
+        joint_speed: rad/s.
+        time_limit: s; None for as many seconds as the room's horizon has primitives.
         settings: all other arguments of `EscapeRoomVectorEnv`.
 
     Attributes:
