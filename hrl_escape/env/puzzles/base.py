@@ -326,11 +326,13 @@ def register_puzzle(config_type: type[PuzzleConfig], puzzle_type: type[Puzzle]) 
     """Register a puzzle under its `kind`.
 
     Raises:
-        ConfigError: the two types differ in `kind`, or another puzzle has that name.
+        ConfigError: the two types differ in `kind`, another puzzle has that name, or the targets have none.
     """
     kind = config_type.kind
     if puzzle_type.kind != kind:
         raise ConfigError("puzzle.kind", puzzle_type.kind, f"the same name as its config's, {kind!r}")
+    if puzzle_type.target_names is Puzzle.target_names and not hasattr(puzzle_type, "fixed_names"):
+        raise ConfigError(f"{puzzle_type.__name__}.fixed_names", None, "the targets' names, or a property target_names")
     entry = PuzzleKind(config_type, puzzle_type)
     if _REGISTRY.setdefault(kind, entry) != entry:
         raise ConfigError("puzzle.kind", kind, "a name that no other puzzle has")

@@ -7,7 +7,7 @@ import textwrap
 
 import pytest
 
-from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles, register_puzzle
+from hrl_escape.env.puzzles.base import Puzzle, PuzzleConfig, get_puzzle_kind, list_puzzles, register_puzzle
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig, BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
 from hrl_escape.errors import ConfigError, UnknownNameError
@@ -36,6 +36,18 @@ def test_registering_again_is_harmless_and_a_taken_name_is_refused():
     with pytest.raises(ConfigError, match="same name as its config's"):
         register_puzzle(BitFlipConfig, ButtonsPuzzle)
     assert get_puzzle_kind("bit-flip").puzzle_type is BitFlipPuzzle
+
+
+def test_a_puzzle_whose_targets_have_no_names_is_refused_when_it_is_registered():
+    class Nameless(Puzzle):
+        kind = "nameless"
+
+    class NamelessConfig(PuzzleConfig):
+        kind = "nameless"
+
+    with pytest.raises(ConfigError, match=r"Nameless\.fixed_names.*target_names"):
+        register_puzzle(NamelessConfig, Nameless)
+    assert "nameless" not in list_puzzles()
 
 
 STRANGER = '''
