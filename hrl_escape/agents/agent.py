@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Self
 
-from hrl_escape.agents.state import Stateful
+from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import AgentSettingsError, DiscountMismatchError, StepContractError, UnsupportedSpaceError
 from hrl_escape.settings import Range, Settings
 
@@ -131,7 +131,7 @@ class Agent(Stateful, ABC):
     """Name in messages: by default the class's, for the algorithms of this package that of their file, under which
     `make_agent` knows them."""
     Settings: ClassVar[type]
-    """Dataclass of its settings; by default that of the annotation of `settings` in the class."""
+    """Dataclass of its settings; by default that of the annotation of `settings` in the class, found in its module."""
     recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Name -> settings, beside `corrected`, which is `Settings()`. Names with the prefix `smdp-` hold over options."""
     needs_trace: ClassVar[bool] = False
@@ -153,10 +153,12 @@ class Agent(Stateful, ABC):
     def __init_subclass__(cls, **named: Any) -> None:
         """Name an algorithm like its file, any other class that has no name like itself; take up its `Settings`."""
         super().__init_subclass__(**named)
-        said = inspect.get_annotations(cls).get("settings")
-        declared = getattr(sys.modules[cls.__module__], said, None) if isinstance(said, str) else said
-        if isinstance(declared, type) and is_dataclass(declared) and "Settings" not in cls.__dict__:
-            cls.Settings = declared
+        if (said := inspect.get_annotations(cls).get("settings")) and "Settings" not in cls.__dict__:
+            declared = getattr(sys.modules[cls.__module__], said, None) if isinstance(said, str) else said
+            if declared is None:
+                raise TypeError(f"{cls.__name__}: its module has no {said}; name the class by `Settings = ...`, too")
+            if isinstance(declared, type) and is_dataclass(declared):
+                cls.Settings = declared
         package, _, file = cls.__module__.rpartition(".")
         if package.startswith(CATALOGUE):
             cls.name = file.replace("_", "-")
@@ -187,6 +189,11 @@ class Agent(Stateful, ABC):
         A policy that is random by nature draws from `rng`, never from the agent's own generator, so that
         evaluating twice gives the same numbers and evaluating at all does not disturb learning.
         """
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Go on exactly where `state_dict` was taken; an evaluation that runs forgets its episode."""
+        super().load_state_dict(state)
+        self._evaluation = None
 
     def recall(self, rng: np.random.Generator) -> tuple[Any, ...] | None:
         """Memory of the episode of an evaluation, which is known by its generator; None in a new one."""

@@ -35,6 +35,7 @@ GIVEN_PARTS = ("hierarchy", "program", "goals", "goal_space", "landmarks", "tree
 GOAL_RULE = "goal_rule"
 """Name under which agents take what an environment says of its goals; those that do not take it do without."""
 
+
 def list_agents() -> list[str]:
     """Names of all agents made from spaces and settings, shipped ones first; each also exists with `smdp-`."""
     return [*_list_made(), *sorted(_find_others())]

@@ -4,7 +4,7 @@ import functools
 import inspect
 import subprocess
 import sys
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import gymnasium
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents import Agent, get_recipe, list_agents, make_agent
+from hrl_escape.agents.agent import LearningSettings
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class
 from hrl_escape.errors import AgentSettingsError, UnknownNameError, UnsupportedSpaceError
 from tests.agents.running import interact
@@ -44,6 +45,37 @@ def test_a_class_of_ones_own_is_named_like_itself_and_keeps_the_hooks_of_its_oth
 
     assert made == [("Mine", "first"), ("Named", "")]
     assert (Mine.name, Named.name, type("Later", (Named,), {}).name) == ("Mine", "my-own", "my-own")
+
+
+@dataclass(frozen=True)
+class OwnSettings(LearningSettings):
+    rate: float = 0.5
+
+
+def test_the_annotation_of_settings_says_their_class_which_must_be_found():
+    @dataclass(frozen=True)
+    class Hidden(LearningSettings):
+        pass
+
+    class Mine(Agent):
+        settings: "OwnSettings"
+
+    assert Mine.Settings is OwnSettings and type("Heir", (Mine,), {}).Settings is OwnSettings
+    with pytest.raises(TypeError, match="Lost: its module has no Hidden"):
+        type("Lost", (Mine,), {"__annotations__": {"settings": "Hidden"}})
+    told = type("Told", (Mine,), {"__annotations__": {"settings": "Hidden"}, "Settings": Hidden})
+    assert told.Settings is Hidden
+
+
+@pytest.mark.parametrize("name", ["option-critic", "fun", "hamq", "ppo"])
+def test_a_loaded_agent_has_forgotten_the_evaluation_that_ran(name):
+    env = ButtonGrid(trace=True)
+    agent = make_agent(name, env.observation_space, env.action_space, 0)
+    rng = np.random.default_rng(0)
+    agent.act_greedy(env.reset(seed=0)[0], np.ones(env.action_space.n, bool), rng)
+    assert agent.recall(rng) is not None and agent.recall(np.random.default_rng(0)) is None
+    agent.load_state_dict(agent.state_dict())
+    assert agent.recall(rng) is None
 
 
 @pytest.mark.parametrize("name", list_agents())
@@ -82,7 +114,7 @@ def test_every_setting_has_its_sentence(name):
     for field in fields(settings):
         declared = [i for i, line in enumerate(lines) if line.startswith(f"    {field.name}: ")]
         assert declared, field.name
-        assert any(lines[i + 1].strip().startswith('"""') for i in declared), field.name
+        assert lines[declared[-1] + 1].strip().startswith('"""'), field.name  # the class that brings it comes last
 
 
 def test_the_paper_recipe_is_what_the_published_program_did():

@@ -45,7 +45,6 @@ class RMaxSettings(DiscountSettings, ResolutionSettings):
 _KEPT = SMDPTransition._fields[:-2]  # nothing that was cut, and no trace
 
 
-
 class RMax(RowStreamAgent):
     """Optimism over a table: every pair is tried `visits` times before it is weighed."""
 

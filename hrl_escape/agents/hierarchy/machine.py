@@ -54,6 +54,7 @@ Program = Generator[Any, Any, Any]
 Machine = Callable[..., Program]
 """A function decorated with `machine`; without arguments it can be the root."""
 
+
 def choose(things: Sequence[Any], label: str = "") -> Choose:
     """A choice among things, to be yielded; with a single thing there is nothing to learn."""
     return Choose(tuple(things), label)
