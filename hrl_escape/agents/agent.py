@@ -390,9 +390,7 @@ def check_observation(observation: Any, when: str) -> None:
 
 def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_],
                     step: tuple[Any, Any, bool, bool, Mapping[str, Any]], gamma: float) -> SMDPTransition:
-    """Turn what `env.step(action)` gave at an observation into an SMDP transition, at a gamma per primitive.
-
-    `action_mask` says which actions were legal there, bool (actions,).
+    """Turn the result of `env.step` into an SMDP transition at this gamma.
 
     The contract of `info`, all keys optional:
 
@@ -408,6 +406,13 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
       of the actions whose policy, a function of the state alone, does this same primitive here, with
       their termination probability at the next state. A primitive is consistent with itself, beta = 1. An item
       may stand for several primitives, a decision of a level below; it then has their `rewards`.
+
+    Args:
+        observation: at the decision.
+        action: the action taken.
+        action_mask: bool (actions,), the actions legal there.
+        step: the result of `env.step(action)`.
+        gamma: discount per primitive.
 
     Raises:
         StepContractError: a reward or observation is not finite, the observation's shape is another one, the duration

@@ -27,8 +27,11 @@ LENGTH, HORIZON = 6, 60
 def check_agent(agent_class: type[Agent], settings: Any = None, decisions: int = 400, seed: int = 0) -> None:
     """Check an agent by training it in a small corridor.
 
-    It is constructed as `agent_class(observation_space, action_space, seed, settings)`, with `agent_class.Settings()`
-    unless settings are given. The seed is also the corridor's.
+    Args:
+        agent_class: constructed as `agent_class(observation_space, action_space, seed, settings)`.
+        settings: what to construct it with; None takes `agent_class.Settings()`.
+        decisions: length of training.
+        seed: of the agent and of the corridor.
 
     Raises:
         ContractError: the first claim that does not hold.

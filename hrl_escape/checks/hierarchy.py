@@ -28,7 +28,13 @@ def check_hierarchy(hierarchy: Hierarchy, env: gymnasium.Env, primitives: int = 
     """Check a hierarchy by running it in an environment.
 
     Its root must be paid by the environment. Episodes are cut at random lengths, so that calls are cut at every depth.
-    It runs for so many primitives; learners of its own are left out. The seed is that of choices and episodes.
+
+    Args:
+        hierarchy: what to check; its learners are left out.
+        env: where it runs.
+        primitives: length of the run.
+        seed: of choices and episodes.
+        agent_class: what runs it.
 
     Raises:
         ContractError: the first claim that does not hold.

@@ -26,7 +26,10 @@ PROMPT = 10.0
 def check_path_planner(name: str, queries: int = 8, seed: int = 0) -> None:
     """Check a registered path planner in three generated rooms.
 
-    It was registered under the name. In each room it is asked `queries` times.
+    Args:
+        name: under which it was registered.
+        queries: how many are asked in each room.
+        seed: of the queries.
 
     Raises:
         ContractError: the first claim that does not hold.

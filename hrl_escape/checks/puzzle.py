@@ -21,8 +21,10 @@ Poses = tuple[tuple[float, float, float], ...]
 def check_puzzle(puzzle: Puzzle, steps: int = 200, seed: int = 0) -> None:
     """Check a puzzle: its rules, its numbers, its symbolic model, and that they agree.
 
-    The puzzle is a concrete one, such as `config.make_puzzle(rng)` gives. Of so many steps of random play about half
-    follow the model's operators.
+    Args:
+        puzzle: a concrete puzzle, such as `config.make_puzzle(rng)` gives.
+        steps: primitives of random play, about half of them along the model's operators.
+        seed: of the random play.
 
     Raises:
         ContractError: the first claim that does not hold.

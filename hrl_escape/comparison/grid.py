@@ -293,6 +293,9 @@ class Grid(Settings):
     def make_runs(self, places: Sequence[RunPlace]) -> list[GridRun]:
         """All runs, in the order they are best run: seed by seed, so that early results compare everybody.
 
+        Args:
+            places: from `make_places`.
+
         Raises:
             GridError: two rooms, or two agents, are the same.
             EscapeError: an agent or one of its settings does not exist.

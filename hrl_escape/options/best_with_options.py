@@ -43,7 +43,10 @@ def best_return_with_options(instance: RoomInstance, options: str | Sequence[Opt
 def find_best_with_options(instance: RoomInstance, state: RoomState, options: str | Sequence[Option]) -> BestKnown:
     """Find a best return from one state with options alone; one above the best known return is recorded there.
 
-    Options may be given by a flavour of meta-actions.
+    Args:
+        instance: the room.
+        state: first state of the episode.
+        options: the options, or a flavour of meta-actions.
 
     Raises:
         ConfigError: no such flavour.

@@ -117,13 +117,18 @@ class OptionDomain:
                                "OptionsEnv(env, options) a list of them")
 
     def get_state(self, observation: Any) -> Any:
-        """State that options see at present."""
+        """State that options see at present.
+
+        Args:
+            observation: last observation of the environment.
+        """
         return observation
 
     def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
         """Primitive of a decision that cannot run: the first legal one, or the one nearest to zero.
 
-        The mask is int8 (primitives,), empty unless the action space is Discrete.
+        Args:
+            mask: int8 (primitives,), the legal ones; empty unless the action space is Discrete.
         """
         space = self.env.action_space
         if self._discrete is not None:
@@ -183,14 +188,18 @@ class OptionDomain:
     def make_key(self, seed: int | None) -> list[int] | None:
         """Key of the episode's stream of terminations and stochastic policies; None to go on with the last one's.
 
-        The seed is that of `reset`.
+        Args:
+            seed: of `reset`.
         """
         return None if seed is None else [seed, TERMINATIONS, *([self.level] if self.level else [])]
 
     def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
         """Add the entries of this kind of environment to a decision's `info`; none here.
 
-        There are no steps at a reset, and no option where a primitive ran.
+        Args:
+            info: of the decision, changed in place.
+            steps: those of the decision; none at a reset.
+            option: the option that ran, if any.
         """
 
 

@@ -42,7 +42,11 @@ class GoalOption(Option):
 class PlannedOption(GoalOption):
     """Reach one goal by plan, and replan when off the plan.
 
-    A run makes at most `max_replans` plans after the first one.
+    Args:
+        name: stable name.
+        planner: the room's planner.
+        goal: goal of the option.
+        max_replans: most plans after the first one in a run.
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, max_replans: int = 100) -> None:

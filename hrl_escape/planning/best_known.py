@@ -56,7 +56,9 @@ class BestKnown(NamedTuple):
 def best_known_return(instance: RoomInstance, *, state: RoomState | None = None) -> float:
     """Return the best known return of a room, without noise, slip and physics, by a puzzle's most likely outcomes.
 
-    The state is the first of the episode; None is the mean over the instance's starts.
+    Args:
+        instance: the room.
+        state: first state of the episode; None for the mean over the instance's starts.
 
     Returns:
         Undiscounted return; `horizon` times the step's reward if no escape is known.
@@ -82,6 +84,10 @@ def find_best_known(instance: RoomInstance, state: RoomState) -> BestKnown:
     It is the best of all known ways: legs one by one in several orders (that of a press with its ancestors among
     them), a joint search for a shorter escape over all orders and over the poses in which legs end (with six buttons
     or fewer; with more, along the best of these orders), and returns that agents or given options have reached.
+
+    Args:
+        instance: the room.
+        state: first state of the episode.
     """
     get_planner(instance).routes.check_query(state)
     key = (instance.id, get_pose(state), state.puzzle)
@@ -106,8 +112,13 @@ def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnow
 def record_return(instance: RoomInstance, state: RoomState, value: float, source: str) -> bool:
     """Record a return that beats the best known one, in this process, and warn.
 
-    Rooms with noise, slip, physics or a random puzzle keep their value: a lucky episode is no reference. The value is
-    the undiscounted return from the episode's first state, the source its origin, such as `dqn, seed 3`.
+    Rooms with noise, slip, physics or a random puzzle keep their value: a lucky episode is no reference.
+
+    Args:
+        instance: the room.
+        state: first state of the episode.
+        value: its undiscounted return.
+        source: its origin, such as `dqn, seed 3`.
 
     Returns:
         True if it was better; it is kept while the state is among the last `MOST_REMEMBERED`.

@@ -155,7 +155,8 @@ class Plan:
     def draw(self, path: str | Path | None = None) -> Any:
         """Draw the plan on the room's map.
 
-        Writes a PNG, SVG or PDF if a path is given.
+        Args:
+            path: PNG, SVG or PDF to write; None only returns the figure.
 
         Returns:
             The matplotlib figure.
@@ -174,7 +175,8 @@ class Plan:
     def play(self, width: int = 480) -> str:
         """Play the plan on the room's map: an HTML frame for notebooks and pages, which loads nothing.
 
-        The frame is `width` pixels wide.
+        Args:
+            width: of the frame, in pixels.
         """
         from hrl_escape.env.drawing.moving_map import embed_moving_map, make_moving_map  # loads matplotlib
 

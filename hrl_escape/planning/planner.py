@@ -368,7 +368,11 @@ class RoomPlanner:
 
         Legs are first planned one by one, in the cheapest order. One search over all orders then looks for a shorter
         escape, whose legs end where the rest is short; not where a hand with five joints or more presses, or under
-        physics. Without a method it is the planner's own.
+        physics.
+
+        Args:
+            state: first state.
+            method: method of this plan; None for the planner's own.
 
         Raises:
             PlanningFailed: there is no plan; its reason says why.
@@ -397,7 +401,10 @@ class RoomPlanner:
     def shorten_escape(self, state: RoomState, plan: Plan, budget: int) -> Plan:
         """Look for a shorter escape than a known one, with all efforts: jointly over orders and the ends of legs.
 
-        The budget is one of search nodes; the same budget finds the same plan anywhere.
+        Args:
+            state: first state.
+            plan: an escape from it.
+            budget: search nodes; the same budget finds the same plan anywhere.
         """
         clock, settings = Clock(self.routes.time_limit), self.routes.settings
         for effort in (0, 1, 2):
@@ -440,9 +447,12 @@ class RoomPlanner:
     def plan_onward(self, state: RoomState, order: Sequence[Goal]) -> Plan:
         """Plan the next leg of an escape that noise has led astray, within milliseconds.
 
-        Where the body presses, the leg ends where the way on is short, and may lead to another goal first if that order
-        has become shorter. Elsewhere it leads to the first goal. The order is that of the goals that are left, such as
-        those of `order_goals`.
+        Where the body presses, the leg ends where the way on is short, and may lead to another goal first if that
+        order has become shorter. Elsewhere it leads to the first goal.
+
+        Args:
+            state: present state.
+            order: goals that are left, in order, such as those of `order_goals`.
 
         Raises:
             PlanningFailed: the first goal cannot be reached.
@@ -462,6 +472,12 @@ class RoomPlanner:
 
     def follow_goals(self, state: RoomState, goals: Sequence[Goal], clock: Clock, settings: SearchSettings) -> Plan:
         """Plan to goals in order, to each from the true end of the one before.
+
+        Args:
+            state: first state.
+            goals: the goals.
+            clock: time limit.
+            settings: of each search.
 
         Raises:
             PlanningFailed: a goal cannot be reached.
@@ -485,8 +501,12 @@ class RoomPlanner:
                      settings: SearchSettings | None = None, most_nodes: float = math.inf) -> list[Plan]:
         """List escapes leg by leg, as options make them, in several of the cheapest orders; the shortest first.
 
-        Clock and settings are those of a call that this one is part of, or the planner's own. No further leg is
-        planned after `most_nodes` search nodes.
+        Args:
+            state: first state.
+            count: most escapes to list.
+            clock: time limit of a call that this one is part of; None for the planner's own.
+            settings: of each search; None for the planner's own.
+            most_nodes: search nodes after which no further leg is planned.
 
         Raises:
             PlanningFailed: there is no escape; its reason says why.

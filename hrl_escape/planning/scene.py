@@ -94,6 +94,10 @@ class Scene:
 
         A block that is added is loose: a movable obstacle. A plate is the place where the oldest loose block belongs.
 
+        Args:
+            name: its name.
+            thing: where it stands, and its size.
+
         Raises:
             ConfigError: the name is taken, it covers a start, a block stands in a solid, or a plate has no block.
             UnsupportedError: the puzzle knows no blocks and plates.
@@ -135,7 +139,11 @@ class Scene:
     def move(self, name: str, x: float | None = None, y: float | None = None, yaw: float | None = None) -> Scene:
         """Move a solid, a target or a prop; whatever is not given stays.
 
-        Its centre goes to x and y, m, its direction to `yaw`, rad.
+        Args:
+            name: its name.
+            x: new place of its centre, m.
+            y: new place of its centre, m.
+            yaw: new direction, rad.
 
         Raises:
             UnknownNameError: nothing has this name.

@@ -33,6 +33,9 @@ class TaskMotionPlanner:
     Actions are called `press-button-2-from-button-1`, and `leave-from-button-2` for the way to the exit; `start` is
     the place in the first state.
 
+    Args:
+        planner: the room's planner.
+
     Raises:
         UnsupportedError: the puzzle needs pushes, whose effect no plan predicts.
     """
@@ -57,7 +60,9 @@ class TaskMotionPlanner:
         The place before is `start` or an operator, whose leg then begins where it ends if it comes first of all, or
         else where it ends after the first operator from which it can be reached.
 
-        Goals are facts to make true; without them the task is the escape, and has legs to the exit.
+        Args:
+            state: first state.
+            goals: facts to make true; without them the task is the escape, and has legs to the exit.
         """
         self.planner.routes.check_query(state)
         ends, costs, queue = {START: state}, {}, [START]

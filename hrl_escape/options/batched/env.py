@@ -362,8 +362,9 @@ class BatchedOptionsEnv:
     def step(self, action: Tensor) -> Transitions:
         """Give waiting rooms their decisions and run one primitive in every room.
 
-        Actions are int64 (rooms,) on the rooms' device, read only where `is_waiting`. A negative one leaves the room
-        waiting as it is.
+        Args:
+            action: int64 (rooms,) on the rooms' device; read only where `is_waiting`. A negative one leaves the room
+                waiting as it is.
 
         Returns:
             The decisions that ended with this primitive.

@@ -105,7 +105,10 @@ class ArmPlanner:
     def is_free(self, state: RoomState, angles: Sequence[float], margin: float = 0.0) -> bool:
         """Return whether the arm is clear of solids, the shut door and the robot itself.
 
-        The base stands where the state says. Angles are rad; what is nearer than `margin`, m, counts as a collision.
+        Args:
+            state: says where the base stands.
+            angles: joint angles, rad.
+            margin: distance that counts as a collision already, m.
         """
         return self._get_collisions(margin).is_free(state.x, state.y, self.rules.get_heading(state), angles)
 
@@ -252,8 +255,14 @@ class ArmPlanner:
                         time_limit: float | None = None) -> MotionPath:
         """Plan a collision-free motion of base and arm together.
 
-        At the end the base is at a place, x, y, m, and heading, rad, and the arm at the goal's joint angles, (joints,),
-        rad. The other arguments are as in `plan`.
+        Args:
+            state: base and arm at the beginning.
+            place: of the base at the end: x, y, m, and heading, rad.
+            goal: joint angles at the end, (joints,), rad.
+            planner: as in `plan`.
+            seed: as in `plan`.
+            budget: as in `plan`.
+            time_limit: as in `plan`.
 
         Raises:
             PlanningFailed: there is no path; its reason says why.

@@ -207,6 +207,9 @@ class Reacher:
 
         One in each cell of 0.1 m is enough, as cells are smaller than the reach of a touch.
 
+        Args:
+            target: index of the target.
+
         Returns:
             Joint steps from home (postures, joints), and positions of the hand in the base frame (postures, 3), m.
             Empty where the hand never gets to that height.
@@ -225,7 +228,9 @@ class Reacher:
     def explain_unreachable(self, target: int, floor: CollisionMap) -> str:
         """Say whether a target is too high, too low or too far for the hand; empty if neither is certain.
 
-        The floor is the room's clearances with the exit door open.
+        Args:
+            target: index of the target.
+            floor: the room's clearances, the exit door open.
         """
         goal, home, room = self.instance.targets[target], (0,) * self.instance.robot.joints, self.instance
         lattice = self._get_ordered(home, ()).lattice
@@ -251,8 +256,16 @@ class Reacher:
                           ) -> tuple[int, ...] | None:
         """Find the configuration with the fewest joint steps that touches a target from an exact place.
 
-        Configurations that touch no other target come first. The place is that of the base's axis, m; the arm's present
-        posture and the offsets from the lattice are as in `make_table`.
+        Configurations that touch no other target come first.
+
+        Args:
+            x: the base's axis, m.
+            y: the base's axis, m.
+            heading_steps: the base's heading.
+            joint_steps: present configuration of the arm.
+            target: index of the target.
+            joint_offsets: offsets of its joints from the lattice, rad; empty for none.
+            heading_offset: offset of the base's heading from its lattice, rad.
 
         Returns:
             Joint steps from home, as in `RoomState.joint_steps`; None where the hand cannot touch the target.
@@ -284,8 +297,12 @@ class Reacher:
                     avoiding: bool = True) -> tuple[int, ...] | None:
         """Interleave joint steps with given moves of the base so that no other target is pressed on the way.
 
-        The moves keep their order, and the primitives end with the touch; `avoiding` forbids to press other targets on
-        the way.
+        Args:
+            state: first state.
+            moves: primitives of the base, kept in their order.
+            joint_steps: last configuration.
+            target: index of the target to touch; the primitives end with the touch.
+            avoiding: other targets may not be pressed on the way.
 
         Returns:
             Primitives, verified by the room's kinematics: as many as moves and joint steps if possible, else
@@ -337,8 +354,10 @@ class Reacher:
     def is_push(self, state: RoomState, moves: Sequence[int], target: int) -> bool:
         """Return whether moves of the base alone press a target by force, the arm clear of walls and obstacles.
 
-        The last of the moves ends with the hand at the target. An arm in collision in the first state may take several
-        to come out.
+        Args:
+            state: first state; an arm in collision there may take several moves to come out.
+            moves: primitives, the last of which ends with the hand at the target.
+            target: index of the target.
         """
         end = self.move_base(state, moves)
         if end is None:
@@ -350,8 +369,10 @@ class Reacher:
     def move_base(self, state: RoomState, moves: Sequence[int], others: int = 0) -> RoomState | None:
         """State after moves of the base, the arm at rest; None where the arm meets a solid or begins to touch `others`.
 
-        `others` are bits of targets that may not be pressed on the way. An arm in collision in the first state may
-        take several moves to come out.
+        Args:
+            state: first state; an arm in collision there may take several moves to come out.
+            moves: primitives of the base.
+            others: bits of targets that may not be pressed on the way.
         """
         is_stuck = self.collides(state)
         for move in moves:
@@ -368,9 +389,13 @@ class Reacher:
         """Plan joint steps round solids, along a path through the space of joint angles, the base at rest.
 
         The fewest joint steps may lead through solids where a path of joint angles leads round them. Rounding the path
-        to whole steps may touch what it clears, so the lattice is searched near it, and every step is tested in between
-        as well. `joint_steps` are the last posture, from home, `others` bits of targets that may not be pressed on the
-        way.
+        to whole steps may touch what it clears, so the lattice is searched near it, and every step is tested in
+        between as well.
+
+        Args:
+            state: base and arm at the beginning.
+            joint_steps: last posture, from home.
+            others: bits of targets that may not be pressed on the way.
 
         Returns:
             Primitives; None where no path is found, or no joint steps along it.
@@ -417,8 +442,13 @@ class Reacher:
     def is_collision_free(self, x: float, y: float, heading: float, joints: Sequence[float]) -> bool:
         """Return whether the arm is clear of walls, obstacles, the shut exit door and the robot itself.
 
-        Targets do not count: they are meant to be touched. The place is that of the base's axis, m; heading and joint
-        angles are rad.
+        Targets do not count: they are meant to be touched.
+
+        Args:
+            x: the base's axis, m.
+            y: the base's axis, m.
+            heading: rad.
+            joints: joint angles, rad.
         """
         return self._collisions.is_free(x, y, heading, joints)
 

@@ -51,8 +51,9 @@ class MotionLimits:
     def stack(self, names: Sequence[str], robot: Robot | None = None) -> NDArray[np.float64]:
         """Largest speed, acceleration and jerk of each coordinate, shape (coordinates, 3).
 
-        Names are `x`, `y`, `heading`, and joints. A robot names the joints, and caps their speeds by its URDF; without
-        one they are in the order of `names`.
+        Args:
+            names: `x`, `y`, `heading`, and joints.
+            robot: names the joints, and caps their speeds by its URDF; None for joints in the order of `names`.
 
         Raises:
             ConfigError: limits for another number of joints.

@@ -129,7 +129,9 @@ class TimedTrajectory:
     def draw(self, instance: RoomInstance, path: str | Path | None = None) -> Any:
         """Draw the base's way on the room's map, with dots where touches begin and where the hand acts.
 
-        Writes a PNG, SVG or PDF if a path is given.
+        Args:
+            instance: the room.
+            path: PNG, SVG or PDF to write; None only returns the figure.
 
         Returns:
             The matplotlib figure.

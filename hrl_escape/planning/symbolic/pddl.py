@@ -91,7 +91,9 @@ def make_problem(model: SymbolicModel, facts: frozenset[str], name: str = "room"
 def export_pddl(instance: RoomInstance, state: RoomState | None = None) -> tuple[str, str]:
     """Write an instance's puzzle as (domain, problem) texts.
 
-    The problem begins in the state; None is the start of an episode.
+    Args:
+        instance: the room.
+        state: where the problem begins; None for the start of an episode.
     """
     puzzle = instance.puzzle
     model = instance.symbolic_model
