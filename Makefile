@@ -13,7 +13,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 unexport PYTHONDONTWRITEBYTECODE  # every process that tests start would compile the package anew
 
 .DEFAULT_GOAL := help
-.PHONY: help demo watch test test-planted test-slow docs lint dist clean
+.PHONY: help demo watch test test-planted test-in-turn test-slow docs lint dist clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
@@ -29,11 +29,14 @@ demo: $(STAMP) ## compare five agents in a room with two buttons; the report goe
 watch: $(STAMP) ## open the viewer in the browser: the planner escapes from a cluttered room; Ctrl-C ends
 	$(WATCH)
 
-test: $(STAMP) ## every test but those marked slow or gpu
-	python -m pytest tests -n $(JOBS) --dist worksteal -m "not slow and not gpu"
+test: $(STAMP) ## every test but those marked slow, in_turn or gpu
+	python -m pytest tests -n $(JOBS) --dist worksteal -m "not (slow or in_turn or gpu)"
 
 test-planted: $(STAMP) ## every planted bug is seen by a test; a quarter of them: make test-planted SHARD=1/4
 	python -m pytest tests/test_mutations.py -n $(JOBS) -m slow --shard $(SHARD)
+
+test-in-turn: $(STAMP) ## tests that reach what quicker ones reach; a sixth of them: make test-in-turn SHARD=1/6
+	python -m pytest tests -n $(JOBS) --dist worksteal -m "in_turn and not slow" --shard $(SHARD)
 
 test-slow: $(STAMP) ## the other slow tests, some 40 minutes on two idle cores; a sixth: make test-slow SHARD=1/6
 	python -m pytest tests --ignore tests/test_mutations.py -n $(JOBS) --dist loadfile -m slow --shard $(SHARD)

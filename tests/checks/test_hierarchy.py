@@ -38,6 +38,7 @@ from tests.classic.taxi import Taxi, decode
 PSEUDO = {"get": lambda seen: 3.0, "navigate 0": lambda seen: 1.0}
 
 
+@pytest.mark.in_turn_for("always")
 @pytest.mark.parametrize("polled", ["never", "always"])
 def test_a_graph_with_pseudo_rewards_keeps_every_promise(polled):
     class Polled(StackAgent):
@@ -77,6 +78,7 @@ OWN = {
 """Agents that make their hierarchy themselves."""
 
 
+@pytest.mark.in_turn_for("h-dqn", "hac", "option-keyboard", "sol")
 @pytest.mark.parametrize("name", [*GRAPHS, *OWN])
 def test_every_hierarchy_keeps_every_promise(name):
     check_hierarchy(*(GRAPHS | OWN)[name](), primitives=150)
@@ -176,6 +178,12 @@ class GoesByDepth(StackAgent):
         return super().choose(stack, view, legal, seen)
 
 
+@pytest.mark.in_turn_for(
+    "LastsLonger-lasts as long as its primitives", r"DiscountsOncePerDecision-gamma\\^k",
+    "PaysFinalToTheCut-`final` is asked only|`final` where it ended",
+    "LeaksFinalToTheCaller-discounted sum of its task's pay", "TakesCutsForEnds-not told that it terminated",
+    "SaysNothingOfCuts-told that it was cut", "UnwindsFromOutside-innermost",
+    "HearsOfTheIllegal-legal choices only", "GoesByNumber-renumbering", "GoesByDepth-chain")
 @pytest.mark.parametrize(
     ("agent_class", "claim"),
     [
@@ -213,6 +221,7 @@ class PaidByItself(GraphTask):
         return 0.0
 
 
+@pytest.mark.in_turn_for("PaidByItself-the root's return is the environment's")
 @pytest.mark.parametrize(
     ("task_class", "claim"), [(CallsWhatIsOver, "over"), (PaidByItself, "the root's return is the environment's")]
 )
@@ -244,6 +253,7 @@ class Commanded(BaseTask):
         return (0.1, 0.5)[frame.context] if frame.primitives else 0.0
 
 
+@pytest.mark.in_turn
 def test_calls_with_contexts_that_end_by_chance_keep_every_promise():
     below = Commanded("inner", 6)
     check_hierarchy(Hierarchy(Nested(below), (below,)), Taxi())
@@ -256,6 +266,7 @@ def test_a_task_that_calls_itself_for_ever_is_refused():
         check_hierarchy(Hierarchy(below), Taxi())
 
 
+@pytest.mark.in_turn
 def test_a_chain_of_one_child_tasks_is_the_flat_agent_to_the_bit():
     from tests.agents.running import interact
 

@@ -131,6 +131,7 @@ def test_launchers_that_do_not_go_together_are_refused(capsys: pytest.CaptureFix
 # --- train -----------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn
 def test_train_prints_the_curve_keeps_the_run_and_goes_on(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     arguments = ("train", "smdp-q-learning", "--primitives", 300, "--eval-episodes", 1, "--out", tmp_path / "run",
                  "--settings", "learning_rate=0.5", "gamma=0.95", "--json")

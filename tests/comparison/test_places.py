@@ -40,6 +40,7 @@ def finished(tmp_path_factory) -> Comparison:
     return run_quietly(grid, folder / "out", LocalLauncher(1))
 
 
+@pytest.mark.in_turn
 def test_evaluations_go_round_the_test_rooms_and_scores_are_measured_room_by_room(finished: Comparison):
     assert not finished.failures
     (place,) = finished.places

@@ -154,6 +154,7 @@ def test_agents_are_compared_run_by_run_with_the_same_seed():
     assert summary.get_pair(*summary.agents[::-1]) == pair.turn()
 
 
+@pytest.mark.in_turn
 def test_all_pairs_are_one_family_but_for_the_planner():
     agents = {name: [make(s) for s in (0.2, 0.4, 0.8, 0.5, 0.32)[n:] + (0.2, 0.4, 0.8, 0.5, 0.32)[:n]]
               for n, name in enumerate(("dqn", "ppo", "sarsa"))}

@@ -31,6 +31,7 @@ GOOD = runs(80, 81, 82, 82, 84, 85)
 CHANCE = runs(10, 12, 14, 16, 18, 20)
 
 
+@pytest.mark.in_turn
 def test_options_that_help_and_what_learners_make_of_them_are_told_apart():
     said = judge({"random": NEVER, "dqn": NEVER, "smdp-random": CHANCE, "smdp-dqn": GOOD})
     assert said["headline"] == ["`smdp-dqn` is best: it escapes every time, in 19 primitives."]
@@ -112,6 +113,7 @@ def test_speed_counts_runs_that_never_escape_at_the_budget():
             "primitives (3 of 4 runs escape).") in said["finding"]
 
 
+@pytest.mark.in_turn
 def test_who_reads_marks_is_no_bar_where_learners_have_to_learn_what_they_mean(monkeypatch: pytest.MonkeyPatch):
     agents = {"smdp-untried-nearest": CHANCE, "smdp-bayes": GOOD, "smdp-dqn": runs(60, 61, 62, 62, 63, 64)}
     assert any("(`smdp-bayes`, which" in text for text in judge(agents)["finding"])
@@ -121,6 +123,7 @@ def test_who_reads_marks_is_no_bar_where_learners_have_to_learn_what_they_mean(m
     assert "(`smdp-untried-nearest`, which" in told and told.endswith("`smdp-dqn` is better.")
 
 
+@pytest.mark.in_turn
 def test_learners_are_measured_against_the_best_searcher_that_learns_nothing():
     start = ("The best searcher that learns nothing (`smdp-untried-nearest`, which presses what is unlit and untried "
              "since the lights last changed, the nearest first) escapes every time, in ")

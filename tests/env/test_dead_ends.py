@@ -28,6 +28,7 @@ def make_room(seed: int):
     return generate(CONFIG, seed)
 
 
+@pytest.mark.in_turn_for("1")
 @pytest.mark.parametrize("seed", range(3))
 def test_the_planner_avoids_dead_ends_and_the_certificate_holds(seed):
     room = make_room(seed)

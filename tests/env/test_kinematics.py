@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -29,6 +30,7 @@ def play(kinematics, state, actions):
         yield transition
 
 
+@pytest.mark.in_turn
 @settings(max_examples=20)
 @given(st.sampled_from(QUICK), st.integers(0, 5), st.integers(0, 2**32))
 def test_the_body_keeps_its_clearance_whatever_it_does(name, seed, episode):
@@ -198,6 +200,7 @@ def test_the_door_blocks_until_the_puzzle_is_solved():
     assert kinematics.compute_free_fraction(door.x, door.y, -0.1 * push[0], -0.1 * push[1], 0) == 1
 
 
+@pytest.mark.in_turn
 @settings(max_examples=20)
 @given(st.sampled_from(QUICK), st.integers(0, 3), st.integers(0, 2**32))
 def test_kinematics_are_a_pure_function_of_state_and_action(name, seed, episode):

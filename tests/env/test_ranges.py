@@ -44,6 +44,7 @@ def rooms() -> list[RoomInstance]:
     return [generate(VARIED, seed) for seed in range(8)]
 
 
+@pytest.mark.in_turn
 def test_instances_differ_within_the_ranges_and_each_seed_gives_one_room(rooms):
     assert {len(room.targets) for room in rooms} == {2, 3, 4, 5}
     assert len({room.half_width for room in rooms}) == len(rooms)
@@ -106,6 +107,7 @@ def test_every_instance_has_the_same_spaces_in_both_engines(rooms, observation):
         single.close()
 
 
+@pytest.mark.in_turn_for("clutter")
 @pytest.mark.parametrize("name", ["clutter", "door"])
 def test_a_door_in_another_wall_changes_no_space(name):
     config = get_preset("clutter") if name == "clutter" else RoomConfig(exit=ExitConfig(door=True, width=2.4))
@@ -117,6 +119,7 @@ def test_a_door_in_another_wall_changes_no_space(name):
     env.close()
 
 
+@pytest.mark.in_turn_for("egocentric", "objects")
 @pytest.mark.parametrize("observation", VECTORS)
 def test_rooms_of_different_sizes_step_alike_in_both_engines(rooms, observation):
     batched = EscapeRoomVectorEnv(len(rooms), instance=rooms, observation=observation)
@@ -150,7 +153,7 @@ def test_synchronous_vectors_take_rooms_of_different_sizes():
     env.close()
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_options_of_absent_buttons_are_masked_and_cost_one_primitive(rooms):
     rooms = sorted(rooms, key=lambda room: len(room.targets))[::4]
     batched = BatchedOptionsEnv(len(rooms), instance=rooms, include_primitives=False)
@@ -178,7 +181,7 @@ def test_options_go_on_when_the_next_room_has_another_number_of_buttons():
     env.close()
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_batched_random_options_escape_from_rooms_of_different_sizes(rooms):
     rooms = sorted(rooms, key=lambda room: len(room.targets))[::4]
     env = BatchedOptionsEnv(len(rooms), instance=rooms, include_primitives=False)
@@ -193,6 +196,7 @@ def test_batched_random_options_escape_from_rooms_of_different_sizes(rooms):
     assert escaped.all()
 
 
+@pytest.mark.in_turn_for("8")
 @pytest.mark.parametrize("most", [4, 8])
 def test_paper_random_gives_every_seed_a_room_of_its_own(most):
     rooms = [generate(get_preset("paper-random", most=most), seed) for seed in range(40)]

@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from hrl_escape.env.config import RobotConfig, RoomConfig
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
@@ -52,6 +54,7 @@ print(json.dumps({"ids": [room.id for room in rooms], "other": other.id, "robot"
 """
 
 
+@pytest.mark.in_turn
 def test_new_fields_change_no_id_until_they_say_something():
     script = PLANT.replace("PRESETS", repr(PRESETS)).replace("SEEDS", f"range({len(SEEDS)})")
     done = run_fork(script)

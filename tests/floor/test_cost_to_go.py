@@ -41,7 +41,7 @@ def sample_places(rules, maker, count, seed=0):
 # --- sweeps ----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow_for("clutter-True")
+@pytest.mark.in_turn_for("clutter-True", "clutter-False", "custom-True")
 @pytest.mark.parametrize("shut", [True, False])
 @pytest.mark.parametrize("config", [
     get_preset("clutter"),
@@ -190,7 +190,7 @@ def test_fields_are_made_once_and_the_oldest_go_when_they_are_too_many(monkeypat
     assert made == [0, 1, 2, 3, 4, 1]
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_vast_rooms_are_prepared_in_seconds_and_bounded_memory():
     config = RoomConfig(room=ShapeConfig(width=200, depth=200), obstacles=ObstaclesConfig(count=20))
     instance = generate(config, 0)

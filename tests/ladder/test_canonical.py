@@ -49,7 +49,7 @@ def test_there_are_as_many_forms_as_unlabelled_dags(count, classes):
     assert len(forms) == classes
 
 
-@pytest.mark.slow_for("edges2")
+@pytest.mark.in_turn_for("edges2", "edges0")
 @pytest.mark.parametrize("edges", [
     [(i, 15) for i in range(15)],
     [(2 * i, 2 * i + 1) for i in range(8)],

@@ -247,6 +247,7 @@ for name in ("pair", "lattice", "clutter", "reach", "doors", "freight"):
 """
 
 
+@pytest.mark.in_turn
 def test_rooms_are_the_same_whatever_the_processor_and_the_hash_seed():
     features = "AVX512_SKX AVX512F AVX512CD AVX2 FMA3"
     machine = {"PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "1", "NPY_DISABLE_CPU_FEATURES": features}

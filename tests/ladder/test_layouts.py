@@ -95,6 +95,7 @@ def test_of_layouts_seen_the_first_that_looks_alike_is_named():
     assert seen.find(list_points(generate(get_preset("clutter"), 0))) is None
 
 
+@pytest.mark.in_turn
 def test_a_new_benchmark_is_frozen_with_the_latest_layouts_and_published_ones_keep_theirs():
     assert make_manifest().layouts == LATEST_LAYOUTS == 2
     assert {load_benchmark(name).manifest.layouts for name in ("ladder-1", "marks-1")} == {1}
@@ -106,7 +107,7 @@ def test_a_new_benchmark_is_frozen_with_the_latest_layouts_and_published_ones_ke
     assert find_overlaps({"train": keys, "test": [mirrored]}) == ["room 0 of test has the layout of room 1 of train"]
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_room_that_looks_like_one_of_another_set_is_skipped_and_else_found_by_the_certificate():
     """Rooms that vary little, of which some look alike by chance."""
     config = make_config(1, "chain")

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 """Folder of the project."""
 PYTEST = """
 import sys, pytest
-sys.exit(pytest.main(["-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-m", "not slow", *sys.argv[1:]]))
+sys.exit(pytest.main(["-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-m", "not (slow or in_turn)", *sys.argv[1:]]))
 """
 SEEN = (pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED, -signal.SIGXCPU, -signal.SIGSEGV, -signal.SIGABRT)
 """A test failed, its module could not even be loaded, it did not end, or the interpreter crashed."""

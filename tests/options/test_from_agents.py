@@ -156,7 +156,7 @@ def _walk(start, goal):
     return steps
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_walks_learned_in_one_task_are_the_shortest_ways_in_another():
     agent = make_stack(ROOMS())
     learn(agent, ROOMS(), 20_000)
@@ -174,6 +174,7 @@ def test_walks_learned_in_one_task_are_the_shortest_ways_in_another():
     assert walked > 12
 
 
+@pytest.mark.in_turn
 def test_the_tasks_of_taxi_keep_the_contract_of_options_and_deeper_calls_run_inside_them():
     env = Taxi()
     agent = make(MaxqQ, env, make_taxi_tasks(), **FAST | {"gamma": 1.0, "epsilon_end": 0.2})
@@ -203,6 +204,7 @@ def driver():
     return agent
 
 
+@pytest.mark.in_turn
 def test_the_machines_of_a_program_are_options_named_with_their_callers(driver):
     options = {option.name: option for option in make_learned_options(driver, 6)}
     assert set(options) == {"deliver", "fetch"} | {

@@ -52,6 +52,7 @@ def lake_run(tmp_path_factory):
     return train("q-learning", make_lake(), primitives=8000, eval_episodes=0, settings=settings, out=folder)
 
 
+@pytest.mark.in_turn
 def test_an_agent_from_a_runs_folder_is_an_option(lake_run):
     option = LearnedOption("cross", load_agent(lake_run.folder), lambda cell: float(cell == 14), legal=4)
     env = OptionsEnv(make_lake(), [option], trace=True)
@@ -169,6 +170,7 @@ class Interrupting(OptionDomain):
         return super().get_state(observation)
 
 
+@pytest.mark.in_turn
 def test_a_run_over_options_resumes_to_the_same_numbers(tmp_path):
     def make():
         return OptionsEnv(make_lake(), make_lake_options, domain=Interrupting)

@@ -77,6 +77,7 @@ def plan_by_legs(planner, start):
     return planner.follow_goals(start, planner.order_goals(start), Clock(), planner.routes.settings)
 
 
+@pytest.mark.in_turn_for("paper-two-button", "bit-flip")
 @pytest.mark.parametrize("name", ["paper-one-button", "paper-two-button", "bit-flip", "arm-two-button",
                                   pytest.param("four-button-chain", marks=pytest.mark.slow)])
 def test_options_are_no_better_than_primitives_and_bounds_hold(name):
@@ -119,7 +120,7 @@ ORDERS = [RoomConfig(puzzle=ButtonsConfig(count=6, buttons=Panels(width=1.0), gr
           for kind in ("tree", "layered", "random")]
 
 
-@pytest.mark.slow_for("0-tree", "0-random")
+@pytest.mark.in_turn_for("0-tree", "0-random")
 @pytest.mark.parametrize("config", ORDERS, ids=lambda config: config.puzzle.graph.kind)
 @pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.slow)])
 def test_nothing_that_the_planner_or_its_options_do_beats_the_best_known(config, seed):
@@ -172,7 +173,7 @@ def beam_along(rules: Kinematics, start: RoomState, primitives, width: int, bin_
     return len(primitives)
 
 
-@pytest.mark.slow_for("four-button-chain-113")
+@pytest.mark.in_turn_for("four-button-chain-113")
 @pytest.mark.parametrize(("name", "seed"), [("four-button-chain", 106), ("four-button-chain", 113),
                                             ("paper-random", 106), ("paper-random", 119)])
 def test_no_escape_near_the_best_known_one_is_shorter(name, seed):

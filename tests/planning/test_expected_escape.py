@@ -30,6 +30,7 @@ def test_without_noise_the_expectation_is_the_best_known():
     assert expected == (best.value, best.primitives)
 
 
+@pytest.mark.in_turn
 def test_with_slip_alone_an_escape_takes_the_plan_s_length_over_the_chance_to_move():
     """A slip leaves the robot where the plan has it, so the length is negative binomial."""
     room, slip, rollouts = make_room(slip=0.2), 0.2, 200
@@ -41,7 +42,7 @@ def test_with_slip_alone_an_escape_takes_the_plan_s_length_over_the_chance_to_mo
     assert expected.value == pytest.approx(room.reward.exit - expected.primitives), "each primitive costs 1"
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_the_expectation_is_what_the_planner_takes_with_other_noise():
     room, rollouts = make_room(noise=0.1, slip=0.05), 8
     expected, rules, lengths = compute_expected_escape(room, start(room), rollouts), Kinematics(room), []
@@ -68,6 +69,7 @@ def test_hands_that_noise_leads_astray_press_one_button_after_the_other():
     assert compute_expected_escape(room, start(room), rollouts=2).primitives < 1.5 * best
 
 
+@pytest.mark.in_turn
 def test_a_room_that_is_too_short_to_escape_counts_with_its_horizon():
     room = dataclasses.replace(make_room(slip=0.5), horizon=5)
     expected = compute_expected_escape(room, start(room), rollouts=3)

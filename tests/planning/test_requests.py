@@ -81,6 +81,7 @@ def test_requests_that_make_no_sense_are_refused(planner, start):
 # --- objectives ----------------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn_for("length-True", "clearance-True")
 @pytest.mark.parametrize(("objective", "wins"), [("length", True), ("clearance", True), ("time", False)])
 def test_each_objective_improves_on_the_fewest_primitives_and_keeps_its_bound(planner, start, objective, wins):
     result = planner.answer(PlanningRequest(start, "button-3", objective=objective))
@@ -163,6 +164,7 @@ def test_nodes_of_a_search_that_failed_count_as_spent(planner, start):
     assert result.failure is not None and pickle.loads(pickle.dumps(result.failure)).expansions == result.spent
 
 
+@pytest.mark.in_turn
 def test_answers_are_the_same_in_any_order_and_again(start, planner):
     requests = [PlanningRequest(start, goal, method=method, seed=seed, improve=improve)
                 for goal, method, seed, improve in (("button-1", "RRTConnect", 0, False), ("button-1", None, 0, True),
@@ -183,6 +185,7 @@ SLOW = PoseGoal(-5.84, 1.29, 4.22, tolerance=0.02)
 """A place that is hard to meet: every finer grid is searched, for seconds."""
 
 
+@pytest.mark.in_turn_for("fields")
 @pytest.mark.parametrize("method", ["fields", "RRTConnect"])
 def test_a_call_is_cancelled_from_another_thread_at_once(method):
     planner = RoomPlanner(generate(get_preset("clutter"), 0))
@@ -203,6 +206,7 @@ def test_a_call_is_cancelled_from_another_thread_at_once(method):
     assert min(waits) < 0.05, waits
 
 
+@pytest.mark.in_turn
 def test_a_cancelled_call_keeps_the_best_plan_and_the_planner_its_answers(planner, start):
     stop, seen = threading.Event(), []
 

@@ -70,6 +70,7 @@ def test_every_primitive_is_counted_and_the_moves_escape(env: CountedEnv, return
     assert again == found
 
 
+@pytest.mark.in_turn
 def test_cells_of_single_states_lead_to_the_shortest_escape(env: CountedEnv):
     """With a cell for each state, shorter ways replace longer ones until the shortest escape is left."""
     fewest = find_fewest(env)

@@ -53,6 +53,7 @@ def fit(runs: list[EscapeRun]):
     return fit_growth(runs, np.random.default_rng(0))
 
 
+@pytest.mark.in_turn
 def test_a_power_law_is_found_with_its_exponent_and_told_from_an_exponential():
     growth = fit(make_runs(lambda n: 20 * n**1.6))
     assert growth is not None and growth.low < 1.6 < growth.high and growth.high - growth.low < 0.4
@@ -119,6 +120,7 @@ def test_the_headline_says_who_arrives(largest, sentence):
     assert tell_reach(largest, WORDS, 20) == sentence
 
 
+@pytest.mark.in_turn
 def test_a_page_of_another_truth_says_another_thing(tmp_path: Path):
     agents = list(find_study("buttons").data["agents"])
     runs = [run for agent in agents for run in make_runs(lambda n: 9 * n**1.2, agent)]

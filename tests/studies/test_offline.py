@@ -92,6 +92,7 @@ def test_eight_questions_on_stitching_share_their_level():
     assert "cost some" in alone and "cost nothing that shows" in together
 
 
+@pytest.mark.in_turn_for("0.99-The best searcher that learns nothing does better")
 @pytest.mark.parametrize(("searcher", "words"), [(0.1, "than the best searcher finds out"),
                                                  (0.99, "The best searcher that learns nothing does better"),
                                                  (0.5, "cannot be told apart from the best searcher")])

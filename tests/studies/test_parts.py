@@ -95,7 +95,7 @@ def test_a_truth_in_which_no_part_pays():
     assert "is not shown to need more or fewer primitives than" in abstract[7]
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_truth_in_which_only_commitment_pays():
     finding, abstract = write(make_runs({"commitment": lambda n: 6.0}))
     assert finding.startswith("What pays is commitment (up to ")
@@ -114,7 +114,7 @@ def test_a_truth_in_which_only_structure_pays_and_lowers_the_exponent():
     assert "times fewer primitives than untried-nearest" in abstract[7] and "is not shown" not in abstract[7]
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_truth_in_which_all_parts_add():
     finding, abstract = write(make_runs({"commitment": lambda n: 3.0, "geometry": lambda n: 5.0,
                                          "memory": lambda n: 2.0, "structure": lambda n: 2.0}))
@@ -132,7 +132,7 @@ def test_the_headline_holds_all_parts_against_a_searcher():
         assert words[verdict] in tell_bar([one]) and one.verdict == verdict
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_part_that_costs_is_said_to():
     finding, abstract = write(make_runs({"memory": lambda n: 0.25}))
     assert "memory" in finding and "pays is" not in finding
@@ -216,6 +216,7 @@ def test_laws_are_told_apart():
     assert (tell_law(power), tell_law(steep), tell_law(None)) == ("power law", "exponential", "too few sizes")
 
 
+@pytest.mark.in_turn_for("10.0-0.9")
 @pytest.mark.parametrize(("gain", "expected"), [(0.5, 0.0), (10.0, 0.9), (1000.0, 1.0)])
 def test_the_exchange_rate_is_where_the_gain_is_gone(gain: float, expected: float):
     runs = make_runs({"structure": lambda n: gain}, spread=0.05)

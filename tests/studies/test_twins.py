@@ -227,6 +227,7 @@ def test_rooms_where_no_learner_escapes_are_named():
     assert said not in tell_page(INTRA_OPTION, [dataclasses.replace(line, escapes=1.0) for line in lines])
 
 
+@pytest.mark.in_turn
 def test_another_truth_is_another_page():
     fast = [dataclasses.replace(line, episodes=3, first_escape=40) if line.agent == "hamq+planned" else line
             for line in make_lines({"maxq-q+planned": 0.2, "+planned": 0.5, "smdp": 0.5}, searcher=0.3)

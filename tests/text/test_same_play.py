@@ -37,7 +37,7 @@ def through_the_tools(name: str, rung: str, number: int, seed: int) -> None:
     assert session.env.characters == told.characters
 
 
-@pytest.mark.slow_for("freight")
+@pytest.mark.in_turn_for("freight", "clutter")
 @pytest.mark.parametrize("rung", RUNGS)
 def test_calls_made_one_by_one_lead_to_the_states_of_the_searcher(rung: str):
     through_the_tools("smdp-untried-nearest", rung, 1, 3)

@@ -39,6 +39,7 @@ def assert_equal_tables(table, exact, tolerance):
     assert table[legal] == pytest.approx(exact[legal], abs=tolerance)
 
 
+@pytest.mark.in_turn_for("0-True-IntraOptionQ", "1-True-IntraOptionQ", "2-True-IntraOptionQ")
 @pytest.mark.parametrize("agent_class", [QLearning, IntraOptionQ])
 @pytest.mark.parametrize("one_hot", [False, True])
 @pytest.mark.parametrize("seed", range(3))
@@ -62,6 +63,7 @@ class GiveTrace(gymnasium.Wrapper):
         return observation, reward, terminated, truncated, info
 
 
+@pytest.mark.in_turn
 def test_stochastic_smdps_are_solved_in_the_limit():
     smdp = make_random_smdp(5, states=4, actions=3)
     env = SmdpEnv(smdp, start=None)
@@ -205,6 +207,7 @@ def test_intra_option_learning_needs_less_experience_than_option_by_option():
 # --- Taxi -------------------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn
 def test_greedy_q_learning_on_taxi_is_exactly_optimal():
     """7.93 is the mean over the 300 starts of the best return, each found by breadth-first search (below)."""
     env = gymnasium.make("Taxi-v4").unwrapped

@@ -101,6 +101,7 @@ def test_one_sign_alone_does_not_do():
 # --- covering options ---------------------------------------------------------------------
 
 
+@pytest.mark.in_turn
 def test_edges_join_the_corners_and_raise_the_algebraic_connectivity():
     joined, connectivity, edges = ADJACENCY.copy(), [], []
     for _ in range(4):

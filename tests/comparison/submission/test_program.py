@@ -45,7 +45,7 @@ def test_a_program_sees_observations_masks_and_nothing_else(tmp_path, monkeypatc
     env.close()
 
 
-@pytest.mark.slow_for("five")
+@pytest.mark.in_turn_for("five")
 @pytest.mark.parametrize("rung", ["one", "five"])
 def test_the_program_to_begin_with_is_the_searcher_of_the_references_to_the_bit(tmp_path, rung):
     starter = Path(submission.__file__).with_name("starter")

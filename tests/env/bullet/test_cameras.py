@@ -51,6 +51,7 @@ def count_blue(picture):
     return int(((blue > 60) & (blue > 1.5 * green) & (blue > 2 * red)).sum())
 
 
+@pytest.mark.in_turn_for("many-obstacles")
 @pytest.mark.parametrize("name", thin([*PRESETS, *EXTREMES], 3))
 def test_every_camera_pictures_every_room(name):
     room = make_room(name, seed=1)
@@ -76,6 +77,7 @@ def test_puddles_lie_on_the_floor():
     room.close()
 
 
+@pytest.mark.in_turn
 def test_the_same_state_gives_the_same_picture_in_any_room_and_process():
     script = """
 import hashlib, sys
@@ -188,6 +190,7 @@ def test_walls_hide_the_trail_behind_them():
     assert np.array_equal(behind_wall, plain) and np.array_equal(behind_eye, plain)
 
 
+@pytest.mark.in_turn_for("sixteen-rooms", "many-obstacles")
 @pytest.mark.parametrize("name", ["clutter", "sixteen-rooms", "door", "many-obstacles"])
 def test_the_chase_camera_sees_the_robot_wherever_it_is(name):
     room = make_room(name)
@@ -254,6 +257,7 @@ def test_pushed_blocks_are_seen_where_they_are():
     assert after[0] > before[0] + 10 and abs(after[1] - before[1]) < 10
 
 
+@pytest.mark.in_turn
 def test_pictures_free_what_they_needed():
     room = make_room("paper-one-button")
     renderer = BulletRenderer(room.instance)

@@ -62,7 +62,7 @@ def play(room, actions):
 WIDE = RoomConfig(room=ShapeConfig(width=200, depth=200), start=StartConfig(place="fixed"))
 
 
-@pytest.mark.slow_for("arm")
+@pytest.mark.in_turn_for("arm", "kuka")
 @pytest.mark.parametrize("robot", [
     RobotConfig(), RobotConfig(joints=7, link_length=0.1), RobotConfig(kind="kuka-iiwa", joints=7),
     RobotConfig(move_step=0.3, turn_step_deg=45, joints=2, joint_step_deg=3),
@@ -121,7 +121,7 @@ def check_drive(seed: int, runs: list[tuple[int, int]], step: float) -> None:
         room.close()
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 @settings(max_examples=10)
 @given(st.integers(0, 1000), st.lists(st.tuples(st.integers(0, 9), st.integers(1, 4)), max_size=8),
        st.sampled_from([0.7, 5.0]))
@@ -129,6 +129,7 @@ def test_nothing_tunnels_and_bodies_hardly_overlap(seed, runs, step):
     check_drive(seed, runs, step)
 
 
+@pytest.mark.in_turn
 def test_a_body_wedged_into_a_gap_too_narrow_hardly_overlaps():
     check_drive(198, [(0, 1), (2, 1), (1, 3)], 5.0)
 
@@ -279,6 +280,7 @@ def test_a_door_left_open_closes_when_the_puzzle_is_undone(make_room):
 # --- pushing ---------------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn_for("4")
 @pytest.mark.parametrize("seed", [1, 4])
 def test_a_scripted_policy_pushes_the_block_onto_the_plate_and_leaves(make_room, seed):
     room = make_room(get_preset("push-block"), seed=seed)
@@ -291,6 +293,7 @@ def test_a_scripted_policy_pushes_the_block_onto_the_plate_and_leaves(make_room,
     assert block[2] == pytest.approx(0.2, abs=1e-3)  # it slid, it was not lifted or toppled
 
 
+@pytest.mark.in_turn
 def test_a_block_that_nobody_touches_stays_where_it_is(make_room):
     room = make_room(get_preset("push-block"))
     first = room.state.physics.props
@@ -346,7 +349,7 @@ def choose_actions(room, number):
     return np.random.default_rng(7).choice(count, number, p=chances / chances.sum()).tolist()
 
 
-@pytest.mark.slow_for("clutter", "noisy-kuka")
+@pytest.mark.in_turn_for("clutter", "noisy-kuka", "arm")
 @pytest.mark.parametrize("name", ROOMS)
 def test_a_state_continues_bit_for_bit_in_its_room_and_in_another(make_room, name):
     room, other = make_room(ROOMS[name]), make_room(ROOMS[name])
@@ -375,6 +378,7 @@ print(json.dumps([repr(t) for t in play(room, choose_actions(room, 25))]))
 """
 
 
+@pytest.mark.in_turn_for("noisy-kuka")
 @pytest.mark.parametrize("name", ["push-block", "noisy-kuka"])
 def test_another_process_runs_the_same_trajectory_bit_for_bit(make_room, name):
     room = make_room(ROOMS[name])

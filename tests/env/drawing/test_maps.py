@@ -113,7 +113,7 @@ def test_the_arm_is_drawn_as_far_as_the_hand():
         assert picture.has(palette.HAND, x, y) and not picture.has(palette.HAND, x + 0.3, y)
 
 
-@pytest.mark.slow_for("sixty-four-buttons")
+@pytest.mark.in_turn_for("sixty-four-buttons")
 @pytest.mark.parametrize("name", thin(list(SCHEMATICS), 6, first=1))
 def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
     instance, state = make_room(name, seed=1)
@@ -125,7 +125,7 @@ def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
         assert f"<!-- {target.name}" in text
 
 
-@pytest.mark.slow_for("sixty-four-buttons")
+@pytest.mark.in_turn_for("sixty-four-buttons")
 @pytest.mark.parametrize("name", [
     pytest.param("twenty-button", marks=pytest.mark.slow), "ten-button", "sixty-four-buttons",
     pytest.param("paper-two-button", marks=pytest.mark.slow)])
@@ -153,6 +153,7 @@ for path in sys.argv[1:]:
 """
 
 
+@pytest.mark.in_turn
 def test_the_same_map_gives_the_same_bytes_in_any_process(tmp_path):
     here, there = ([str(tmp_path / f"{place}.{ending}") for ending in ("svg", "png", "pdf")]
                    for place in ("here", "there"))
@@ -161,6 +162,7 @@ def test_the_same_map_gives_the_same_bytes_in_any_process(tmp_path):
     assert [Path(path).read_bytes() for path in here] == [Path(path).read_bytes() for path in there]
 
 
+@pytest.mark.in_turn
 def test_map_images_are_pixels():
     instance, state = make_room("paper-one-button")
     image = make_map_image(instance, state, panel=False, dots_per_inch=50)

@@ -228,7 +228,7 @@ def test_what_is_no_problem_is_refused_in_one_message(text, message):
         BlocksWorldConfig(problem=text).make_puzzle(np.random.default_rng(0))
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_large_problems_are_solved_though_not_always_by_the_fewest_moves():
     puzzle = make_puzzle(12, 3)
     plan = puzzle.plan(puzzle.make_state())
@@ -259,6 +259,7 @@ def test_both_engines_agree_along_an_escape(hand):
     assert rules.has_escaped(state) and len(puzzles) > 2
 
 
+@pytest.mark.in_turn_for("2")
 @pytest.mark.parametrize("count", [2, 5])
 def test_both_engines_agree_where_places_are_in_reach_all_the_time(count):
     """Places along the walls of the smallest room, touched everywhere: each grip and release then tells."""
@@ -314,6 +315,7 @@ def test_places_hang_apart_so_that_one_is_touched_at_a_time():
                 assert np.hypot(target.x - other.x, target.y - other.y) > 2 * np.hypot(0.5, 0.05) + 2 * reach
 
 
+@pytest.mark.in_turn
 def test_a_planner_escapes_from_every_room_of_a_sample():
     for seed in range(12):
         room = generate(get_preset("blocks-world", count=3 + seed % 3), seed)

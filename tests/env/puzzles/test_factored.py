@@ -38,6 +38,7 @@ def draw(size: tuple[int, int, int], seed: int) -> FactoredPuzzle:
     return FactoredConfig(count, arity, parents, 1.0).make_puzzle(np.random.default_rng(seed))
 
 
+@pytest.mark.in_turn
 @given(SIZES, st.integers(0, 2**32))
 @settings(max_examples=60, deadline=None)
 def test_every_drawn_domain_is_solvable_from_everywhere_and_its_goal_is_a_furthest_state(size, seed):
@@ -99,7 +100,7 @@ def test_domains_keep_the_contract(success):
     assert FactoredPuzzle.from_dict(draw((4, 3, 3), 1).to_dict()) == draw((4, 3, 3), 1)
 
 
-@pytest.mark.slow_for("factored")
+@pytest.mark.in_turn_for("factored")
 @pytest.mark.parametrize("name", ["random-lights", "factored"])
 def test_the_planner_escapes_by_planning_anew_where_a_press_did_nothing(name):
     env = EscapeRoomEnv(name, instance_seed=2)

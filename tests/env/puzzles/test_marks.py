@@ -75,6 +75,7 @@ def count_true(puzzles, rules):
                     for puzzle in puzzles])
 
 
+@pytest.mark.in_turn
 def test_the_share_of_true_marks_is_what_is_asked_for_and_shuffled_ones_are_at_chance():
     for truth in (1.0, 0.8, 0.0):
         rules = MarksConfig("rank", levels=4, symbols=8, truth=truth)
@@ -136,6 +137,7 @@ def test_wires_of_another_graph_say_nothing():
     assert rules.compute_likelihood((8, 1, 2), classes).tolist() == [1.0, 1.0]
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize("truth", [1.0, 0.6])
 def test_likelihoods_of_wires_are_those_of_the_draws(truth):
     """Given the colours: over all plugs they sum to 1 under every graph, and are the shares of plugs drawn."""
@@ -179,6 +181,7 @@ def test_every_symbol_looks_different():
     assert len({(colour, tuple(outline)) for part in looks for colour, outline in part}) == MOST_SYMBOLS
 
 
+@pytest.mark.in_turn_for("egocentric")
 @pytest.mark.parametrize("kind", ["objects", "egocentric"])
 def test_both_engines_show_marks_on_their_targets_and_nothing_else_moves(kind):
     config = make_with(MarksConfig("rank", symbols=60), "layered", Between(2, 4))

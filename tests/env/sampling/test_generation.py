@@ -63,7 +63,7 @@ def test_settings_that_hold_a_table_make_rooms_too():
     assert generate(tabled, 3).targets == generate(plain, 3).targets
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_the_largest_room_is_generated():
     instance = generate(EXTREMES["largest"], 0)
     assert sum(s.role == "obstacle" for s in instance.solids) == 200
@@ -135,6 +135,7 @@ def test_id_is_a_hash_of_the_content_alone():
     assert instance.id == hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+@pytest.mark.in_turn
 def test_another_process_generates_the_same_instances():
     code = (
         "from hrl_escape.env.sampling.generation import generate; from hrl_escape.env.presets import *\n"

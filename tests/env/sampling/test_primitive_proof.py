@@ -54,6 +54,7 @@ def test_rooms_of_large_steps_are_certified_exactly_if_a_search_of_all_states_so
     assert min(verdicts.values()) >= 3
 
 
+@pytest.mark.in_turn_for("3")
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_generated_is_solvable(seed):
     try:

@@ -67,11 +67,12 @@ def is_grip(goal):
     return isinstance(goal, GripGoal)
 
 
-@pytest.mark.slow_for(
+@pytest.mark.in_turn_for(
     "whole-towers", "whole-towers by hand", "with ancestors-towers", "with ancestors-towers by hand",
     "with ancestors-two and three blocks", "worse-taxi", "worse-foraging", "worse-towers", "worse-towers by hand",
     "worse-two and three blocks", "interrupted-towers", "interrupted-towers by hand",
-    "interrupted-two and three blocks")
+    "interrupted-two and three blocks", "whole-taxi", "with ancestors-taxi", "with ancestors-foraging",
+    "interrupted-taxi", "interrupted-foraging")
 @pytest.mark.parametrize("name", ROOMS)
 @pytest.mark.parametrize("arguments", [
     {}, {"flavour": "press-with-ancestors"}, {"options": OptionDegradation(detour=3, missing=0.3, seed=1)},
@@ -159,7 +160,7 @@ def test_acts_are_possible_and_done_where_the_planner_says_so(name):
     assert len(aims.can[0]) == len({len(room.targets) for room in rooms}), "towers of as many blocks share a table"
 
 
-@pytest.mark.slow_for("towers by hand-False")
+@pytest.mark.in_turn_for("towers by hand-False", "foraging-False", "towers-False")
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ROOMS)
 def test_the_planners_order_of_grips_and_releases_escapes(name, compiled):
@@ -204,6 +205,7 @@ def test_a_slip_while_gripping_is_gripped_again():
     assert made > 100
 
 
+@pytest.mark.in_turn_for("config1-more than 20,000 states")
 @pytest.mark.parametrize(("config", "message"), [
     (get_preset("taxi", fickle=True), "they watch every primitive"),
     (get_preset("blocks-world", count=12), "more than 20,000 states"),

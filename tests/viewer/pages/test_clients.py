@@ -92,6 +92,7 @@ def game(server: Server, two_buttons):
     assert not thread.is_alive()
 
 
+@pytest.mark.in_turn
 def test_ten_clients_come_and_go_and_nothing_of_them_stays(server: Server, game: PlayPage):
     come_and_go(server, game, rounds=3)
     before = count_left(server, game)
@@ -149,6 +150,7 @@ def test_the_graph_is_whole_hidden_or_beside_what_an_agent_believes(server: Serv
     assert page._graph.content == make_graph(puzzle, state.puzzle, WIDTH, found, True)
 
 
+@pytest.mark.in_turn
 def test_a_client_that_goes_while_everything_is_busy_leaves_no_buttons(server: Server, game: PlayPage):
     """Buttons of a client that had gone before they were made stood in the page's folder for ever, and it with them."""
     free = threading.Event()

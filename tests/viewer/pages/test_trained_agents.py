@@ -6,12 +6,15 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 from hrl_escape.ladder.benchmark import load_benchmark
 from tests.viewer.browser import Browser
 
 FACTS = "document.querySelector('#facts')?.dataset"
 
 
+@pytest.mark.in_turn
 def test_watch_shows_the_trained_agent_of_a_rung_at_once(browser: Browser):
     command = [sys.executable, "-c", "from hrl_escape.cli import main; main()", "watch", "lattice", "--no-open",
                "--port", "0", "--pace", "0"]

@@ -31,6 +31,7 @@ def watch_steps(watch: Watch, episodes: int = 1) -> tuple[list[ObservedChoice], 
     return choices, steps
 
 
+@pytest.mark.in_turn
 def test_values_shown_are_the_agents_own_at_every_decision(run: Path, two_buttons):
     env = OptionsEnv(EscapeRoomEnv(instance=two_buttons, observation="features"))
     agent = load_agent(run, env)
@@ -102,6 +103,7 @@ def test_policies_without_action_values_show_their_preferences(name: str, one_bu
     assert (choice.state_value is None) == (name == "ddpg")
 
 
+@pytest.mark.in_turn
 def test_what_is_kept_of_a_long_watch_is_bounded(one_button):
     watch = Watch(open_driver("smdp-q-learning", one_button), Gate(None))
     longest = {"decisions": 0, "events": 0, "values": 0}
@@ -142,7 +144,7 @@ def test_a_plan_shown_is_what_the_option_then_does(clutter):
         assert [s[:7] for s in plan.states] == [s[:7] for s in states]
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_preview_does_not_disturb_the_option_that_runs(clutter):
     plain, asked = (Watch(open_driver("planner", clutter), Gate(None)) for _ in range(2))
     _, expected = watch_steps(plain)

@@ -119,6 +119,7 @@ def play(agent, env, decisions, seed):
     return sum(step.terminated for step in interact(agent, env, decisions, seed))
 
 
+@pytest.mark.in_turn_for("layered-reset", "tree-reset", "chain-reset", "tree-ignore", "chain-ignore")
 @pytest.mark.parametrize("rule", ["ignore", "reset"])
 @pytest.mark.parametrize("kind", ["chain", "tree", "layered"])
 def test_it_finds_the_way_out_and_the_edges_that_matter(kind, rule):

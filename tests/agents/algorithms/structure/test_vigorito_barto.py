@@ -209,7 +209,7 @@ def test_it_finds_the_edges_that_matter_and_escapes(kind, rule, models):
     assert models == "sets" or learned.returns[-1] > 0, "when nothing is left to find out it escapes"
 
 
-@pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_small_box_is_modelled_exactly_and_by_random_presses_it_is_not():
     agent = model_box(SMALL_BOX, 1_500, 0)
     assert agent.get_graph() == set(SMALL_BOX.edges)
