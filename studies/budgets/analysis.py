@@ -69,12 +69,11 @@ def measure(study: Study, args: Args, store: Store) -> None:
                                 ("rung", args.rungs, [rung.name for rung in load_benchmark(data["benchmark"])])):
         if unknown := [name for name in chosen if name not in every]:
             raise UnknownNameError(f"{what} of this study", unknown[0], every)
-    there = {line.place for line in store.load()}
+    there = {(line.place, line.key) for line in store.load()}
     jobs = [(rung, room, agent, seed) for seed in range(args.runs or data["runs"])
             for rung in args.rungs or data["rungs"] for agent in args.agents or data["agents"]
             for room in range(args.rooms or data["rooms"])
-            if (PROTOCOL, rung, f"{data['benchmark']}/{rung}/test[{room}]", agent, seed,
-                args.primitives or get_budget(rung)) not in there]
+            if identify(data, rung, room, agent, seed, args.primitives or get_budget(rung)) not in there]
     with ProcessPoolExecutor(args.workers, get_fork_server()) as pool:
         for number, line in enumerate(_run(pool, study, args, jobs, until), 1):
             store.add([line])
@@ -99,15 +98,22 @@ def run_once(data: Mapping[str, Any], rung: str, number: int, agent: str, seed: 
         return None
     spec = AgentSpec.parse(agent)
     observation = "objects" if spec.settings.get("network") == "objects" else "features"
-    place = f"{data['benchmark']}/{rung}/test[{number}]"
     room = load_benchmark(data["benchmark"])[rung].test[number : number + 1]
     player, first_escape = train_agent(spec, stream_rooms(room, data["copies"], agent, observation), primitives, seed)
     efficiency, escapes = play_unseen(spec, UnseenRooms(room, make_unseen(room).fewest * data["episodes"]),
                                       lambda env, recorder: player, observation)
-    identity = {"room": room[0].id, "agent": agent, "settings": spec.settings, "seed": seed, "primitives": primitives,
-                "copies": data["copies"], "episodes": data["episodes"]}
-    return BaselineRun(PROTOCOL, rung, place, agent, seed, primitives, efficiency, None, escapes, data["episodes"],
-                       escapes, first_escape, compute_digest(identity))
+    place, key = identify(data, rung, number, agent, seed, primitives)
+    return BaselineRun(*place, efficiency, None, escapes, data["episodes"], escapes, first_escape, key)
+
+
+def identify(data: Mapping[str, Any], rung: str, number: int, agent: str, seed: int, primitives: int
+             ) -> tuple[tuple[str, str, str, str, int, int], str]:
+    """Place of a run among the lines, and the hash of everything that decides its numbers."""
+    key = compute_digest({
+        "room": load_benchmark(data["benchmark"])[rung].test[number].id, "agent": agent,
+        "settings": AgentSpec.parse(agent).settings, "seed": seed, "primitives": primitives, "copies": data["copies"],
+        "episodes": data["episodes"]})
+    return (PROTOCOL, rung, f"{data['benchmark']}/{rung}/test[{number}]", agent, seed, primitives), key
 
 
 def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:

@@ -12,7 +12,7 @@ import pytest
 from hrl_escape.comparison.protocols import get_budget
 from hrl_escape.errors import UnknownNameError
 from studies.baseline import BaselineRun
-from studies.budgets.analysis import Args, measure, run_once, tell_budget
+from studies.budgets.analysis import Args, identify, measure, run_once, tell_budget
 from studies.running import open_store
 from studies.study import find_study
 from tests.studies.pages import tell
@@ -91,6 +91,16 @@ def test_a_real_run_is_kept_and_not_made_twice(tmp_path: Path):
     text = store.path.read_text()
     measure(STUDY, args, store)
     assert store.path.read_text() == text
+
+
+def test_published_runs_count_as_made_unless_something_that_decides_them_has_changed():
+    for line in {line.rung: line for line in open_store(STUDY, None).load()}.values():
+        number = int(re.findall(r"\[(\d+)\]", line.rooms)[0])
+        what = (line.rung, number, line.agent, line.seed, line.primitives)
+        assert identify(STUDY.data, *what) == (line.place, line.key)
+        for changes in ({"copies": 4}, {"episodes": 1}):
+            place, key = identify(STUDY.data | changes, *what)
+            assert place == line.place and key != line.key
 
 
 def test_no_run_is_begun_after_the_time_is_up():
