@@ -359,7 +359,6 @@ def test_key_chest_has_the_domains_values():
     assert 3.0 < mine[numbers[domain.encode((domain.start, 0))]] < 6.0
 
 
-@pytest.mark.in_turn
 def test_both_engines_agree_on_key_chest_and_the_planner_takes_the_fewest_moves():
     room = generate(get_preset("key-chest"), 0)
     check_puzzle(room.puzzle)

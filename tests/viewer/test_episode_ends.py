@@ -66,7 +66,7 @@ def test_some_puzzle_can_be_failed():
     assert "deep-sea" in FAILING
 
 
-@pytest.mark.in_turn_for("bells", "buttons")
+@pytest.mark.in_turn_for("bells")
 def test_play_its_file_the_recorded_page_and_a_session_say_failed(failed, tmp_path, capsys):
     episode, said = failed
     assert said == "Failed" and episode.is_over

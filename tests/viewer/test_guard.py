@@ -195,7 +195,6 @@ def test_the_largest_message_is_small(server: Server):
     assert closed.value.rcvd is not None and closed.value.rcvd.code == 1009
 
 
-@pytest.mark.in_turn
 def test_clicks_and_keys_wait_in_a_queue_of_bounded_length(server: Server, game: PlayPage):
     undo, meta = find_control(server, "Undo"), find_control(server, "meta-01")
     save = next(h for h in server.gui._gui_input_handle_from_uuid.values() if isinstance(h, viser.GuiButtonHandle))

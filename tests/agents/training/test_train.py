@@ -463,7 +463,7 @@ def test_impossible_arguments_are_named(arguments, message):
 # --- learning ----------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("sarsa", "dqn")
+@pytest.mark.in_turn_for("sarsa")
 @pytest.mark.parametrize("name", ["q-learning", "dqn", "sarsa"])
 def test_agents_over_options_leave_the_button_grid_in_few_primitives(name):
     """The shortest way is 6 + 6 + 18 or so; the random policy over the same options scores -44."""

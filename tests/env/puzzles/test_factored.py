@@ -38,7 +38,6 @@ def draw(size: tuple[int, int, int], seed: int) -> FactoredPuzzle:
     return FactoredConfig(count, arity, parents, 1.0).make_puzzle(np.random.default_rng(seed))
 
 
-@pytest.mark.in_turn
 @given(SIZES, st.integers(0, 2**32))
 @settings(max_examples=60, deadline=None)
 def test_every_drawn_domain_is_solvable_from_everywhere_and_its_goal_is_a_furthest_state(size, seed):

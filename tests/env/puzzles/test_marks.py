@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import re
+from collections import Counter
 
 import gymnasium
 import numpy as np
@@ -135,6 +136,22 @@ def test_wires_of_another_graph_say_nothing():
     assert len(right) == 1600 and np.mean(right) == pytest.approx(0.2, abs=0.04)  # 4 edges among 20 pairs
     classes = np.array([[0, 1, 2], [3, 0, 1]])
     assert rules.compute_likelihood((8, 1, 2), classes).tolist() == [1.0, 1.0]
+
+
+def test_what_wires_lead_to_is_as_frequent_as_their_likelihoods_say():
+    rules, edges, colours = MarksConfig("wires", truth=0.6), ((2, 0), (0, 1)), (4, 7, 0)
+    classes = rules.classify(3, edges, 0)[None]
+    likely: Counter[tuple[int | None, ...]] = Counter()
+    for plugs in itertools.product(range(12), repeat=3):
+        marks = tuple(colour + 8 * plug for colour, plug in zip(colours, plugs, strict=True))
+        if chance := float(rules.compute_likelihood(marks, classes)[0]):
+            likely[tuple(read_wires(rules, marks))] += chance
+    assert sum(likely.values()) == pytest.approx(1)
+    rng = np.random.default_rng(0)
+    drawn = Counter(tuple(read_wires(rules, rules.draw(3, edges, 1, rng))) for _ in range(4000))
+    assert drawn.keys() == likely.keys() and len(drawn) == 4, "each of two wires is hidden or not"
+    for read, count in drawn.items():
+        assert count / 4000 == pytest.approx(likely[read], abs=0.03), read  # four standard errors
 
 
 @pytest.mark.in_turn

@@ -103,7 +103,6 @@ def test_policies_without_action_values_show_their_preferences(name: str, one_bu
     assert (choice.state_value is None) == (name == "ddpg")
 
 
-@pytest.mark.in_turn
 def test_what_is_kept_of_a_long_watch_is_bounded(one_button):
     watch = Watch(open_driver("smdp-q-learning", one_button), Gate(None))
     longest = {"decisions": 0, "events": 0, "values": 0}
