@@ -42,15 +42,6 @@ make_queries("empty", range(1), 1)
 BatchedOptionsEnv(1, "clutter")
 """)
 """Scripts that compile most kernels; each compiles others, for twenty seconds of an idle core."""
-ONCE = """
-import sys
-from hrl_escape.kernels import find_cache_folder
-done = find_cache_folder() / f"compiled-{sys.argv[1]}"
-if not done.exists():
-    exec(sys.argv[2])
-    done.touch()
-"""
-"""Runs one of them, unless it has run since the sources of kernels changed."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -118,9 +109,14 @@ def pytest_collection() -> Iterator[None]:
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile kernels before xdist starts its workers, each of which would compile them itself."""
     if session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput"):
+        from hrl_escape.kernels import find_cache_folder
+
+        done = {find_cache_folder() / f"compiled-{zlib.crc32(script.encode())}": script for script in KERNELS}
+        missing = {file: script for file, script in done.items() if not file.exists()}
         with ThreadPoolExecutor() as pool:
-            for done in pool.map(lambda script: run_fork(ONCE, zlib.crc32(script.encode()), script), KERNELS):
-                assert done.returncode == 0, done.stderr
+            for file, compiled in zip(missing, pool.map(run_fork, missing.values()), strict=True):
+                assert compiled.returncode == 0, compiled.stderr
+                file.touch()
 
 
 @pytest.fixture

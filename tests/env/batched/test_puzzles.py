@@ -60,8 +60,8 @@ def encode(form, puzzles, states):
 
 @pytest.mark.in_turn_for(
     "potions, three features", "blocks-world", "buttons", "buttons, dead ends", "bit-flip", "lights-out",
-    "lights-out 4 x 6", "hanoi", "recipes", "code-lock", "light-box", "light-box, sure", "deep-sea", "pin-pad", "potions",
-    "factored", "factored, sure", "foraging", "taxi")
+    "lights-out 4 x 6", "hanoi", "recipes", "code-lock", "light-box", "light-box, sure", "deep-sea", "pin-pad",
+    "potions", "factored", "factored, sure", "foraging", "taxi")
 @pytest.mark.parametrize("name", KINDS)
 def test_a_tensor_form_does_what_the_puzzle_does(name):
     compare(name, [KINDS[name].make_puzzle(np.random.default_rng(seed)) for seed in range(32)])
