@@ -78,7 +78,7 @@ OWN = {
 """Agents that make their hierarchy themselves."""
 
 
-@pytest.mark.in_turn_for("h-dqn", "hac", "option-keyboard", "sol")
+@pytest.mark.in_turn_for("h-dqn", "hac", "option-keyboard", "sol", "taxi")
 @pytest.mark.parametrize("name", [*GRAPHS, *OWN])
 def test_every_hierarchy_keeps_every_promise(name):
     check_hierarchy(*(GRAPHS | OWN)[name](), primitives=150)
@@ -206,6 +206,7 @@ def test_an_agent_that_breaks_a_promise_is_found(agent_class, claim):
         check_hierarchy(make_taxi_tasks(pseudo=PSEUDO), Taxi(), agent_class=agent_class)
 
 
+@pytest.mark.in_turn
 def test_an_agent_that_goes_on_after_the_end_is_found():
     with pytest.raises(ContractError, match="terminates every call"):
         check_hierarchy(flat(2), Chain(), agent_class=GoesOnAfterTheEnd)

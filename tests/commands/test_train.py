@@ -85,7 +85,8 @@ SHORT = ["train", "smdp-random", "--preset", "four-button-chain", "--primitives"
 
 
 @pytest.mark.in_turn_for(
-    "changes0-flavour: 'press' there, 'press-with-ancestors' now", "changes1-environment.arguments.instance")
+    "changes0-flavour: 'press' there, 'press-with-ancestors' now", "changes1-environment.arguments.instance",
+    "changes2-seed: 0 there, 1 now")
 @pytest.mark.parametrize(("changes", "field"), [
     (["--flavour", "press-with-ancestors"], "flavour: 'press' there, 'press-with-ancestors' now"),
     (["--seed", "1"], "environment.arguments.instance"),

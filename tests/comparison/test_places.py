@@ -55,6 +55,7 @@ def test_evaluations_go_round_the_test_rooms_and_scores_are_measured_room_by_roo
     assert by_name["smdp-random"].get_final("efficiency") < 1.0
 
 
+@pytest.mark.in_turn
 def test_learners_are_tested_in_rooms_they_trained_in_too(finished: Comparison):
     (place,) = finished.places
     for run, result in finished.runs:

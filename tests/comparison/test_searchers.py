@@ -126,6 +126,7 @@ def test_every_outcome_of_a_draw_is_listed_once_with_its_probability():
     assert len(found) == 6 and all(each == pytest.approx(1 / 6) for each in found.values())
 
 
+@pytest.mark.in_turn_for("layered")
 @pytest.mark.parametrize(("config", "count"), [
     (GraphConfig(kind="tree"), 4),
     (GraphConfig(kind="layered", max_parents=2), 5),
@@ -163,6 +164,7 @@ def test_the_schematic_of_a_room_is_the_one_that_draws_its_puzzle():
 # --- beliefs -------------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn_for("6")
 @pytest.mark.parametrize("count", range(1, 7))
 def test_a_chain_takes_the_presses_that_are_known_exactly(count: int):
     """With one primitive a press, a chain of n needs n(n + 3)/4 presses in the mean and no searcher fewer."""
@@ -399,6 +401,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
     env.close()
 
 
+@pytest.mark.in_turn_for("rules-360")
 @pytest.mark.parametrize(("rung", "graphs"), [("rules", 360), ("wires", 120)])
 def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_are_drawn(rung: str, graphs: int):
     """A ceiling is a ceiling only where beliefs are listed: a sample does not plan."""

@@ -64,6 +64,7 @@ def test_first_escapes_count_runs_without_one_at_the_budget():
     assert agent.first_escape.low < 625 < agent.first_escape.high <= 1000
 
 
+@pytest.mark.in_turn
 def test_rooms_weigh_the_same_and_are_never_mixed():
     summary = summarise(compare({"dqn": [make(0.2)] * 4 + [make(0.5)] * 4,
                                  "ppo": [make(0.1)] * 4 + [make(0.8)] * 4}, rooms=2))

@@ -242,6 +242,7 @@ def test_an_instance_can_be_given_as_object_or_file(tmp_path):
         EscapeRoomEnv(instance=instance, resample_instance=True)
 
 
+@pytest.mark.in_turn
 def test_many_rooms_live_in_one_process_and_all_is_freed():
     import pybullet
 

@@ -85,6 +85,7 @@ def test_the_published_rule_turns_all_lights_off():
     assert steps[-1].state.puzzle == 1
 
 
+@pytest.mark.in_turn
 @given(st.sampled_from([1, 5, 10, 15, 36, 45, 120]), st.integers(-5, 5), st.floats(-0.1, 0.1))
 def test_a_full_circle_of_turns_gives_the_same_float(step, laps, offset):
     config = RoomConfig(robot=RobotConfig(turn_step_deg=step))

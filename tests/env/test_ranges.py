@@ -66,6 +66,7 @@ def test_a_schematic_with_ranges_survives_json_and_pickling():
     assert VARIED.to_dict()["puzzle"]["count"] == "2..5" and VARIED.to_dict()["room"]["width"] == "12.0..18.0"
 
 
+@pytest.mark.in_turn
 def test_an_instance_with_a_frame_survives_its_file(rooms, tmp_path):
     rooms[0].save(tmp_path / "room.json")
     assert RoomInstance.load(tmp_path / "room.json") == rooms[0]
@@ -170,6 +171,7 @@ def test_options_of_absent_buttons_are_masked_and_cost_one_primitive(rooms):
         env.close()
 
 
+@pytest.mark.in_turn
 def test_options_go_on_when_the_next_room_has_another_number_of_buttons():
     env = OptionsEnv(EscapeRoomEnv(VARIED, resample_instance=True), include_primitives=False)
     counts = set()

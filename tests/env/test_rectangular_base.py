@@ -176,7 +176,7 @@ def test_a_turn_that_a_wall_blocks_for_one_drive_is_made_again_after_backing_off
     assert rules.step(rules.step(state, forward).state, back).state.y == state.y  # it slides along the wall
 
 
-@pytest.mark.in_turn_for("door")
+@pytest.mark.in_turn_for("door", "plain")
 @pytest.mark.parametrize(("config", "seeds"), [
     (SMALL, 2),
     (change(dataclasses.replace(SMALL, dynamics=DynamicsConfig(noise=0.2, slip=0.2, slip_kind="any")), joints=1), 2),
@@ -293,6 +293,7 @@ def find_fewest(rules: Kinematics, state: RoomState, goal: PoseGoal) -> int | No
     return None
 
 
+@pytest.mark.in_turn
 def test_plans_are_as_short_as_an_exhaustive_search_of_a_lattice_and_none_is_missed():
     """Quarter turns, moves that are made whole or not at all: places stay on a lattice, and turns decide the way."""
     robot = dataclasses.replace(ROBOT, turn_step_deg=90, move_step=0.5, drive="differential")

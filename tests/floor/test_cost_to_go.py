@@ -41,7 +41,7 @@ def sample_places(rules, maker, count, seed=0):
 # --- sweeps ----------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("clutter-True", "clutter-False", "custom-True")
+@pytest.mark.in_turn_for("clutter-True", "clutter-False", "custom-True", "larg-2019-True")
 @pytest.mark.parametrize("shut", [True, False])
 @pytest.mark.parametrize("config", [
     get_preset("clutter"),

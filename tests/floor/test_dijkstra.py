@@ -170,7 +170,7 @@ def test_moves_land_where_the_rules_end_them(robot, size):
     assert (landing[~fits] == -1).all() and beside > 0
 
 
-@pytest.mark.in_turn_for("box-press-None", "box-exit-None")
+@pytest.mark.in_turn_for("box-press-None", "box-exit-None", "box-press-facing1")
 @pytest.mark.parametrize("facing", [None, (0, 3)])
 @pytest.mark.parametrize("goal", [PressGoal(1), ExitGoal()], ids=["press", "exit"])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
@@ -227,6 +227,7 @@ def sweep_all(scene, places, turns, moves, needs):
     return found
 
 
+@pytest.mark.in_turn_for("disc-size0")
 @pytest.mark.parametrize("size", [(9.0, 5.0), pytest.param((5.0, 9.0), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
 def test_sweeps_and_clearances_are_those_of_all_solids_from_anywhere_on_the_floor(robot, size):

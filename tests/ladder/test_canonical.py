@@ -24,6 +24,7 @@ def graphs(draw, most=8):
     return draw(st.lists(st.integers(0, 1), min_size=count, max_size=count)), edges
 
 
+@pytest.mark.in_turn
 @given(graphs(), st.data())
 def test_relabelling_keeps_the_form(graph, data):
     label = data.draw(st.permutations(range(len(graph[0]))))

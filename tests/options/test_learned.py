@@ -80,6 +80,7 @@ def test_an_agent_that_draws_draws_from_the_callers_generator():
     assert agent.state_dict() == before, "the agent's own generator is left alone"
 
 
+@pytest.mark.in_turn
 def test_an_agent_is_told_what_is_legal(lake_run):
     option = LearnedOption("cross", lake_run.agent, lambda cell: 1.0,
                            legal=lambda cell: np.array([True, False, False, True]))
@@ -152,6 +153,7 @@ def train_on_lake(folder, env=None, **arguments):
     return train("smdp-q-learning", env, out=folder, **{"primitives": 1500, "settings": settings} | arguments)
 
 
+@pytest.mark.in_turn
 def test_frozen_lake_is_learned_over_options():
     result = train_on_lake(None, primitives=3000)
     assert result.evaluations[-1].mean_return == 1.0

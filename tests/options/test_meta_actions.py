@@ -73,7 +73,7 @@ LONG = ("ten-button", "twenty-button", "random-lights")
 
 @pytest.mark.in_turn_for(
     "lights-out-press", "four-button-chain-press-with-ancestors", "clutter-press-markov",
-    "hanoi-press-with-ancestors")
+    "hanoi-press-with-ancestors", "potions-press", "puddle-world-press", "lights-out-press-markov")
 @pytest.mark.parametrize(("name", "flavour"), [
     *thin([(name, "press") for name in KINEMATIC if name not in LONG], 5),
     *cover(ALL_FLAVOURS, [flavour for flavour in FLAVOURS if flavour != "press"])])

@@ -66,6 +66,7 @@ def test_options_carry_until_the_robot_is_out(preset, slip, planner):
     assert info["success"]
 
 
+@pytest.mark.in_turn
 def test_targets_are_pressed_under_physics():
     env = OptionsEnv(EscapeRoomContinuousEnv(change("paper-two-button", kind="physics")))
     env.reset(seed=0)

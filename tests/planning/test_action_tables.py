@@ -99,6 +99,7 @@ def test_plans_are_true_escapes_of_certified_rooms_and_none_is_below_its_bound(r
     assert answer.plan is not None and answer.lower_bound <= answer.plan.cost
 
 
+@pytest.mark.in_turn
 @PATIENT
 @given(rooms)
 def test_options_press_and_leave(room):

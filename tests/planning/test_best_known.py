@@ -97,6 +97,7 @@ def test_the_papers_room_with_one_button_is_worth_91():
     assert known.value == known.upper_bound == 91.0
 
 
+@pytest.mark.in_turn_for("paper-two-button")
 @pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button",
                                   pytest.param("four-button-chain", marks=pytest.mark.slow)])
 def test_its_plan_runs_and_earns_it(name):

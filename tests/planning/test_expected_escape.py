@@ -23,6 +23,7 @@ def start(room):
     return Kinematics(room).make_state(room.starts[0])
 
 
+@pytest.mark.in_turn
 def test_without_noise_the_expectation_is_the_best_known():
     room = make_room()
     best = find_best_known(room, start(room))

@@ -126,6 +126,7 @@ def test_a_plan_begun_in_the_middle_of_an_episode_counts_on_from_there(planner, 
     assert plan.states[-1].puzzle == 1
 
 
+@pytest.mark.in_turn
 def test_pursuit_escapes_under_noise_and_slip():
     config = get_preset("clutter")
     noisy = dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, noise=0.1, slip=0.1))

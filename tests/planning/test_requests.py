@@ -148,6 +148,7 @@ def test_improvement_is_monotone_reported_and_reaches_the_reference():
     assert best_sum <= first_sum and best_sum <= 1.01 * fewest_sum
 
 
+@pytest.mark.in_turn_for("arm-two-button")
 @pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button"])
 def test_improvement_ends_when_the_search_nodes_of_its_budget_are_spent(name):
     planner = RoomPlanner(generate(get_preset(name), 5))

@@ -52,6 +52,7 @@ def test_rectangles_cover_exactly_the_occupied_cells():
     assert merge_cells(np.ones((4, 5), dtype=bool)) == [(0, 5, 0, 4)]
 
 
+@pytest.mark.in_turn
 def test_a_map_of_ros_is_planned_in_its_own_frame(tmp_path):
     world = World.read(write_map(tmp_path), ROBOT, (-1.0, 4.0, 0.5))
     start = world.make_state(-1.0, 4.0, 0.5)

@@ -56,6 +56,7 @@ def find_fewest(env: Any) -> int:
     raise AssertionError("no way out")
 
 
+@pytest.mark.in_turn_for("state")
 @pytest.mark.parametrize("returns", ["state", "moves"])
 def test_every_primitive_is_counted_and_the_moves_escape(env: CountedEnv, returns: Any):
     env.steps = 0

@@ -64,6 +64,7 @@ def test_a_power_law_is_found_with_its_exponent_and_told_from_an_exponential():
     assert exact is not None and (exact.exponent, exact.factor) == pytest.approx((2, 2.5), rel=0.02)
 
 
+@pytest.mark.in_turn
 def test_an_exponential_is_told_from_a_power_law():
     growth = fit(make_runs(lambda n: 30 * 1.4**n))
     assert growth is not None and growth.power < 0.01

@@ -209,6 +209,7 @@ def test_different_truths_get_different_conclusions():
     assert "No quantity of the logs is shown to carry the effect of buffer." in said["replay causes it"]
 
 
+@pytest.mark.in_turn
 def test_intervals_leave_0_out_just_where_an_effect_is_shown_and_power_is_told():
     runs = make_runs(lambda on: 0.3 + 0.03 * on["choices"], rooms=3, noise=0.05)
     findings = analyse_screening(Screening.make("sarsa", runs))

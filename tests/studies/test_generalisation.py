@@ -171,6 +171,7 @@ def test_other_rungs_are_told_by_what_was_learned_there_and_beside_searching():
     assert "`lattice` to `pair`" in told and "`pair` to `lattice`" not in told, "the searcher of the rung tested in"
 
 
+@pytest.mark.in_turn
 def test_other_rungs_are_told_once_all_are_there(tmp_path: Path):
     lines = make_transfers({("chain", "lattice"): 0.8})
     page = tell("generalisation", [LINE, *lines], tmp_path)

@@ -72,7 +72,9 @@ ALL = "stay below an efficiency of 0.5 on 3 of 3 rungs."
 
 
 @pytest.mark.in_turn_for(
-    "references3-learner3-noisy3-told3", "references4-learner4-noisy4-told4", "references6-learner6-noisy6-told6")
+    "references3-learner3-noisy3-told3", "references4-learner4-noisy4-told4", "references6-learner6-noisy6-told6",
+    "references0-learner0-noisy0-told0", "references1-learner1-noisy1-told1", "references2-learner2-noisy2-told2",
+    "references5-learner5-noisy5-told5")
 @pytest.mark.parametrize(("references", "learner", "noisy", "told"), [
     ({}, [1.0, 0.5, 0.0], (), [ALL, "order of what chance reaches: it falls from each to the next.",
                                "as efficient as possible on 3 of 3 rungs.", "on none of 3 rungs",
@@ -256,6 +258,7 @@ def test_learners_are_held_against_the_best_searcher(learner: float, nearest: fl
     assert "Nothing is concluded, as no learner has 10 rooms on a rung beside a searcher" in tell(alone, RUNGS)
 
 
+@pytest.mark.in_turn
 def test_who_plays_as_chance_does_is_said_to_have_no_model():
     lines = [dataclasses.replace(LINE, rung=RUNGS[0], rooms=f"test[{room}]", agent=agent, primitives=primitives,
                                  efficiency=0.1 + 0.01 * room, escapes=0.4)

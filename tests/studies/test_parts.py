@@ -315,6 +315,7 @@ def test_every_cell_escapes_from_a_small_room(walks):
     assert found.first_escape is not None and found.near_best is None
 
 
+@pytest.mark.in_turn
 def test_a_learner_comes_near_the_best():
     found = play_cell(Cell("planned", structure=True), SETTINGS, make_small(buttons=2), 1, 5_000, 10_000, 5_000)
     assert found.near_best is not None and found.first_escape == found.near_best, "every escape is near so lax a best"

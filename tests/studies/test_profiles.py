@@ -93,6 +93,7 @@ def test_an_axis_that_gets_easier_is_no_fall(tmp_path: Path):
     assert (depth.count("↓"), branching.count("↓")) == (2, 4)
 
 
+@pytest.mark.in_turn
 def test_three_falls_are_several_whoever_falls(tmp_path: Path):
     level = {(agent, axis.name): (0.6,) * 4 for agent in LEARNERS for axis in (MOTION, AXES[0])}
     page = write_page("profiles", make_lines(level, axes=(MOTION, AXES[0])), tmp_path)

@@ -259,6 +259,7 @@ def test_settings_that_are_no_defaults_are_those_that_the_page_names():
     assert all(f"`{name}`" in told.partition("learn from 32")[2].partition("every 50")[0] for name in search)
 
 
+@pytest.mark.in_turn_for("hierarchies")
 @STUDIES
 def test_rooms_have_one_start_and_no_chance_but_where_there_is_noise(study):
     grid = study.grids[0]

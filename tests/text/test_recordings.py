@@ -75,6 +75,7 @@ def test_a_damaged_file_is_one_error_that_names_it(content: str, tmp_path: Path)
             read(tmp_path / "bad.jsonl")
 
 
+@pytest.mark.in_turn
 def test_a_file_cut_in_the_middle_is_refused(file: Path, tmp_path: Path):
     lines = file.read_text().splitlines()
     (tmp_path / "cut.jsonl").write_text("\n".join(lines[:-2]) + "\n")

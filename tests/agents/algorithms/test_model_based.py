@@ -134,6 +134,7 @@ def test_factored_r_max_finds_which_numbers_of_taxi_matter_to_a_move(taxi):
     assert learner.over in learner.list_active(dropoff)
 
 
+@pytest.mark.in_turn_for("3")
 @pytest.mark.parametrize("visits", [1, 3])
 def test_r_max_respects_its_own_visit_bound(visits):
     """It tries what it tried less than m times, m |S| |A| times at most, and else does what its model says."""

@@ -39,7 +39,9 @@ def assert_equal_tables(table, exact, tolerance):
     assert table[legal] == pytest.approx(exact[legal], abs=tolerance)
 
 
-@pytest.mark.in_turn_for("0-True-IntraOptionQ", "1-True-IntraOptionQ", "2-True-IntraOptionQ")
+@pytest.mark.in_turn_for(
+    "0-True-IntraOptionQ", "1-True-IntraOptionQ", "2-True-IntraOptionQ", "0-False-IntraOptionQ", "0-True-QLearning",
+    "1-False-IntraOptionQ", "1-True-QLearning", "2-True-QLearning")
 @pytest.mark.parametrize("agent_class", [QLearning, IntraOptionQ])
 @pytest.mark.parametrize("one_hot", [False, True])
 @pytest.mark.parametrize("seed", range(3))
@@ -194,6 +196,7 @@ def test_an_environment_without_traces_is_refused_with_the_way_out():
         learn(agent, env, 50)
 
 
+@pytest.mark.in_turn
 def test_intra_option_learning_needs_less_experience_than_option_by_option():
     def solved_share(agent_class):
         env = ButtonGrid(trace=True)

@@ -92,6 +92,7 @@ def test_few_eigenoptions_make_a_walk_far_slower_and_more_of_them_faster(kind, d
     assert found == pytest.approx((primitives, decisions), rel=1e-3)
 
 
+@pytest.mark.in_turn
 def test_one_sign_alone_does_not_do():
     directions = find_slow_directions(ADJACENCY, 8, "random-walk")
     both, one = (compute_diffusion_time(AFTER, make_options(directions, signs))[0] for signs in ((1, -1), (1,)))

@@ -99,7 +99,9 @@ def flatten(tree, where=""):
     return {where: repr(tree.item() if isinstance(tree, np.generic) else tree)}
 
 
-@pytest.mark.in_turn_for("torchrl-dqn-corrected", "torchrl-sac-corrected", "dac-corrected", "dqn-paper")
+@pytest.mark.in_turn_for(
+    "torchrl-dqn-corrected", "torchrl-sac-corrected", "dac-corrected", "dqn-paper", "vigorito-barto-corrected",
+    "sarsa-corrected-changed")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2, 1), ids=IDS)
 def test_a_restored_agent_goes_on_to_the_same_bits(tmp_path, name, recipe, changes):
     for before in (3, 60):
@@ -170,7 +172,7 @@ def read_log(folder):
 
 @pytest.mark.in_turn_for(
     "rainbow-corrected", "factored-r-max-corrected", "monte-carlo-model-corrected", "a2oc-corrected",
-    "fun-corrected")
+    "fun-corrected", "sarsa-corrected", "met-r-max-corrected", "dqn-corrected-changed", "ppo-corrected-changed")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2), ids=IDS)
 def test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one(tmp_path, name, recipe, changes):
     whole = run(name, recipe, changes, counting := make_env(), tmp_path / "whole")

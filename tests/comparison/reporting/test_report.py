@@ -95,6 +95,7 @@ def test_the_same_runs_write_the_same_page(finished: Comparison, source: str):
 # --- it says what it must --------------------------------------------------------------
 
 
+@pytest.mark.in_turn
 def test_the_page_begins_with_the_verdict(finished: Comparison, summary: Summary, page: Page):
     for sentence in write_verdict(summary):
         assert sentence.text.replace("`", "") in page.text

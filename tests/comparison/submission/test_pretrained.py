@@ -34,7 +34,9 @@ AGENTS = [(rung, agent) for rung, agents in list_pretrained().items() for agent 
     "ladder-1/doors-smdp-q-learning+no-primitives", "ladder-1/freight-smdp-r-max+no-primitives",
     "ladder-1/lattice-5-smdp-factored-r-max+no-primitives", "ladder-1/lattice-6-smdp-factored-r-max+no-primitives",
     "ladder-1/switchboard-smdp-r-max+no-primitives", "marks-1/told-smdp-ppo+objects+memory+no-primitives",
-    "marks-2/motifs-smdp-ppo+objects+memory+no-primitives")
+    "marks-2/motifs-smdp-ppo+objects+memory+no-primitives",
+    "marks-3/deceived-smdp-ppo+objects+memory+no-primitives",
+    "marks-3/places-smdp-ppo+objects+memory+no-primitives")
 @pytest.mark.parametrize(("rung", "agent"), AGENTS)
 def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent):
     found = load_once(rung, agent)

@@ -73,6 +73,7 @@ def test_a_program_that_does_not_answer_as_agreed_is_told_so(tmp_path, monkeypat
     assert words in str(error.value) and len(str(error.value)) < 500 and not (tmp_path / "it.zip").exists()
 
 
+@pytest.mark.in_turn
 def test_what_a_program_has_started_ends_with_it(tmp_path):
     code = ("import os, subprocess, sys\n"
             f"child = subprocess.Popen(['sleep', '300']); open({str(tmp_path / 'pid')!r}, 'w').write(str(child.pid))\n"

@@ -145,6 +145,7 @@ def test_reset_with_seeds_and_a_mask_reseeds_only_those_rooms():
 # --- states ----------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn
 def test_states_go_out_and_back_and_go_on_exactly():
     room = make_rooms(6)
     room.reset(torch.arange(6))

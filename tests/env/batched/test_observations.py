@@ -18,7 +18,8 @@ NAMES = ["paper-two-button", "arm-two-button", "clutter", "bit-flip", "noisy", "
 
 
 @pytest.mark.in_turn_for(
-    "paper-two-button-egocentric", "clutter-objects", "noisy-egocentric", "sixty-four-buttons-objects")
+    "paper-two-button-egocentric", "clutter-objects", "noisy-egocentric", "sixty-four-buttons-objects",
+    "door-features", "arm-two-button-features")
 @pytest.mark.parametrize(("name", "kind"), cover(NAMES, KINDS))
 def test_observations_are_those_of_the_scalar_rules(name, kind):
     instances = [generate(all_schematics()[name], seed) for seed in range(2)]

@@ -140,6 +140,7 @@ def test_a_body_deep_in_a_wall_drives_off(make_room):
     assert room.step(BACK).state.x == pytest.approx(9.258 - 1.0, abs=0.02)
 
 
+@pytest.mark.in_turn
 def test_a_body_that_runs_into_the_far_wall_of_the_alcove_is_in_the_exit():
     room = make_thin_room(296, 5.0)  # where its second move ends against that wall
     try:

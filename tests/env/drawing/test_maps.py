@@ -55,6 +55,7 @@ class Picture:
         return bool(np.abs(self.get_colour(x, y) - 255 * np.array(palette.to_rgb(colour))).max() < 25)
 
 
+@pytest.mark.in_turn_for("many-obstacles")
 @pytest.mark.parametrize("name", ["clutter", "door", "paper-two-button", "many-obstacles"])
 def test_every_thing_is_drawn_at_its_place(name):
     instance, state = make_room(name)
@@ -75,6 +76,7 @@ def test_every_thing_is_drawn_at_its_place(name):
         assert picture.has(palette.DOOR, instance.door.x, instance.door.y)
 
 
+@pytest.mark.in_turn
 def test_targets_have_the_colour_of_their_state():
     instance, state = make_room("four-button-chain")
     lit, off, waiting = palette.LIT.fill, palette.OFF.fill, palette.WAITING.fill
@@ -113,7 +115,7 @@ def test_the_arm_is_drawn_as_far_as_the_hand():
         assert picture.has(palette.HAND, x, y) and not picture.has(palette.HAND, x + 0.3, y)
 
 
-@pytest.mark.in_turn_for("sixty-four-buttons")
+@pytest.mark.in_turn_for("sixty-four-buttons", "paper-two-button", "recipes")
 @pytest.mark.parametrize("name", thin(list(SCHEMATICS), 6, first=1))
 def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
     instance, state = make_room(name, seed=1)

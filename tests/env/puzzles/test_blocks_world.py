@@ -128,6 +128,7 @@ def make_puzzle(count: int, seed: int = 0) -> BlocksWorldPuzzle:
 # --- the domain ----------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn_for("4-73")
 @pytest.mark.parametrize(("count", "towers"), [(2, 3), (3, 13), (4, 73), (5, 501)])  # OEIS A000262
 def test_there_are_as_many_states_as_the_domain_has(count, towers):
     domain = Stacks(make_puzzle(count))
@@ -243,6 +244,7 @@ def test_large_problems_are_solved_though_not_always_by_the_fewest_moves():
 # --- in rooms ------------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn_for("True")
 @pytest.mark.parametrize("hand", [False, True])
 def test_both_engines_agree_along_an_escape(hand):
     """Random play seldom builds a tower: the plan does."""

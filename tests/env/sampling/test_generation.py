@@ -89,6 +89,7 @@ def flood(instance, resolution):
     return [(start.x + i * resolution, start.y + j * resolution) for i, j in seen]
 
 
+@pytest.mark.in_turn_for("clutter-2")
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["clutter", "four-button-chain", "door"])
 def test_walking_the_floor_reaches_every_button_and_the_exit(name, seed):
@@ -112,6 +113,7 @@ def test_the_certificate_notices_a_walled_off_button():
     assert find_unmet_constraint(dataclasses.replace(instance, solids=(*instance.solids, cage))) is not None
 
 
+@pytest.mark.in_turn
 def test_seeds_give_different_rooms():
     assert len({generate(get_preset("clutter"), seed).id for seed in range(8)}) == 8
 
@@ -172,6 +174,7 @@ def test_unknown_preset_and_arguments_are_named():
         get_preset("larg-2019", size=9)
 
 
+@pytest.mark.in_turn
 @given(st.data())
 def test_a_damaged_instance_file_gives_one_clear_error(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("rooms") / "room.json"

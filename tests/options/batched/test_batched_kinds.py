@@ -68,7 +68,7 @@ def replay(env, decisions, most=4_000):
 
 @pytest.mark.in_turn_for(
     "whole", "with ancestors", "with ancestors, limited", "ancestors failing", "interrupted, limited",
-    "interrupted and worse")
+    "interrupted and worse", "limited", "wasting")
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_room_does_what_options_env_does(kind):
     """Every decision is made again from the state in which it began; an interrupted option is not begun again."""

@@ -202,6 +202,7 @@ def test_an_srdf_says_which_links_may_touch_and_names_postures(tmp_path):
             ArmPlanner(room, srdf=wrong)
 
 
+@pytest.mark.in_turn_for("franka-panda-7", "kuka-iiwa-7")
 @pytest.mark.parametrize(("kind", "joints"), [("franka-panda", 7), ("kuka-iiwa", 7), ("arm", 3)])
 def test_an_srdf_that_is_made_reads_back_as_the_same_arm(kind, joints):
     planner, state = make_planner(kind, joints)

@@ -164,7 +164,7 @@ def test_inverse_kinematics_finds_the_points_that_a_hand_was_at():
 # --- single configurations -------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("franka-panda", "7 joints", "kuka-iiwa")
+@pytest.mark.in_turn_for("franka-panda", "7 joints", "kuka-iiwa", "6 joints")
 @pytest.mark.parametrize("name", ARMS)
 def test_configuration_has_the_fewest_joint_steps_of_the_whole_lattice(name: str):
     robot = ARMS[name]
@@ -317,6 +317,7 @@ def test_table_outside_its_grid_and_centres():
         assert [table.get_cost(*centres[i, j], h) for h in range(36)] == table.costs[i, j].tolist()
 
 
+@pytest.mark.in_turn
 def test_small_budget_says_how_far_it_is_complete():
     reacher = Reacher(make_room(RobotConfig(joints=7, body_radius=0.4, body_height=0.8, link_length=0.3), z=1.1))
     home = (0,) * 7
@@ -346,7 +347,7 @@ def test_fine_joint_steps_that_no_list_can_hold_are_still_reached():
 # --- certified targets -----------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("1-arm, 7 joints")
+@pytest.mark.in_turn_for("1-arm, 7 joints", "1-arm, 6 joints")
 @pytest.mark.parametrize("robot", [
     THREE, dataclasses.replace(THREE, joints=4), dataclasses.replace(THREE, joints=6, link_length=0.3),
     dataclasses.replace(THREE, joints=7, link_length=0.3),
@@ -538,6 +539,7 @@ def test_moves_of_the_base_keep_their_order_among_the_joint_steps():
 # --- collisions ------------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn_for("kuka-iiwa")
 @pytest.mark.parametrize("robot", [THREE, RobotConfig(kind="kuka-iiwa", joints=7, body_radius=0.3, body_height=0.5)],
                          ids=["3 joints", "kuka-iiwa"])
 def test_arms_collide_with_solids_as_in_bullet(robot: RobotConfig, tmp_path: Path):

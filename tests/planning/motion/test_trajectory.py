@@ -105,6 +105,7 @@ def test_under_physics_nothing_is_pressed_by_a_margin():
     assert [contact.target for contact in make_trajectory(plan).contacts] == [k for k, in list_presses(plan)]
 
 
+@pytest.mark.in_turn
 def test_the_base_rests_after_each_press():
     trajectory = make_trajectory(make_plan("paper-two-button", 0))
     for contact in trajectory.contacts:

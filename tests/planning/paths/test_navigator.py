@@ -63,7 +63,7 @@ def assert_is_path(navigator, result, start):
 # --- paths -----------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("SORRTstar")
+@pytest.mark.in_turn_for("SORRTstar", "InformedRRTstar")
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_every_planner_finds_its_way_to_buttons_through_doorways_and_clutter(clutter, planner):
     start, rules = get_start(clutter), Kinematics(clutter.instance)
@@ -76,7 +76,7 @@ def test_every_planner_finds_its_way_to_buttons_through_doorways_and_clutter(clu
         assert result.planner == planner and result.seconds > 0 and result.checker_calls > 0
 
 
-@pytest.mark.in_turn_for("BFMT")
+@pytest.mark.in_turn_for("BFMT", "BITstar")
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_every_planner_keeps_the_contract(planner):
     check_path_planner(planner, queries=1)

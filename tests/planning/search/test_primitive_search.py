@@ -258,6 +258,7 @@ def test_other_buttons_are_not_touched_on_the_way():
     assert not any(state.touching & 2 for state in careful.states)
 
 
+@pytest.mark.in_turn
 def test_what_cannot_be_avoided_is_done_and_said():
     # button-2 spans the only way to button-1
     walls = (Solid(x=-3.1, y=1, half_x=1.9, half_y=0.1), Solid(x=3.1, y=1, half_x=1.9, half_y=0.1))
@@ -410,6 +411,7 @@ def test_a_pocket_behind_too_narrow_a_gap_takes_no_fine_grid_s_links_from_either
     assert {refinement for (_, refinement), maker in search._makers.items() if maker._known_links} == {0}
 
 
+@pytest.mark.in_turn
 def test_a_heading_that_no_turn_leads_to_takes_no_fine_grid_s_links():
     search = PrimitiveSearch(generate(get_preset("clutter"), 0))
     goal = PoseGoal(0.0, 0.0, search.kinematics.turn_step / 2, 10.0, 0.01)

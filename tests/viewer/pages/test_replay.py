@@ -105,6 +105,7 @@ def test_a_page_is_named_after_its_room_and_fades_in_no_environment(two_buttons)
     assert maps and all(message["hdri_data"] is None for message in maps)
 
 
+@pytest.mark.in_turn
 def test_an_escape_is_told_beside_the_best_known_and_celebrated(two_buttons):
     recording = record_driver(open_driver("planner", two_buttons))
     page = make_replay(recording)

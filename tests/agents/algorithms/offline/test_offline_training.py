@@ -50,7 +50,7 @@ def test_each_agent_learns_goes_on_to_the_same_bits_and_is_loaded_from_its_folde
                                   whole.agent.compute_preferences(observation))
 
 
-@pytest.mark.in_turn_for("smdp-sharsa")
+@pytest.mark.in_turn_for("smdp-sharsa", "smdp-behaviour-cloning")
 @pytest.mark.parametrize("name", ["smdp-behaviour-cloning", "smdp-fitted-q", "smdp-cql", "smdp-iql", "smdp-sharsa"])
 def test_tables_end_when_a_sweep_changes_nothing_and_come_back_from_their_folder(name, tmp_path):
     data = load_data(make_tape(), observation="features", rooms="own")

@@ -55,6 +55,7 @@ def test_every_option_arrives_in_its_target_from_wherever_it_may_begin(agent):
             assert 0 < steps <= 8
 
 
+@pytest.mark.in_turn
 def test_the_chain_leads_from_the_start_to_the_goal(agent):
     cell, slots = START, []
     while cell != GOAL:

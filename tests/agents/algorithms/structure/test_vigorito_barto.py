@@ -297,6 +297,7 @@ def test_an_option_cannot_start_where_no_way_to_what_it_needs_is_known():
     assert agent.choose_towards(deepest, 0) is None
 
 
+@pytest.mark.in_turn
 def test_what_was_learned_goes_on_from_a_checkpoint_to_the_bit():
     env = Presses(SMALL_BOX)
     agent, other = (make_agent("vigorito-barto", env.observation_space, env.action_space, 0) for _ in range(2))
