@@ -35,7 +35,7 @@ test: $(STAMP) ## every test but those marked slow, in_turn or gpu
 test-planted: $(STAMP) ## every planted bug is seen by a test; a quarter of them: make test-planted SHARD=1/4
 	python -m pytest tests/test_mutations.py -n $(JOBS) -m slow --shard $(SHARD)
 
-test-in-turn: $(STAMP) ## tests that reach what quicker ones reach; a sixth of them: make test-in-turn SHARD=1/6
+test-in-turn: $(STAMP) ## tests that reach what quicker ones reach; a third of them: make test-in-turn SHARD=1/3
 	python -m pytest tests -n $(JOBS) --dist worksteal -m "in_turn and not slow" --shard $(SHARD)
 
 test-slow: $(STAMP) ## the other slow tests, some 40 minutes on two idle cores; a sixth: make test-slow SHARD=1/6

@@ -66,7 +66,6 @@ def test_some_puzzle_can_be_failed():
     assert "deep-sea" in FAILING
 
 
-@pytest.mark.in_turn_for("bells")
 def test_play_its_file_the_recorded_page_and_a_session_say_failed(failed, tmp_path, capsys):
     episode, said = failed
     assert said == "Failed" and episode.is_over
@@ -96,7 +95,6 @@ def test_watching_says_failed(failed):
     assert [line for line in watch.events if ", return " in line][0].split("  ")[1].startswith("failed")
 
 
-@pytest.mark.in_turn_for("bells", "deep-sea")
 def test_agents_over_options_are_told_of_no_success(failed):
     episode, _ = failed
     chosen = [episode.names.index(move.name) for move in episode.moves]

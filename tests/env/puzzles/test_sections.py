@@ -24,7 +24,6 @@ def make_with(sections, kind="chain", count=4, **changes):
     )
 
 
-@pytest.mark.in_turn
 def test_buttons_come_in_the_order_of_their_sections_in_every_room():
     rules = SectionsConfig(count=6, code=3)
     assert sorted(rules.ranks) == list(range(6)) and (rules.ranks != SectionsConfig(count=6).ranks).any()
