@@ -37,8 +37,9 @@ from hrl_escape.agents.training.run import (
     show_progress,
 )
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
-from hrl_escape.errors import AgentSettingsError, CheckpointError
+from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, UnknownNameError, describe_damage
 from hrl_escape.plugins import RUN_OBSERVERS
+from hrl_escape.settings import replace_settings
 
 if TYPE_CHECKING:
     from hrl_escape.agents.components.offline import OfflineData
@@ -155,7 +156,7 @@ def train(
             learner = make_agent(agent, single.observation_space, single.action_space, seed, recipe,
                                  read_structure(single), **settings or {})
         else:
-            name, learner = type(agent).__name__, agent
+            name, learner = agent.name, agent
         agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
         arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state,
                                  threads, until_return, eval_trials)
@@ -230,15 +231,17 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
     """Load the agent of a run as of its last checkpoint; in a finished run, the trained one.
 
     Args:
-        folder: folder of a run of a named agent.
+        folder: folder of a run.
         env: environment with the spaces of the training; None makes the run's own, see `load_env`.
         best: load the agent of the evaluation with the highest mean return so far, the first of equals.
-        trust: let the run's environment import whatever code the folder names; give it only to folders of your own.
+        trust: let the run's agent and environment import whatever code the folder names; give it only to folders of
+            your own.
 
     Raises:
         FileReadError: no checkpoint or description there.
-        TrustError: the run's environment needs code from elsewhere; the message names it.
-        CheckpointError: the description or the checkpoint is damaged or does not fit.
+        TrustError: the run's agent or environment needs code from elsewhere; the message names it.
+        CheckpointError: the description or the checkpoint is damaged or does not fit, or the agent's class is not made
+            from spaces, seed and settings.
     """
     described = read_run(folder)
     state = load_checkpoint(Path(folder) / (BEST if best else LAST))
@@ -248,9 +251,7 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
     spaces = env or own
     assert spaces is not None
     try:
-        with refusing_damage(f"{folder}: the description of this run"):
-            agent = make_agent(described["name"], spaces.observation_space, spaces.action_space, described["seed"],
-                               structure=read_structure(spaces), **described["settings"])
+        agent = _make_described_agent(described, spaces, trust, str(folder))
     finally:
         if own is not None:
             own.close()
@@ -258,6 +259,27 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
     with refusing_damage(f"{folder}: the checkpoint"):
         agent.origin = make_origin(described["name"], state["key"], described["seed"], int(state["primitives"]))
     return agent
+
+
+def _make_described_agent(described: Mapping[str, Any], env: gymnasium.Env, trust: bool, where: str) -> Agent:
+    """The agent of a run before its training: by its name, or else of the class that the run's description names."""
+    try:
+        get_agent_class(described.get("name", ""))
+    except UnknownNameError as error:
+        if not isinstance(path := described.get("agent"), str):
+            raise CheckpointError(f"{where}: the description of this run names no agent") from error
+        if not trust:
+            raise TrustError([path]) from error
+        try:
+            made = resolve_name(path)
+            settings = replace_settings(made.Settings(), described["settings"])
+            return made(env.observation_space, env.action_space, described["seed"], settings)
+        except Exception as reason:
+            raise CheckpointError(f"{where}: its agent is not made by {path}(observation_space, action_space, seed, "
+                                  f"settings) ({describe_damage(reason)})") from reason
+    with refusing_damage(f"{where}: the description of this run"):
+        return make_agent(described["name"], env.observation_space, env.action_space, described["seed"],
+                          structure=read_structure(env), **described["settings"])
 
 
 def load_env(folder: str | os.PathLike[str], *, trust: bool = False) -> gymnasium.Env:

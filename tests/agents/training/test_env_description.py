@@ -14,6 +14,8 @@ import pytest
 
 import hrl_escape
 from hrl_escape.agents import load_agent, train
+from hrl_escape.agents.algorithms.q_learning import QLearning
+from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.agents.training.env_description import (
     OWN,
     describe_env,
@@ -134,6 +136,26 @@ def test_environment_and_agent_of_a_run_are_made_from_its_folder(tmp_path):
     chosen = [a.act_greedy(observation, info["action_mask"].astype(bool), np.random.default_rng(0))
               for a in (agent, trained)]
     assert chosen[0] == chosen[1]
+
+
+class Named(QLearning):
+    """A learner of one's own, which no entry point tells of."""
+
+    name = "named"
+
+
+def test_a_run_of_an_agent_of_ones_own_is_loaded_where_it_is_trusted(tmp_path):
+    env = make_options()
+    agent = Named(env.observation_space, env.action_space, 3, Named.Settings(gamma=0.9, learning_rate=0.2))
+    trained = train(agent, env, primitives=200, eval_episodes=0, out=tmp_path / "run")
+    assert trained.agent_name == "named"
+    with pytest.raises(TrustError, match="test_env_description:Named', which may do anything"):
+        load_agent(tmp_path / "run")
+    loaded = load_agent(tmp_path / "run", trust=True)
+    assert type(loaded).__qualname__ == "Named" and loaded.settings == agent.settings
+    assert compute_state_digest(loaded.state_dict()) == compute_state_digest(agent.state_dict())
+    described = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert described["agent"].endswith("test_env_description:Named")
 
 
 class Forgetful(ButtonGrid):
