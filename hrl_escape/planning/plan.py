@@ -132,9 +132,11 @@ class Plan:
             env: a flat environment of this room, wrapped or not, in the state where the plan starts.
 
         Raises:
-            EscapeError: the environment has another room, or is in another state.
+            EscapeError: the environment has another room or none, or is in another state.
         """
         room: Any = env.unwrapped
+        if not hasattr(room, "instance"):
+            raise EscapeError(f"this plan is for room {self.instance.id}, and {type(room).__name__} is no room")
         if room.instance.id != self.instance.id:
             raise EscapeError(f"this plan is for room {self.instance.id}, the environment has {room.instance.id}")
         states, rewards = [room.get_state()], []

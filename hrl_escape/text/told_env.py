@@ -192,7 +192,13 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return ToolCall("run_option", {"option": name})
 
     def score(self) -> Score:
-        """Score of the game so far."""
+        """Score of the game so far.
+
+        Raises:
+            ResetNeededError: no game has begun.
+        """
+        if not self._room_id:
+            raise ResetNeededError("call reset() first: no game has begun")
         escaped, primitives = self._end is EpisodeEnd.ESCAPED, len(self._rewards)
         efficiency = min(1.0, self._find_fewest() / primitives) if escaped else 0.0
         return Score(float(sum(self._rewards)), escaped, efficiency, len(self.log), primitives, self._invalid,
@@ -428,7 +434,8 @@ class RoomSession:
         """
         env = self.env
         if env.is_over:
-            return ToolResult("The game is over: reset begins another.", True)
+            return ToolResult("The game is over: reset begins another." if env.transcript else
+                              "No game has begun: reset begins one.", True)
         env.begin(ToolCall(name, {} if arguments is None else arguments))
         while env.action is not None:
             env.step(env.action)

@@ -13,6 +13,7 @@ import sys
 import threading
 import tracemalloc
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -394,6 +395,8 @@ def test_a_plan_is_not_executed_elsewhere(planner, start):
     other.reset(seed=0)
     with pytest.raises(EscapeError, match="the environment has"):
         plan.execute(other)
+    with pytest.raises(EscapeError, match="CartPoleEnv is no room"):
+        plan.execute(gymnasium.make("CartPole-v1"))
 
 
 # --- a plan as a value ------------------------------------------------------------------------------

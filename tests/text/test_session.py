@@ -101,6 +101,10 @@ def test_a_game_that_is_over_answers_and_costs_nothing():
         session.env.begin(ToolCall("look", {}))
     session.reset(seed=0)
     assert session.score().primitives == 0 and len(session.transcript) == 1
+    new = RoomSession(EscapeRoomEnv("paper-one-button"))
+    assert new.call("look").text.startswith("No game has begun") and session.env.transcript
+    with pytest.raises(ResetNeededError, match="no game has begun"):
+        new.score()
 
 
 def test_levels_tell_more_and_more():

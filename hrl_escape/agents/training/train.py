@@ -123,10 +123,12 @@ def train(
         from hrl_escape.agents.training.offline_run import OfflineRun, gather_material  # brings torch in
 
         material = gather_material(agent, env, data, recipe, settings)
-        env, primitives = material.env, primitives or material.budget
+        env, primitives = material.env, material.budget if primitives is None else primitives
     if env is None or primitives is None:
         raise AgentSettingsError("env" if env is None else "primitives", None, "given, unless there is data=")
-    eval_every = eval_every or max(1, primitives // 20)
+    if isinstance(env, str):
+        raise AgentSettingsError("env", env, f"an environment, such as gymnasium.make({env!r})")
+    eval_every = max(1, primitives // 20) if eval_every is None else eval_every
     for name, value, least in (
         ("primitives", primitives, 1),
         ("decisions", 1 if decisions is None else decisions, 1),

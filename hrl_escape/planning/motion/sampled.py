@@ -30,7 +30,7 @@ from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.areas import Area, compute_goal_area, sample_places
 from hrl_escape.planning.arm.joint_lattice import NEVER
 from hrl_escape.planning.arm.reacher import Reacher
-from hrl_escape.planning.goals import Goal, GripGoal, PressGoal, describe_goal, is_reached
+from hrl_escape.planning.goals import Goal, GripGoal, PressGoal, describe_goal, is_reached, parse_goal
 from hrl_escape.planning.motion.drives import Floor, find_drive, list_docks
 from hrl_escape.planning.motion.legs import (
     MISSED_BY,
@@ -100,12 +100,19 @@ class MotionSampler(Mover):
         self._by_hand = self._room.dynamics.press_with == "hand"
         self._is_mapped = isinstance(self._room.puzzle, Mapped)  # its targets are floor
 
-    def plan(self, state: RoomState, goal: Goal) -> TimedTrajectory:
+    def plan(self, state: RoomState, goal: Goal | str) -> TimedTrajectory:
         """Plan a trajectory that reaches a goal, and presses no target but its own, unless on a map.
+
+        Args:
+            state: first state.
+            goal: a goal, or its text as `RoomPlanner.plan` takes it.
 
         Raises:
             PlanningFailed: none was found, which does not prove that there is none.
+            GoalError, UnknownNameError: there is no such goal in this room.
         """
+        if isinstance(goal, str):
+            goal = parse_goal(goal, self._room)
         name = describe_goal(goal, self._room)
         for way in self._list_plans(state, goal):
             presses = self._time(way, state, goal)

@@ -164,10 +164,12 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
         clearance: distance that the base keeps from solids where it can, m; for plans.
 
     Raises:
-        ConfigError: nothing moves, a joint would go beyond its limits (it may begin up to `SOFT_LIMIT` beyond), or its
-            effort does not hold the arm.
+        ConfigError: nothing moves, a joint would go beyond its limits (it may begin up to `SOFT_LIMIT` beyond), its
+            effort does not hold the arm, or the clearance is no number from 0 on.
         UnsupportedError: no trajectory was found that presses and pushes what the plan does.
     """
+    if not (isinstance(clearance, (int, float)) and 0 <= clearance < math.inf):
+        raise ConfigError("clearance", clearance, "a number of metres from 0 on")
     limits = limits or MotionLimits()
     if isinstance(motion, Plan):
         robot: Robot | None = make_robot(motion.instance.robot)

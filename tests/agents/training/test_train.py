@@ -450,6 +450,8 @@ def test_a_full_disk_is_one_clear_error_and_spoils_nothing(tmp_path, limit, file
         ({"primitives": 0}, "primitives = 0"),
         ({"seed": -1}, "seed = -1"),
         ({"eval_every": -5}, "eval_every = -5"),
+        ({"eval_every": 0}, "eval_every = 0"),
+        ({"env": "CartPole-v1"}, r"an environment, such as gymnasium.make\('CartPole-v1'\)"),
         ({"settings": {"gamma": 2.0}}, "gamma = 2.0"),
         ({"callbacks": [TensorBoard()]}, "give out="),
         ({"callbacks": [print]}, "derived from hrl_escape.agents.Callback"),

@@ -15,7 +15,7 @@ from hrl_escape.env.geometry import compute_distance, make_footprint
 from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.presets import blocks_world, get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import PlanningFailed
+from hrl_escape.errors import PlanningFailed, UnknownNameError
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal, is_reached
@@ -60,6 +60,10 @@ def test_one_seed_gives_one_motion_and_the_planner_of_the_way_can_be_chosen():
     state = make(config)[2]
     found = [sampler.plan(state, PressGoal(1)) for sampler in (first, again, other)]
     assert (found[0].positions == found[1].positions).all() and found[0].duration <= found[2].duration
+    named = make(config)[1].plan(state, "button-2")
+    assert (named.positions == found[0].positions).all()
+    with pytest.raises(UnknownNameError, match="button-44"):
+        make(config)[1].plan(state, "button-44")
 
 
 def test_a_sampled_motion_is_tracked_to_the_press():

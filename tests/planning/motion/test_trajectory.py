@@ -277,6 +277,7 @@ def test_wrong_arguments_are_named(tmp_path):
     path = make_path([(0, 0, 0), (1, 0, 0)])
     for call in (lambda: make_trajectory(path).sample(0), lambda: make_trajectory(path).save(tmp_path / "way.bag"),
                  lambda: make_trajectory(make_path([(0, 0, 0)])), lambda: MotionLimits(joint_jerk=(1.0, math.inf)),
+                 lambda: make_trajectory(path, clearance=-1.0), lambda: make_trajectory(path, clearance=math.nan),
                  lambda: MotionLimits(speed=(1.0, 1.0))):  # type: ignore[arg-type]
         with pytest.raises(ConfigError):
             call()
