@@ -18,7 +18,7 @@ from rich.console import Console
 
 from hrl_escape.cli import run_script
 from hrl_escape.comparison.inference import Estimate
-from hrl_escape.comparison.references.registry import BAYES, FLOORS, REFERENCES
+from hrl_escape.comparison.references.registry import BAYES, BY_LIGHTS, REFERENCES
 from hrl_escape.comparison.submission import (
     Cell,
     Check,
@@ -95,7 +95,7 @@ def write_page(records: Sequence[Record]) -> tuple[str, list[str]]:
 
 def conclude(rows: Sequence[Row]) -> str:
     """Sentence on a rung: whether its best agent is shown to be better than the best searcher that learns nothing."""
-    floors = [row for row in rows if row.agent in FLOORS]
+    floors = [row for row in rows if row.agent in BY_LIGHTS]
     others = [row for row in rows if row.agent not in REFERENCES]
     if not floors or not others:
         return "No agent stands beside a searcher that learns nothing yet."

@@ -28,7 +28,7 @@ from hrl_escape.cli import run_script
 from hrl_escape.commands.room_choice import change_field, split_assignment
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.bayes import GraphFamily, condition_on_room, make_family
-from hrl_escape.comparison.references.registry import BAYES, FLOORS, PLANNER
+from hrl_escape.comparison.references.registry import BAYES, BY_LIGHTS, PLANNER
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -42,7 +42,7 @@ from studies.unseen import make_unseen, play_agent
 
 _FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/references"
 CHANCE, MOVES = "smdp-random", "random"
-YARDSTICKS: Mapping[str, tuple[str, ...]] = {"searchers": FLOORS, "moves": (MOVES,)}
+YARDSTICKS: Mapping[str, tuple[str, ...]] = {"searchers": BY_LIGHTS, "moves": (MOVES,)}
 """Agents of which the best is an axis's yardstick."""
 
 
@@ -99,8 +99,8 @@ def measure_information(config: ButtonsConfig, rooms: Sequence[RoomInstance]) ->
 def measure_rung(rung: Rung, rooms: int) -> RungReferences:
     """References in the first test rooms."""
     tested, puzzle = rung.test[:rooms], rung.config.puzzle
-    found = {agent: play(agent, tested) for agent in (CHANCE, *FLOORS, PLANNER)}
-    searcher, by = max((value, name) for name in FLOORS if (value := found[name]) is not None)
+    found = {agent: play(agent, tested) for agent in (CHANCE, *BY_LIGHTS, PLANNER)}
+    searcher, by = max((value, name) for name in BY_LIGHTS if (value := found[name]) is not None)
     ceiling = told = hidden = None
     if isinstance(puzzle, ButtonsConfig):
         try:

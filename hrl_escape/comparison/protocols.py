@@ -18,7 +18,7 @@ import numpy as np
 from hrl_escape.comparison.grid import AgentSpec, Grid
 from hrl_escape.comparison.inference import LEVEL, RESAMPLES, Estimate, compute_wilson_interval, draw_weights
 from hrl_escape.comparison.places import RoomSpec
-from hrl_escape.comparison.references.registry import BAYES, BY_NUMBER, FLOORS
+from hrl_escape.comparison.references.registry import BAYES, BY_LIGHTS, BY_NUMBER
 from hrl_escape.comparison.statistics import Floats, Scores, compute_iqm
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.errors import ConfigError
@@ -247,7 +247,7 @@ def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
         efficiencies = [room for room in agent.efficiencies if len(room)]
         units = [run for room in efficiencies for run in np.split(room, len(room))] if has_sets else efficiencies
         found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms), units, floors))
-    searched = [own.agent.efficiency.value for own in found if own.agent.spec.name in FLOORS]
+    searched = [own.agent.efficiency.value for own in found if own.agent.spec.name in BY_LIGHTS]
     known = [own.agent.efficiency.value for own in found if own.agent.spec.name == BAYES]
     if not searched or not known:
         return found

@@ -17,7 +17,6 @@ from hrl_escape.comparison.references import registry as references
 from hrl_escape.comparison.score_range import CEILING, PLANNER
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.comparison.summary import AgentSummary, Summary
-from hrl_escape.env.puzzles.traits import Marked, get_trait
 from hrl_escape.names import join_words
 
 SETTLED = 0.9
@@ -150,10 +149,8 @@ def _compare_with_chance(summary: Summary) -> list[str]:
 
 
 def _list_searchers(summary: Summary) -> list[AgentSummary]:
-    """Searchers that were not told what learners must learn: where targets bear marks, who reads them was."""
-    has_marks = any(get_trait(room.place.instance.puzzle, Marked).marks for room in summary.rooms)
-    names = references.BY_NUMBER + references.FLOORS if has_marks else references.SEARCHERS
-    return [agent for agent in summary.agents if agent.spec.name in names]
+    """Those that were told nothing of what learners must learn."""
+    return [agent for agent in summary.agents if agent.spec.name in references.SEARCHERS]
 
 
 def _compare_with_searchers(summary: Summary) -> list[str]:

@@ -21,7 +21,7 @@ from hrl_escape.comparison.inference import (
     correct_by_holm,
 )
 from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, TOWER, compute_ladder_score, get_budget
-from hrl_escape.comparison.references.registry import SEARCHERS
+from hrl_escape.comparison.references.registry import BAYES, SEARCHERS
 from hrl_escape.comparison.reporting.figures import SPARE
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
@@ -203,6 +203,8 @@ def draw(cells: _Cells, rungs: Sequence[str]) -> Figure:
                                for rung in shown])
             if spec.name in SEARCHERS:
                 searched = np.fmax(searched, values)
+            elif spec.name == BAYES:
+                axes.plot(shown, values, ":", color=palette.INK, linewidth=1.3, label="told how rooms are drawn")
             elif spec.learns:
                 axes.plot(shown, values, "o-", markersize=4, linewidth=1.3, color=next(colours),
                           label=agent.removesuffix("+no-primitives"))

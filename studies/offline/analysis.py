@@ -20,7 +20,7 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.references.registry import REFERENCES, make_reference
+from hrl_escape.comparison.references.registry import REFERENCES, SEARCHERS, make_reference
 from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.materialise import load_data
@@ -309,8 +309,9 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
               for agent in outside for kind in data["unseen"]["kinds"]}
     searchers = {name: read(name, "") for name in data["searchers"]}
     elsewhere = {name: by[name, UNSEEN, 0] for name in data["searchers"]}
-    searcher = searchers[max(searchers, key=lambda name: np.mean(searchers[name]))]
-    unseen = tell_unseen(scores, outside, max(elsewhere.values()))
+    bars = [name for name in searchers if name in SEARCHERS]
+    searcher = searchers[max(bars, key=lambda name: np.mean(searchers[name]))]
+    unseen = tell_unseen(scores, outside, max(elsewhere[name] for name in bars))
     best = max(data["learners"], key=lambda agent: np.mean(read(agent, "play")))
     headline = tell_difference(
         read(best, "play"), searcher,
@@ -322,11 +323,11 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
         "searcher that learns nothing", choices=len(data["learners"]))
     rows = [[f"{word} (`{agent}`)", *(f"{np.mean(read(agent, kind)):.2f}" if is_rated(agent, kind) else ""
                                       for kind in data["kinds"])] for agent, word in words.items()]
-    rows += [[f"searcher that learns nothing (`{name}`)", *[f"{np.mean(found):.2f}"] * len(data["kinds"])]
+    rows += [[describe_searcher(name), *[f"{np.mean(found):.2f}"] * len(data["kinds"])]
              for name, found in searchers.items()]
     others = [[f"{word} (`{agent}`)", *(describe_runs(scores[agent, kind]) for kind in data["unseen"]["kinds"])]
               for agent, word in outside.items()]
-    others += [[f"searcher that learns nothing (`{name}`)", *[f"{value:.2f}"] * len(data["unseen"]["kinds"])]
+    others += [[describe_searcher(name), *[f"{value:.2f}"] * len(data["unseen"]["kinds"])]
                for name, value in elsewhere.items()]
     sentences = [*horizon, *stitching, *unseen]
     return Page({"headline": headline, "sentences": sentences, "rooms": len(rooms), "rung": data["rung"],
@@ -334,6 +335,12 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
                  "tuned": data["tuned_rooms"], "seeds": min(map(len, scores.values())),
                  "unseen": make_table(["network", *data["unseen"]["kinds"]], others)},
                 {"offline": draw(data["kinds"], words, read, searcher)}, [headline, *sentences])
+
+
+def describe_searcher(name: str) -> str:
+    """Words of a reference in the tables."""
+    is_bar = name in SEARCHERS
+    return f"{'searcher that learns nothing' if is_bar else 'told how rooms are drawn'} (`{name}`)"
 
 
 def describe_runs(found: NDArray[np.float64]) -> str:

@@ -10,7 +10,8 @@
 | `smdp-bayes` | fewest expected primitives over the graphs that the schematic can draw | lights, places, schematic |
 | `planner` | follows the best known plan | everything |
 
-A searcher is any of them but the planner: what it reaches without learning, learning has to beat.
+A searcher is told neither the graph nor how rooms are drawn: what the best of them reaches without learning, learning
+has to beat. `smdp-bayes`, which is told how rooms are drawn, is the ceiling of whoever has to discover the graph.
 """
 
 from __future__ import annotations
@@ -43,12 +44,10 @@ _RULES: dict[str, type[Reference]] = {
 REFERENCES = tuple(_RULES)
 BY_NUMBER = (INDEX_ORDER, SHUFFLED_ROUND)
 """References that follow the numbers of one room's options."""
-SEARCHERS = tuple(name for name in REFERENCES if name != PLANNER)
-"""References that do not know the dependency graph."""
-BY_LIGHTS = tuple(name for name in SEARCHERS if name not in BY_NUMBER)
+BY_LIGHTS = (UNTRIED, UNTRIED_NEAREST, RETRACE)
 """Searchers that see what is lit."""
-FLOORS = tuple(name for name in BY_LIGHTS if name != BAYES)
-"""Those that do not know the schematic: the best of them has learned nothing, and `BAYES` is the ceiling."""
+SEARCHERS = BY_NUMBER + BY_LIGHTS
+"""References that know neither the dependency graph nor how rooms are drawn."""
 
 
 def describe_rule(name: str) -> str:

@@ -30,7 +30,7 @@ from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.places import RoomSchedule
 from hrl_escape.comparison.pretrained import list_pretrained, unpack_pretrained
-from hrl_escape.comparison.references.registry import SEARCHERS
+from hrl_escape.comparison.references.registry import BAYES, SEARCHERS
 from hrl_escape.comparison.runs import make_env, make_player
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
@@ -170,7 +170,7 @@ def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: 
         recorder, plan = _make_room(instance, observation), EscapePlan(get_planner(instance))
         env = OptionsEnv(recorder, options=lambda _: make_legs(plan), include_primitives=False)
         return _make_driver("the planner", PlannerAgent(env, plan), env, "press", plan=plan)
-    if name in SEARCHERS:
+    if name in (*SEARCHERS, BAYES):
         spec = dataclasses.replace(spec, options=dataclasses.replace(spec.options, include_primitives=False))
     elif Path(name).exists() or "/" in name:
         return _open_run(Path(name), instance, trust)
@@ -238,7 +238,7 @@ def _check_agent(name: str) -> None:
         get_agent_class(name)
     except UnknownNameError as error:
         note = f"; or the folder of a run. Each agent also has {SMDP_PREFIX} in front"
-        raise UnknownNameError("driver", name, [PLANNER_NAME, *SEARCHERS, TOOLS, *error.known], note) from None
+        raise UnknownNameError("driver", name, [PLANNER_NAME, *SEARCHERS, BAYES, TOOLS, *error.known], note) from None
 
 
 def _make_room(instance: RoomInstance, observation: str) -> Any:
