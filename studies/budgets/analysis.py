@@ -153,5 +153,5 @@ def tell_budget(cells: Cells, former: Cells, rungs: Sequence[str]) -> str:
             change, low, high = -change, -high, -low
         said.append(f"`{agent}` {verb} {change:.2f} ({low:.2f} to {high:.2f}, over {count_nouns(len(own), 'rung')})")
     budgets = sorted({run.primitives for (_, agent), runs in former.items() if agent in gains for run in runs})
-    return (f"Beside the same learner with {join_words(f'{budget:,}' for budget in budgets)} primitives, in one room "
-            f"at a time, {join_words(said)}.")
+    return (f"Beside the same learner with {join_words(f'{budget:,}' for budget in budgets)} primitives in one copy of "
+            f"the room, so that budget and copies both differ, {join_words(said)}.")

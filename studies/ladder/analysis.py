@@ -141,8 +141,8 @@ def tell_bar(cells: _Cells, rungs: Sequence[str]) -> str:
     said = "What your agent has to beat on a rung is the best searcher that learns nothing"
     if not above:
         return f"{said}, and not chance or a round in the order of the numbers; its column stands in the table below."
-    others = "".join(f", but on {join_words(own)} `{agent}`" for agent, own in above.items())
-    return f"{said}{others}; the columns stand in the table below."
+    others = join_words(f"`{agent}`, which does better there, on {join_words(own)}" for agent, own in above.items())
+    return f"{said}, and {others}; the columns stand in the table below."
 
 
 def tell_blank(cells: _Cells, rungs: Sequence[str]) -> list[str]:

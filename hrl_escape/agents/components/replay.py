@@ -46,9 +46,9 @@ class ReplaySettings(EpsilonSettings, NetworkSettings, LearningSettings):
     """Steps of the clock before the first update."""
     updates_per_step: Annotated[float, Range(0)] = 0.25
     """Updates from replay for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
-    stream_updates: Annotated[int, Range(1)] = 1
+    stream_updates: Annotated[int, Range(1)] = 16
     """Most updates after a step of many streams. Where more are due, minibatches grow, so that every decision is
-    learned from as often."""
+    learned from as often; much fewer and larger ones learn less, as the target network follows updates."""
     stream_replay: Annotated[int, Range(1)] = 128
     """Decisions of each stream, on average, for which replay has room at least."""
 
