@@ -62,7 +62,8 @@ def group(lines: list[BaselineRun]) -> dict[tuple[str, str], list[BaselineRun]]:
 def test_what_more_primitives_bring_is_told_room_by_room():
     former = group(make_lines(lambda agent, rung: 0.5, primitives=20_000))
     told = tell_budget(group(make_lines(lambda agent, rung: {PPO: 0.8, DQN: 0.5}.get(agent, 0.3))), former, RUNGS)
-    assert re.match("Beside the same learner with 20,000 primitives in one copy of the room, so that budget and copies both differ, "
+    assert re.match("Beside the same learner with 20,000 primitives in one copy of the room, so that budget and copies "
+                    "both differ, "
                     rf"`{re.escape(PPO)}` gains 0\.(29|30|31) ", told)
     assert f"`{DQN}` is not shown to gain or lose, " in told
     assert re.search(rf"`{re.escape(DAC)}` loses 0\.[12]\d \(0\.[12]\d to 0\.2\d, over 2 rungs\)", told)

@@ -253,7 +253,8 @@ def test_learners_are_held_against_the_best_searcher(learner: float, nearest: fl
     assert "is the best searcher that learns nothing, and not chance or a round in the order of the numbers" in page
     lucky = [dataclasses.replace(line, efficiency=0.95) if line.agent == CHANCE and line.rung == RUNGS[1] else line
              for line in lines]
-    assert f"and `{CHANCE}`, which does better there, on `{RUNGS[1]}`; the columns stand in the table" in tell(lucky, RUNGS)
+    told = tell(lucky, RUNGS)
+    assert f"and `{CHANCE}`, which does better there, on `{RUNGS[1]}`; the columns stand in the table" in told
     alone = [line for line in lines if line.agent in (CHANCE, "smdp-dqn+no-primitives")]
     assert "Nothing is concluded, as no learner has 10 rooms on a rung beside a searcher" in tell(alone, RUNGS)
 
