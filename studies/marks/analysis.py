@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -130,10 +130,11 @@ class Cells(NamedTuple):
 
     Attributes:
         told: by number of training rooms, of each run.
-        control: of each run with shuffled marks.
+        control: of each run whose marks are shuffled, or places scattered.
         searcher: of the best searcher that learns nothing, where marks are true.
         control_searcher: likewise where they are shuffled.
         ceiling: of who knows the code.
+        kind: of regularity, as `study.toml` has it.
         less: of each run in the most rooms of the learner with a smaller budget; None where there is none.
     """
 
@@ -142,6 +143,7 @@ class Cells(NamedTuple):
     searcher: float
     control_searcher: float
     ceiling: float
+    kind: Mapping[str, Any]
     less: np.ndarray | None = None
 
 
@@ -166,7 +168,7 @@ def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Cells]:
         less = pick([kind["less"]["learner"]], kind["told"], max(told)) if "less" in kind else np.array([])
         if min(map(len, (*told.values(), control))) >= 2 and all(map(len, (*searched, ceiling))):
             found[kind["title"]] = Cells(told, control, searched[0].max(), searched[1].max(), ceiling[0],
-                                         less if len(less) >= 2 else None)
+                                         kind, less if len(less) >= 2 else None)
     if not found:
         raise ComparisonError("two runs of every cell, the searchers and the ceiling are needed to tell of marks")
     return found
@@ -187,6 +189,7 @@ def _pair(cells: Cells, size: int) -> np.ndarray:
 
 def tell(cells: Cells) -> list[str]:
     """Sentences on what the runs show, the headline first."""
+    clue, shuffled = _name_clue(cells.kind)
     sizes = sorted(cells.told)
     many = sizes[-1]
     end, low, high = _bound(cells.told[many])
@@ -195,10 +198,10 @@ def tell(cells: Cells) -> list[str]:
     bar = f"the best searcher that learns nothing ({cells.searcher:.2f})"
     worth = stats.ttest_ind(cells.told[many], cells.control, equal_var=False).confidence_interval()
     if low > cells.searcher:
-        headline = f"What marks mean is learned across rooms. {start}, above {bar}"
+        headline = f"What {clue} mean is learned across rooms. {start}, above {bar}"
     else:
-        learned = ("Some of what marks mean is learned, not enough to beat searching." if worth.low > 0 else
-                   "What marks mean is not shown to be learned.")
+        learned = (f"Some of what {clue} mean is learned, not enough to beat searching." if worth.low > 0 else
+                   f"What {clue} mean is not shown to be learned.")
         headline = f"{learned} {start}, " + (f"below {bar}" if high < cells.searcher else f"and {bar} is as good")
     headline += (f"; the ceiling is {cells.ceiling:.2f}"
                  + ("." if share is None else f", so its learned share is {share:.0%}."))
@@ -217,21 +220,34 @@ def tell(cells: Cells) -> list[str]:
     if high > cells.ceiling + 0.01:
         sentences.append(f"The interval of the learner ({low:.2f} to {high:.2f}) reaches above the ceiling.")
     mean, low, high = _bound(cells.control - cells.control_searcher)
-    control = (f"With marks shuffled the same learner has {np.mean(cells.control):.2f}, where the searcher has "
+    control = (f"With {clue} {shuffled} the same learner has {np.mean(cells.control):.2f}, where the searcher has "
                f"{cells.control_searcher:.2f}")
     sentences.append(
-        f"{control}: marks that say nothing lift it above the searcher, so something else carries over." if low > 0 else
+        f"{control}: {clue} that say nothing lift it above the searcher, so something else carries over." if low > 0 else
         f"{control}: at the searcher's level." if low > -ALIKE else
         f"{control}: below the searcher." if high < 0 else f"{control}: the runs differ too much to say more.")
-    sentences.append(f"True marks are worth {np.mean(cells.told[many]) - np.mean(cells.control):+.2f} "
-                     f"({worth.low:+.2f} to {worth.high:+.2f}) against shuffled ones.")
+    sentences.append(f"True {clue} are worth {np.mean(cells.told[many]) - np.mean(cells.control):+.2f} "
+                     f"({worth.low:+.2f} to {worth.high:+.2f}) against {shuffled} ones.")
     if cells.less is not None:
         gain = stats.ttest_ind(cells.told[many], cells.less, equal_var=False).confidence_interval()
         interval = f"{end - np.mean(cells.less):+.2f} ({gain.low:+.2f} to {gain.high:+.2f})"
-        sentences.append(f"The larger budget is worth {interval} over the smaller one, with which "
-                         f"{np.mean(cells.less):.2f} was reached." if gain.low > 0 else
-                         f"The larger budget is not shown to be worth anything over the smaller one: {interval}.")
+        larger, smaller = _describe_training(cells.kind), _describe_training(cells.kind["less"])
+        sentences.append(f"{larger} gains {interval} over {smaller}, which reached "
+                         f"{np.mean(cells.less):.2f}." if gain.low > 0 else
+                         f"{larger} is not shown to gain over {smaller}: {interval}.")
     return sentences
+
+
+def _name_clue(kind: Mapping[str, Any]) -> tuple[str, str]:
+    """What tells of the order, and what is done to it in the control."""
+    return kind.get("clue", "marks"), kind.get("shuffled", "shuffled")
+
+
+def _describe_training(learning: Mapping[str, Any]) -> str:
+    """A learner, its budget and the rooms that it learns from at once."""
+    streams = learning.get("streams", 0)
+    rooms = f"{streams} rooms at once" if streams else "one room at a time"
+    return f"`{learning['learner']}` with {learning['primitives']:,} primitives in {rooms}"
 
 
 def has_risen(cells: Cells) -> bool:
@@ -246,14 +262,19 @@ def is_above(cells: Cells) -> bool:
     return _bound(cells.told[max(cells.told)])[1] > cells.searcher
 
 
-def tell_all(found: Mapping[str, Cells]) -> str:
-    """Headline over all kinds: where learners beat searching, and where more rooms are shown to teach more."""
+def tell_all(found: Mapping[str, Cells], tested: int) -> str:
+    """Headline over all kinds: where learners beat searching, and where more rooms are shown to teach more.
+
+    Args:
+        found: cells by title of the kind.
+        tested: number of unseen rooms, the same of all runs, so that intervals are over training seeds alone.
+    """
     most = max(size for cells in found.values() for size in cells.told)
     above = sum(map(is_above, found.values()))
     risen = [title.lower() for title, cells in found.items() if has_risen(cells)]
     others = [title.lower() for title in found if title.lower() not in risen]
-    beaten = (f"In {above} of {len(found)} kinds the learner is better in rooms that it has never seen than the best "
-              "searcher that learns nothing. ")
+    beaten = (f"In {above} of {len(found)} kinds the learner is better in {tested} rooms that it has never seen than "
+              "the best searcher that learns nothing (intervals are over training seeds in these rooms). ")
     claim = (f"efficiency rises by {RISE} or more from {FEW} to {most:,} training rooms, to above the searcher and "
              "below the ceiling")
     if not risen:
@@ -279,7 +300,7 @@ def analyse(study: Study, lines: Sequence[MarksRun]) -> Page:
         rows += [[f"{rung}, {name}", "", f"{value:.3f}", "", ""] for rung, name, value in (
             (kind["told"], "searcher", cells.searcher), (kind["control"], "searcher", cells.control_searcher),
             (kind["told"], "ceiling", cells.ceiling))]
-    headline = tell_all(found)
+    headline = tell_all(found, data["tested"])
     return Page({"headline": headline, "parts": parts, "table": make_table(
         ["", "runs", "efficiency in unseen rooms", "runs from ... to", "learned share"], rows), **data},
         {"marks": draw(found)}, [headline, *(f"{part['title']}: {part['headline']}" for part in parts)])
@@ -304,9 +325,9 @@ def draw(found: Mapping[str, Cells]) -> Figure:
                                           (last + 0.08, cells.control, 1)):
                 axes.scatter([place] * len(values), values, s=14, alpha=0.5, color=palette.LINES[colour], linewidths=0)
             axes.plot(range(len(sizes)), [cells.told[size].mean() for size in sizes], "o-", color=palette.LINES[0],
-                      label="marks that tell")
-            axes.plot([last + 0.08], [cells.control.mean()], "s", color=palette.LINES[1], label="marks shuffled")
-            axes.axhline(cells.ceiling, color=palette.INK, linewidth=1, label="ceiling: knows the code")
+                      label="true marks or places")
+            axes.plot([last + 0.08], [cells.control.mean()], "s", color=palette.LINES[1], label="marks shuffled, places scattered")
+            axes.axhline(cells.ceiling, color=palette.INK, linewidth=1, label="ceiling: knows what they mean")
             axes.axhline(cells.searcher, color=palette.MUTED, linewidth=1, linestyle="--",
                          label="best searcher that learns nothing")
             axes.set(title=title, xlabel="training rooms", ylim=(0, 1.03))
