@@ -63,18 +63,22 @@ def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Se
     behind = [place for place in gains if corrected[place] < ALPHA and gains[place].mean() < 0]
     best = agent, count = max(beating or learned, key=lambda place: _mean(learned[place]))
     test = compare_pairs([gains[best]], levels[best])
-    words = (f"`{agent}` with {_count(count)} reaches {_mean(learned[best]):.2f} in unseen rooms, the best searcher "
-             f"that learns nothing, `{searcher[0]}`, {_mean(theirs):.2f} ({test.difference:+.2f}, {test.low:+.2f} to "
-             f"{test.high:+.2f})")
+    run = cells[best][0]
+    rooms = (f"at its best number of training rooms, {count:,}," if sum(other == agent for other, _ in learned) > 1 else
+             f"with {_count(count)}")
+    words = (f"`{agent}` {rooms} reaches {_mean(learned[best]):.2f} in {count_nouns(run.episodes, 'unseen room')}, the "
+             f"best searcher that learns nothing, `{searcher[0]}`, {_mean(theirs):.2f} ({test.difference:+.2f}, "
+             f"{test.low:+.2f} to {test.high:+.2f} over training seeds in these rooms)")
     visible = find_visible_difference([gains[best]], ALPHA / len(gains))
     limit = "".join(f" The ceiling is {_mean(seeds):.2f}: `{name}`, which knows how graphs are drawn."
                     for (name, _), seeds in enough.items() if name in CEILING)
     if beating:
-        return f"Training pays beyond searching in {len(beating)} of {len(gains)} cells: {words}.{limit}"
+        return (f"Training pays beyond searching in {len(beating)} of {len(gains)} cells of `{run.rung}`: "
+                f"{words}.{limit}")
     if len(behind) == len(gains):
-        return f"No learner matches searching: {words} at best.{limit}"
-    return (f"No learner is shown to beat searching: {words} at best; of such studies 80 % would have seen a gain of "
-            f"{visible:.2f}.{limit}")
+        return f"No learner matches searching in `{run.rung}`: {words} at best.{limit}"
+    return (f"No learner is shown to beat searching in `{run.rung}`: {words} at best; of such studies 80 % would have "
+            f"seen a gain of {visible:.2f}.{limit}")
 
 
 def advise(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], learner: str, without: str) -> str:

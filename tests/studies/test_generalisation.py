@@ -289,10 +289,10 @@ def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about():
 
 
 @pytest.mark.parametrize(("learner", "nearest", "told"), [
-    (0.6, 0.8, ("**No learner matches searching: ", "reaches 0.20 less than the best searcher, `smdp-untried-near")),
-    (0.8, 0.6, ("**Training pays beyond searching in 1 of 1 cells: ",
+    (0.6, 0.8, ("**No learner matches searching in `pair`: ", "reaches 0.20 less than the best searcher, `smdp-untried-near")),
+    (0.8, 0.6, ("**Training pays beyond searching in 1 of 1 cells of `pair`: ",
                 "reaches 0.20 more than the best searcher, `smdp-untried-near")),
-    (0.7, 0.7, ("**No learner is shown to beat searching: ", "is not shown to reach more or less than the best se"))])
+    (0.7, 0.7, ("**No learner is shown to beat searching in `pair`: ", "is not shown to reach more or less than the best se"))])
 def test_learners_are_held_against_the_best_searcher_and_not_against_chance(learner: float, nearest: float,
                                                                             told: tuple):
     untried, near = SEARCHERS
@@ -321,7 +321,13 @@ def test_the_best_of_several_cells_is_corrected_for_the_choice():
                                     efficiency=line.efficiency + gains[(line.seed + shift) % 10]) for line in searched]
 
     said = tell("generalisation", [*searched, *train_in(16, 0)])
-    assert "**Training pays beyond searching in 1 of 1 cells: " in said and "(+0.05, +0.00 to +0.09)" in said
+    assert "**Training pays beyond searching in 1 of 1 cells of `pair`: " in said
+    assert f"`{MEMORY}` with 16 training rooms reaches" in said and "in 3 unseen rooms, the best" in said
+    assert "(+0.05, +0.00 to +0.09 over training seeds in these rooms)" in said
+    other = tell("generalisation", [dataclasses.replace(line, rung="chain", episodes=7)
+                                    for line in [*searched, *train_in(16, 0)]])
+    assert "1 of 1 cells of `chain`: " in other and "in 7 unseen rooms, the best" in other
     several = [line for shift, rooms in enumerate((1, 4, 16, 64, 256)) for line in train_in(rooms, shift)]
     said = tell("generalisation", [*searched, *several])
-    assert "**No learner is shown to beat searching: " in said and "would have seen a gain of 0." in said
+    assert f"`{MEMORY}` at its best number of training rooms, " in said, "the number was chosen after a look"
+    assert "**No learner is shown to beat searching in `pair`: " in said and "would have seen a gain of 0." in said
