@@ -32,7 +32,7 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.presets import get_preset
 from hrl_escape.errors import ComparisonError, EscapeError
-from hrl_escape.names import join_words
+from hrl_escape.names import count_nouns, join_words
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.motion.trajectory import make_trajectory, track
 from hrl_escape.planning.planner import RoomPlanner
@@ -307,16 +307,27 @@ def tell_first_escapes(firsts: Mapping[str, Pair], budget: float = math.inf) -> 
     sentences = []
     for room, gap in compare({room: _take_logarithms(pair) for room, pair in firsts.items()}).items():
         ratio, low, high = (math.exp(value) for value in (-gap.mean, -gap.high, -gap.low))
-        told = f"{ratio:.1f} times the motion ({low:.1f} to {high:.1f})"
-        never = [sum(seconds >= budget for seconds in own) for own in firsts[room]]
-        if any(never):
-            told += (f"; runs that never escape, {never[0]} of {len(firsts[room][0])} over options and {never[1]} over "
-                     "velocities, count with the whole budget")
+        never = [[seconds >= budget for seconds in own] for own in firsts[room]]
+        told = f"{_name_bound(*never)}{ratio:.1f} times the motion ({low:.1f} to {high:.1f})"
+        if any(map(any, never)):
+            told += (f"; runs that never escape, {sum(never[0])} of {len(never[0])} over options and {sum(never[1])} "
+                     "over velocities, count with the whole budget")
+            if both := sum(map(all, zip(*never, strict=True))):
+                told += f", so that {count_nouns(both, 'pair')} of {len(never[0])} count{'s' * (both == 1)} as equal"
         sentences.append(f"**{room.capitalize()}, first escape.** " + {
             -1: f"Over velocities it costs {told}.",
             0: f"That options find it sooner is not shown: velocities take {told}.",
             1: f"Velocities find it sooner: they take {told}."}[gap.sign])
     return sentences
+
+
+def _name_bound(options: Sequence[bool], velocities: Sequence[bool]) -> str:
+    """Words before a ratio of velocities to options that is only a bound, by which runs never escape, pair by pair.
+
+    A pair in which neither does bounds nothing.
+    """
+    alone = {who for who in zip(options, velocities, strict=True) if who[0] != who[1]}
+    return {((False, True),): "more than ", ((True, False),): "less than "}.get(tuple(alone), "")
 
 
 def _take_logarithms(pair: Pair) -> Pair:

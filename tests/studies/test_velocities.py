@@ -96,6 +96,19 @@ def test_runs_that_never_escape_are_counted_beside_the_ratio():
     assert "never" not in tell_first_escapes(first, 901.0)[0]
 
 
+def test_a_ratio_is_a_bound_where_one_side_alone_never_escapes():
+    def say(options: list[float], velocities: list[float]) -> str:
+        return tell_first_escapes({"room": (options, velocities)}, 900.0)[0]
+
+    some, never = spread(50.0, 1), [900.0] * 10
+    assert "it costs more than 17.8 times" in say(some, never) and "as equal" not in say(some, never)
+    assert "they take less than 0.1 times" in say(never, some)
+    assert "it costs 1" in say(some, spread(800.0, 2, 0.01)), "all escape"
+    both = say([900.0, 900.0, *some[2:]], never)
+    assert "more than 1" in both and both.endswith("whole budget, so that 2 pairs of 10 count as equal.")
+    assert "times" in (mixed := say([900.0, *some[1:]], [80.0, *never[1:]])) and "more than" not in mixed
+
+
 @pytest.mark.parametrize(("options", "velocities", "told"), [
     (15.0, 150.0, ("SAC over options needs less", "SAC over velocities needs more")),
     (30.0, 20.05, ("SAC over options needs more", "SAC over velocities is not told apart from it"))])
