@@ -127,11 +127,13 @@ class Gain(NamedTuple):
         value: mean difference, rungs weighted alike.
         low: lower end of its 95 % interval over rooms.
         high: upper end.
+        by_rung: mean difference on each rung.
     """
 
     value: float
     low: float
     high: float
+    by_rung: Mapping[str, float]
 
 
 def compute_gain(one: Sequence[GameRun], other: Sequence[GameRun], resamples: int) -> Gain:
@@ -150,30 +152,34 @@ def compute_gain(one: Sequence[GameRun], other: Sequence[GameRun], resamples: in
     rng = np.random.default_rng(0)
     drawn = np.mean([rng.choice(values, (resamples, len(values))).mean(axis=1) for values in by_rung.values()], axis=0)
     low, high = np.quantile(drawn, [0.025, 0.975])
-    return Gain(float(np.mean([np.mean(values) for values in by_rung.values()])), float(low), float(high))
+    means = {rung: float(np.mean(values)) for rung, values in by_rung.items()}
+    return Gain(float(np.mean([*means.values()])), float(low), float(high), means)
 
 
-def tell_gain(what: str, gain: Gain) -> str:
-    """One sentence: what being told more adds, takes away, or is not shown to do."""
+def tell_gain(what: str, than: str, gain: Gain) -> str:
+    """One sentence: what being told more adds to something, takes away, or is not shown to do, and on which rungs."""
     numbers = f"{gain.value:+.2f} ({gain.low:+.2f} to {gain.high:+.2f})"
+    if len(gain.by_rung) > 1:
+        least, most = (pick(gain.by_rung, key=lambda rung: gain.by_rung[rung]) for pick in (min, max))
+        numbers += f", from {gain.by_rung[least]:+.2f} in `{least}` to {gain.by_rung[most]:+.2f} in `{most}`"
     if gain.low > 0:
-        return f"{what} raises efficiency, by {numbers}."
+        return f"{what} raises efficiency over {than}, by {numbers}."
     if gain.high < 0:
-        return f"{what} lowers efficiency, by {numbers}."
-    return f"These rooms do not show that {what[0].lower()}{what[1:]} changes efficiency: {numbers}."
+        return f"{what} lowers efficiency below {than}, by {numbers}."
+    return f"These rooms do not show that {what[0].lower()}{what[1:]} changes efficiency from {than}: {numbers}."
 
 
-STEPS = (("untried", "uniform", "Remembering what was tried and seeing what is on"),
-         ("untried-nearest", "untried", "Being told where things are"),
-         ("planner", "untried-nearest", "Being told the symbolic model"))
-"""Pairs of callers of which the first is told, or does, more; and in words, what."""
+STEPS = (("untried", "uniform", "Remembering what was tried and seeing what is on", "choices at random"),
+         ("untried-nearest", "untried", "Being told where things are", "names alone"),
+         ("planner", "untried-nearest", "Being told the symbolic model", "being told where things are"))
+"""Pairs of callers of which the first is told, or does, more; and in words, what, and what the second has."""
 
 
-def tell_steps(gains: Mapping[str, Gain]) -> Iterator[str]:
-    """A sentence a step; the largest one that is sure comes first, for the headline."""
+def tell_steps(gains: Mapping[tuple[str, str], Gain]) -> Iterator[str]:
+    """A sentence a step, by what is added to what; the largest one that is sure comes first, for the headline."""
     sure = sorted((what for what, gain in gains.items() if gain.low > 0), key=lambda what: -gains[what].value)
     for what in [*sure, *(what for what in gains if what not in sure)]:
-        yield tell_gain(what, gains[what])
+        yield tell_gain(*what, gains[what])
 
 
 # --- page ------------------------------------------------------------------------------------
@@ -191,8 +197,8 @@ def analyse(study: Study, lines: Sequence[GameRun]) -> Page:
     for run in lines:
         of.setdefault((run.caller, run.told), []).append(run)
     managers = {caller: own for (caller, _), own in of.items()}
-    gains = {what: compute_gain(managers[one], managers[other], study.data["resamples"])
-             for one, other, what in STEPS if one in managers and other in managers}
+    gains = {(what, than): compute_gain(managers[one], managers[other], study.data["resamples"])
+             for one, other, what, than in STEPS if one in managers and other in managers}
     headline, *sentences = tell_steps(gains)
     words = {caller["manager"]: caller["words"] for caller in study.data["callers"]}
     rungs = study.data["rungs"]
