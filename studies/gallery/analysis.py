@@ -205,6 +205,7 @@ def analyse(study: Study, lines: Sequence[SolvedRoom | PlayedRun]) -> Page:
     return Page({
         "always": {agent: [name for name, lengths in own.items() if None not in lengths]
                    for agent, own in played.items()},
+        "played": {agent: len(own) for agent, own in played.items()},
         "beyond": [name for name, lengths in played[learner].items()
                    if None not in lengths and None in played[players[2]].get(name, [None])],
         "never": [name for name, lengths in played[learner].items() if set(lengths) == {None}],

@@ -54,7 +54,7 @@ def test_sentences_follow_the_findings(tmp_path):
     random, order, searcher, learner = PLAYERS
     page = tell("gallery", make_findings({random: (10, 30), order: (None, 5), searcher: (4, 4), learner: (None, None)}),
                 tmp_path)
-    assert "**Searching without learning escapes in every episode of 1 puzzle, `smdp-r-max` of 0," in page
+    assert "**Searching without learning escapes in every episode in 1 of 1 puzzle, `smdp-r-max` in 0 of 1," in page
     assert "There is no puzzle in which `smdp-r-max` escapes in every episode" in page
     assert "None of these puzzles shows learning: whatever the learner solves, searching solves" in page
     assert "Random options escape in every episode of LightBox." in page
@@ -62,6 +62,10 @@ def test_sentences_follow_the_findings(tmp_path):
     assert f"`{learner}` escapes in no episode of LightBox." in page
     assert "| `light-box` | L2 | 9 | 70 | 100%, 20 | 50%, 5 | 100%, 4 | 0% |  |" in page
     assert "9 presses where all work, 18.0 on average" in page
+    other = [SolvedRoom("hanoi", 14, 1.0, 70), *(PlayedRun("hanoi", agent, 0, 0, (9,)) for agent in (searcher, order))]
+    page = tell("gallery", [*make_findings({random: (10,), order: (None,), searcher: (4,), learner: (4,)}), *other])
+    assert "episode in 2 of 2 puzzles, `smdp-r-max` in 1 of 1, random options in 1 of 1, options in the order of " in page
+    assert "of their numbers in 1 of 2.**" in page, "a puzzle that an agent was not played in is none of its puzzles"
     page = tell("gallery", make_findings({random: (None, None), order: (5, 5), searcher: (None, 2),
                                           learner: (7, 8)}))
     assert f"In LightBox `{learner}` escapes in every episode and the searcher" in page
