@@ -174,7 +174,10 @@ def _tell_sufficient(sufficient: Mapping[str, bool | None]) -> list[str]:
                          "these runs name no single cause.")
     elif enough:
         sentences.append(f"{_capitalise(enough[0])} alone brings more than three quarters of {of_all}.")
-    if short:
+    if len(short) == len(sufficient):
+        none = f"Neither {' nor '.join(short)}" if len(short) == 2 else f"None of {join_words(short)}"
+        sentences.append(f"{none} on its own brings three quarters of what they bring together.")
+    elif short:
         sentences.append(f"{_capitalise(join_words(short))} alone {'brings' if len(short) == 1 else 'bring'} less than "
                          f"three quarters of {of_all}.")
     if unclear:

@@ -90,7 +90,8 @@ def _gain(first: np.ndarray, last: np.ndarray) -> tuple[float, float, float]:
 def tell(floors: Sequence[np.ndarray], subject: str) -> str:
     """A sentence on whether the first floor pays on the last."""
     gain, low, high = _gain(floors[0], floors[-1])
-    interval, way = f"{gain:+.2f} ({low:+.2f} to {high:+.2f})", f"from floor 1 to floor {len(floors)}"
+    gained = f"{gain:+.2f}" if round(gain, 2) else "0.00"
+    interval, way = f"{gained} ({low:+.2f} to {high:+.2f})", f"from floor 1 to floor {len(floors)}"
     if low > 0:
         return f"For {subject}, the first floor pays: {way} efficiency rises by {interval}."
     if high < 0:

@@ -42,6 +42,12 @@ def test_one_lucky_tower_is_no_payment():
     assert "no floor is shown to pay" in tell(floors, "someone")
 
 
+def test_a_difference_that_rounds_to_nothing_has_no_sign():
+    for last, gain in ((0.799, "0.00"), (0.801, "0.00"), (0.794, "-0.01")):
+        floors = [np.full(40, 0.8), np.tile([last - 0.2, last + 0.2], 20)]
+        assert f"shown to pay on another: {gain} (" in tell(floors, "someone")
+
+
 def test_a_floor_that_was_not_played_is_missed():
     with pytest.raises(ComparisonError, match="not played on every floor"):
         write_page("storeys", make_lines((0.8, 0.9, 0.95))[1:])
