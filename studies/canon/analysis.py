@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from functools import cached_property
 from pathlib import Path
@@ -34,7 +35,7 @@ from studies.study import Page, Study
 from studies.twins import chooses_presses
 
 __all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "Standing", "advise", "analyse", "choose_candidate",
-           "compare", "list_families", "measure", "tell_beyond", "tell_families", "tell_given",
+           "compare", "list_families", "measure", "shorten", "tell_beyond", "tell_families", "tell_given",
            "tell_leads", "tell_lost", "tell_standing", "tell_twins"]
 
 NAMED = 3
@@ -396,9 +397,16 @@ def tell_leads(means: Mapping[str, Mapping[str, float]]) -> str:
         first = min(everywhere)
         return (f"One learner leads in every kind of rooms: `{first}`." if len(everywhere) == 1 else
                 f"{len(everywhere)} learners share the lead in every kind of rooms, `{first}` among them.")
-    told = [f"`{min(agents)}`{f' and {len(agents) - 1} more' if len(agents) > 1 else ''} with {kind}"
-            for kind, agents in leads.items()]
-    return f"No one learner leads everywhere: {'; '.join(told)}."
+    told = [f"{_name_leaders(agents)} with {kind}" for kind, agents in leads.items()]
+    return f"No one learner leads everywhere (by means to two digits, not tested): {'; '.join(told)}."
+
+
+def _name_leaders(agents: Set[str]) -> str:
+    """Learners that share a lead, or their number where they are more than `NAMED`."""
+    names = [f"`{agent}`" for agent in sorted(agents)]
+    if len(names) == 1:
+        return f"{names[0]} leads"
+    return f"{join_words(names) if len(names) <= NAMED else count_nouns(len(names), 'learner')} tie"
 
 
 def tell_lost(moves: int, lost: Sequence[str], others: Sequence[str], kind: str, budget: int) -> str:
@@ -623,11 +631,22 @@ def tell_course(family: Family, label: str, found: Standing) -> Iterator[str]:
     yield f"{np.mean([run.seconds for run in runs]):.1f}"
 
 
+def shorten(labels: Sequence[str]) -> dict[str, str]:
+    """Labels without traits that all of a family share, but where two would be the same."""
+    short = {label: label.removesuffix("+no-primitives") for label in labels}
+    bare = {label: name.removesuffix("+learned").removesuffix("+planned") for label, name in short.items()}
+    counts = Counter(bare.values())
+    return {label: name if counts[name] == 1 else short[label] for label, name in bare.items()}
+
+
 def draw(found: Standing) -> Figure:
-    """A row a learner, by family: a dot a room in the colour of its kind, a diamond the mean over kinds."""
+    """A row a learner, by family: a dot a room in the colour of its kind, a diamond the mean over kinds.
+
+    The diamond of a learner that is not run in some kinds is open.
+    """
     cells, kinds, families = found.cells, found.kinds, found.families
     colours = dict(zip(kinds, [*palette.LINES, palette.MUTED], strict=False))
-    rows = [(family, label) for family in families for label in family.learners]
+    names, rows = shorten(found.learners), found.learners
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(8.4, 0.185 * len(rows) + 0.3 * len(families) + 1.0), facecolor=palette.BACKGROUND,
                         layout="constrained")
@@ -641,12 +660,12 @@ def draw(found: Standing) -> Figure:
                     panel.plot(values, np.full(len(values), row + offset), ".", markersize=4, alpha=0.45,
                                markeredgewidth=0, color=colours[kind])
                 if label not in found.lost:
-                    panel.plot(found.average(label), row, "D", markersize=5, color=palette.INK)
+                    whole = all(fits(found.study, label, kind) for kind in kinds)
+                    panel.plot(found.average(label), row, "D", markersize=5, color=palette.INK,
+                               fillstyle="full" if whole else "none")
             panel.axvline(found.searcher, color=palette.INK, linestyle="--", linewidth=1)
             panel.set(ylim=(len(family.learners) - 0.4, -0.6), xlim=(-0.03, 1.05))
-            panel.set_yticks(range(len(family.learners)), [
-                label.removesuffix("+no-primitives").removesuffix("+learned").removesuffix("+planned")
-                for label in family.learners])
+            panel.set_yticks(range(len(family.learners)), [names[label] for label in family.learners])
             panel.set_title(family.name + (f" (told {family.given})" if family.given else ""), loc="left", fontsize=9,
                             color=palette.INK)
             panel.grid(axis="x", color="#e5dfd2", linewidth=0.8)

@@ -16,6 +16,7 @@ from studies.canon.analysis import (
     Standing,
     choose_candidate,
     list_families,
+    shorten,
     tell_leads,
     tell_standing,
 )
@@ -140,6 +141,7 @@ def test_who_cannot_be_run_in_a_kind_of_rooms_is_measured_in_the_others():
     assert ("Not run: `hiro+learned` and `hrac+learned` with two to four, by hand, as displacements move the base "
             "alone. A learner that is not run") in page
     assert page.count("Not run:") == page.count("displacements move the base alone") == 1, "one reason, told once"
+    assert "means over 2 kinds, open ones over fewer." in page and "open ones" not in read(usual)
     assert "`r-maxq+planned` with" not in page, "the kinds that it lacks are not here"
     assert re.search(r"\| `hiro\+learned` \| 0\.\d\d \|  \| \*\*-0\.2\d \(", page), "against the searcher of one kind"
     assert "learners of displacements over single moves (" not in page, "no mean over fewer kinds stands in the order"
@@ -167,9 +169,21 @@ def test_one_leader_and_several_are_told_apart():
     assert tell_leads({"a": {"x": 0.912, "y": 0.909, "z": 0.5}, "b": {"x": 0.701, "y": 0.699, "z": 0.698}}) == (
         "2 learners share the lead in every kind of rooms, `x` among them.")
     assert tell_leads({"a": {"x": 0.9, "y": 0.9, "z": 0.5}, "b": {"x": 0.1, "y": 0.1, "z": 0.6}}) == (
-        "No one learner leads everywhere: `x` and 1 more with a; `z` with b.")
+        "No one learner leads everywhere (by means to two digits, not tested): `x` and `y` tie with a; `z` leads with b.")
+    many = dict.fromkeys("tuvw", 0.9)
+    assert tell_leads({"a": many | {"z": 0.5}, "b": many | {"z": 0.95}}) == (
+        "No one learner leads everywhere (by means to two digits, not tested): 4 learners tie with a; `z` leads with "
+        "b.")
     page = read(lambda agent, kind: 0.8 if (agent, kind) in ((MODEL, PAIR), (DAC, FIVE)) else usual(agent, kind))
-    assert f"- No one learner leads everywhere: `{MODEL}` with two buttons; `{DAC}` with five buttons." in page
+    assert (f"- No one learner leads everywhere (by means to two digits, not tested): `{MODEL}` leads with two buttons; "
+            f"`{DAC}` leads with five buttons.") in page
+
+
+def test_learners_that_would_have_one_name_in_the_figure_keep_what_tells_them_apart():
+    assert shorten(["h-dqn@table+learned", "h-dqn@table+planned", "smdp-ppo+no-primitives", "hac+learned"]) == {
+        "h-dqn@table+learned": "h-dqn@table+learned", "h-dqn@table+planned": "h-dqn@table+planned",
+        "smdp-ppo+no-primitives": "smdp-ppo", "hac+learned": "hac"}
+    assert len(set(shorten(list(LEARNERS)).values())) == len(LEARNERS)
 
 
 def test_those_that_choose_single_moves_are_counted():
