@@ -27,7 +27,7 @@ from studies.store import Store
 from studies.study import Page, Study, find_study
 
 __all__ = ["ESCAPE", "HALF", "LINES", "Args", "Pair", "advise", "analyse", "compare", "list_pairs",
-           "list_families", "measure", "tell_headline", "tell_planning", "tell_searcher"]
+           "list_families", "measure", "tell_headline", "tell_pairs", "tell_planning", "tell_rooms", "tell_searcher"]
 
 LINES = (PriceRun,)
 ESCAPE, HALF = COSTS[1], COSTS[3]
@@ -110,6 +110,18 @@ def find_losses(found: Found, one: str, other: str, cost: str) -> set[int]:
     return {ratio.buttons for ratio in found[Pair(one, other), cost] if ratio.middle.high < 1}
 
 
+def count_alike(found: Found, pair: Pair, cost: str) -> tuple[int, int]:
+    """Rooms in which two learners pay as much to the primitive, and rooms in which both were run."""
+    logs = [ends for ratio in found[pair, cost] for ends in ratio.logs.values()]
+    return sum(ends == (0.0, 0.0) for ends in logs), len(logs)
+
+
+def is_alike(found: Found, pair: Pair, cost: str) -> bool:
+    """True if two learners pay as much in most rooms, so that they were one until then."""
+    alike, rooms = count_alike(found, pair, cost)
+    return 2 * alike > rooms
+
+
 def find_better_than_random(found: Found, cost: str) -> set[int]:
     """Numbers of buttons with which looking ahead along options is shown to help more than along random primitives."""
     return set.intersection(*(find_gains(found, control, AHEAD, cost) for control in RANDOM_AHEAD))
@@ -140,6 +152,10 @@ def tell_headline(study: Study, found: Found) -> str:
                  f"is not shown to bring {event} sooner")
         if left:
             return f"{claim}, and whole options bring it sooner still with {join_words(map(str, sorted(left)))}"
+        if sooner and is_alike(found, Pair(EXPLORES, whole), cost):
+            alike, rooms = count_alike(found, Pair(EXPLORES, whole), cost)
+            return (f"{claim}, and until then {alike} of {rooms} runs are the same with whole options, as both choose "
+                    "random options before they learn")
         return f"{claim}; whole options are not shown to bring it sooner still" if sooner else claim
 
     control = (" Repeats that last as long do less, so what helps is where options lead, not that they last."
@@ -171,6 +187,30 @@ def tell_planning(study: Study, found: Found) -> str:
                f"{', beside imagining at all' if helped else ''}." if kept else
                "As many random primitives are not shown to do less.")
     return f"{begun} reaches {tell_events(gains, f'sooner than `{flat}`')}. {control}"
+
+
+def tell_pairs(study: Study, found: Found, runs: Sequence[PriceRun]) -> list[str]:
+    """Sentences on all questions, a pair and cost each; of two learners that are alike until then, that they are."""
+    told = []
+    for family in list_families(study):
+        claims = [(pair, cost) for pair in family for cost in (ESCAPE, HALF)]
+        for (pair, cost), sentence in zip(claims, conclude_prices(
+                runs, [(pair.one, pair.other, cost) for pair, cost in claims]), strict=True):
+            alike, rooms = count_alike(found, pair, cost.name)
+            told.append(f"Until {cost.event}, `{pair.one}` and `{pair.other}` pay as much in {alike} of {rooms} runs, so "
+                        "the factor does not change with the number of buttons."
+                        if is_alike(found, pair, cost.name) else sentence)
+    return told
+
+
+def tell_rooms(lines: Sequence[PriceRun], price: Sequence[PriceRun]) -> str:
+    """A sentence: of which sizes the price of flatness has more rooms; empty if of none."""
+    parts = []
+    for size in sorted({run.buttons for run in lines}):
+        own, all_of = (len({run.replicate for run in runs if run.buttons == size}) for runs in (lines, price))
+        if all_of > own:
+            parts.append(f"{all_of} rooms with {count_nouns(size, 'button')}, of which {own} are here")
+    return f"That page has {join_words(parts)}, so that its factors differ." if parts else ""
 
 
 def tell_searcher(study: Study, runs: Sequence[PriceRun], searched: Sequence[SearcherRun]) -> str:
@@ -226,8 +266,9 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
     """Sentences, the table and the figure of lines, beside the runs of the price of flatness in the same rooms."""
     replicates = {line.replicate for line in lines}
     known = open_store(find_study("price"), None).load()
-    price = [run for run in known if isinstance(run, PriceRun) and run.replicate in replicates
-             and run.agent in (study.data["flat"], study.data["whole"]) and run.buttons in study.data["sizes"]]
+    every = [run for run in known if isinstance(run, PriceRun) and run.buttons in study.data["sizes"]
+             and run.agent in (study.data["flat"], study.data["whole"])]
+    price = [run for run in every if run.replicate in replicates]
     if not lines or not price:
         raise ComparisonError("runs of this study and of the price of flatness are needed to tell why options help")
     runs = sorted([*lines, *price], key=lambda run: run.place)
@@ -235,9 +276,8 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
     headline, planning = tell_headline(study, found), tell_planning(study, found)
     searcher = tell_searcher(study, runs, [line for line in open_store(find_study("league"), None).load()
                                            if isinstance(line, SearcherRun)])
-    told = [sentence for family in list_families(study) for sentence in conclude_prices(
-        runs, [(pair.one, pair.other, cost) for pair in family for cost in (ESCAPE, HALF)])]
-    return Page({"headline": headline, "planning": planning, "beside": searcher, "told": told,
+    return Page({"headline": headline, "planning": planning, "beside": searcher,
+                 "told": tell_pairs(study, found, runs), "rooms": tell_rooms(lines, every),
                  "advice": advise(study, found), "table": tabulate(study, found),
                  "minutes": sum(line.seconds for line in lines) / 60, **study.data},
                 {"why": draw(study, found)}, [*filter(None, (headline, planning, searcher))])

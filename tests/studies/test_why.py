@@ -31,7 +31,9 @@ from studies.why.analysis import (
     find_gains,
     list_families,
     tell_headline,
+    tell_pairs,
     tell_planning,
+    tell_rooms,
     tell_searcher,
 )
 from tests.studies.pages import tell as write_page
@@ -64,6 +66,33 @@ def test_exploration_alone_is_told_apart_from_whole_options_and_from_repeats():
     assert "brings the first escape sooner with 1 and 2 buttons; whole options are not shown to bring it sooner" in told
     assert "policy of half the efficiency sooner with 1 and 2 buttons, and whole options bring it sooner still" in told
     assert told.endswith("Repeats that last as long do less, so what helps is where options lead, not that they last.")
+
+
+def test_learners_that_are_one_until_they_escape_are_called_so():
+    lines = make_lines({FLAT: 9_000, EXPLORES: 100, WHOLE: 100}, {FLAT: 50_000})
+    first = {(line.buttons, line.replicate): line.first_escape for line in lines if line.agent == EXPLORES}
+
+    def copy(count: int) -> list[PriceRun]:
+        return [dataclasses.replace(line, first_escape=first[line.buttons, line.replicate])
+                if line.agent == WHOLE and line.replicate < count else line for line in lines]
+
+    for count, is_told in ((10, True), (6, True), (5, False), (0, False)):
+        found = compare(STUDY, copy(count))
+        told = tell_headline(STUDY, found)
+        assert (f"and until then {2 * count} of 20 runs are the same with whole options, as both" in told) == is_told
+        assert ("; whole options are not shown to bring it sooner still; it" in told) != is_told
+        said = tell_pairs(STUDY, found, copy(count))
+        assert (f"Until its first escape, `{EXPLORES}` and `{WHOLE}` pay as much in {2 * count} of 20 runs, so the "
+                "factor does not change with the number of buttons." in said) == is_told
+        assert len(said) == len(set(said)) == 12
+
+
+def test_rooms_that_the_price_of_flatness_has_beyond_these_are_told_of():
+    lines = make_lines({FLAT: 9_000}, {FLAT: 50_000})
+    more = [dataclasses.replace(line, replicate=line.replicate + 10) for line in lines if line.buttons == 2]
+    assert tell_rooms(lines, [*lines, *more]) == (
+        "That page has 20 rooms with 2 buttons, of which 10 are here, so that its factors differ.")
+    assert not tell_rooms(lines, lines)
 
 
 def test_other_truths_give_other_sentences():
