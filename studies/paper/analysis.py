@@ -165,7 +165,7 @@ def _compute_late_share(run: RawRun) -> float:
 
 
 def draw_figure(runs: Sequence[RawRun]) -> Figure:
-    """One panel a recipe: frozen weights in full lines with intervals, training episodes in dots, chance in grey."""
+    """One panel a recipe: frozen weights in full lines with intervals, training episodes dotted, chance dashed."""
     labels = list(dict.fromkeys(run.agent for run in runs if _get_algorithm(run.agent) in _COLOURS))
     recipes = [recipe for recipe in ("paper", "corrected") if any(_get_recipe(label) == recipe for label in labels)]
     with matplotlib.rc_context(FIGURE_STYLE):
