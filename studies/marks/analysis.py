@@ -223,7 +223,8 @@ def tell(cells: Cells) -> list[str]:
     control = (f"With {clue} {shuffled} the same learner has {np.mean(cells.control):.2f}, where the searcher has "
                f"{cells.control_searcher:.2f}")
     sentences.append(
-        f"{control}: {clue} that say nothing lift it above the searcher, so something else carries over." if low > 0 else
+        f"{control}: {clue} that say nothing lift it above the searcher, so something else carries over."
+        if low > 0 else
         f"{control}: at the searcher's level." if low > -ALIKE else
         f"{control}: below the searcher." if high < 0 else f"{control}: the runs differ too much to say more.")
     sentences.append(f"True {clue} are worth {np.mean(cells.told[many]) - np.mean(cells.control):+.2f} "
@@ -326,7 +327,8 @@ def draw(found: Mapping[str, Cells]) -> Figure:
                 axes.scatter([place] * len(values), values, s=14, alpha=0.5, color=palette.LINES[colour], linewidths=0)
             axes.plot(range(len(sizes)), [cells.told[size].mean() for size in sizes], "o-", color=palette.LINES[0],
                       label="true marks or places")
-            axes.plot([last + 0.08], [cells.control.mean()], "s", color=palette.LINES[1], label="marks shuffled, places scattered")
+            axes.plot([last + 0.08], [cells.control.mean()], "s", color=palette.LINES[1],
+                      label="marks shuffled, places scattered")
             axes.axhline(cells.ceiling, color=palette.INK, linewidth=1, label="ceiling: knows what they mean")
             axes.axhline(cells.searcher, color=palette.MUTED, linewidth=1, linestyle="--",
                          label="best searcher that learns nothing")

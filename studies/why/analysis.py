@@ -197,8 +197,8 @@ def tell_pairs(study: Study, found: Found, runs: Sequence[PriceRun]) -> list[str
         for (pair, cost), sentence in zip(claims, conclude_prices(
                 runs, [(pair.one, pair.other, cost) for pair, cost in claims]), strict=True):
             alike, rooms = count_alike(found, pair, cost.name)
-            told.append(f"Until {cost.event}, `{pair.one}` and `{pair.other}` pay as much in {alike} of {rooms} runs, so "
-                        "the factor does not change with the number of buttons."
+            told.append(f"Until {cost.event}, `{pair.one}` and `{pair.other}` pay as much in {alike} of {rooms} runs, "
+                        "so the factor does not change with the number of buttons."
                         if is_alike(found, pair, cost.name) else sentence)
     return told
 

@@ -169,14 +169,15 @@ def test_one_leader_and_several_are_told_apart():
     assert tell_leads({"a": {"x": 0.912, "y": 0.909, "z": 0.5}, "b": {"x": 0.701, "y": 0.699, "z": 0.698}}) == (
         "2 learners share the lead in every kind of rooms, `x` among them.")
     assert tell_leads({"a": {"x": 0.9, "y": 0.9, "z": 0.5}, "b": {"x": 0.1, "y": 0.1, "z": 0.6}}) == (
-        "No one learner leads everywhere (by means to two digits, not tested): `x` and `y` tie with a; `z` leads with b.")
+        "No one learner leads everywhere (by means to two digits, not tested): `x` and `y` tie with a; `z` leads "
+        "with b.")
     many = dict.fromkeys("tuvw", 0.9)
     assert tell_leads({"a": many | {"z": 0.5}, "b": many | {"z": 0.95}}) == (
         "No one learner leads everywhere (by means to two digits, not tested): 4 learners tie with a; `z` leads with "
         "b.")
     page = read(lambda agent, kind: 0.8 if (agent, kind) in ((MODEL, PAIR), (DAC, FIVE)) else usual(agent, kind))
-    assert (f"- No one learner leads everywhere (by means to two digits, not tested): `{MODEL}` leads with two buttons; "
-            f"`{DAC}` leads with five buttons.") in page
+    assert (f"- No one learner leads everywhere (by means to two digits, not tested): `{MODEL}` leads with two "
+            f"buttons; `{DAC}` leads with five buttons.") in page
 
 
 def test_learners_that_would_have_one_name_in_the_figure_keep_what_tells_them_apart():

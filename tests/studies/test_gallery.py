@@ -64,7 +64,7 @@ def test_sentences_follow_the_findings(tmp_path):
     assert "9 presses where all work, 18.0 on average" in page
     other = [SolvedRoom("hanoi", 14, 1.0, 70), *(PlayedRun("hanoi", agent, 0, 0, (9,)) for agent in (searcher, order))]
     page = tell("gallery", [*make_findings({random: (10,), order: (None,), searcher: (4,), learner: (4,)}), *other])
-    assert "episode in 2 of 2 puzzles, `smdp-r-max` in 1 of 1, random options in 1 of 1, options in the order of " in page
+    assert "episode in 2 of 2 puzzles, `smdp-r-max` in 1 of 1, random options in 1 of 1, options in the order" in page
     assert "of their numbers in 1 of 2.**" in page, "a puzzle that an agent was not played in is none of its puzzles"
     page = tell("gallery", make_findings({random: (None, None), order: (5, 5), searcher: (None, 2),
                                           learner: (7, 8)}))

@@ -106,8 +106,8 @@ def test_the_headline_names_the_kinds_in_which_more_rooms_teach_more():
     learned, flat = (0.5, 0.6, 0.9), (0.5, 0.9, 0.9)
     assert summarise(learned, learned, learned) == (
         "In 3 of 3 kinds the learner is better in 48 rooms that it has never seen than the best searcher that learns "
-        "nothing (intervals are over training seeds in these rooms). With kind 0, kind 1 and kind 2 efficiency rises by 0.2 or more from 16 to 1,000 training rooms, to "
-        "above the searcher and below the ceiling.")
+        "nothing (intervals are over training seeds in these rooms). With kind 0, kind 1 and kind 2 "
+        "efficiency rises by 0.2 or more from 16 to 1,000 training rooms, to above the searcher and below the ceiling.")
     two = summarise(flat, learned)
     assert two.startswith("In 2 of 2 kinds") and "With kind 1 efficiency" in two
     assert two.endswith("; with kind 0 this is not shown.")

@@ -30,7 +30,8 @@ def test_a_gain_is_the_mean_of_paired_differences_rungs_alike():
         compute_gain(high[:10], low[10:], 500)
 
 
-@pytest.mark.parametrize(("shift", "verb"), [(0.2, "raises efficiency over names alone, by +"), (-0.2, "lowers efficiency below names"),
+@pytest.mark.parametrize(("shift", "verb"), [(0.2, "raises efficiency over names alone, by +"),
+                                             (-0.2, "lowers efficiency below names"),
                                              (0.0, "changes efficiency from names alone: ")])
 def test_data_of_another_truth_gets_another_sentence(shift: float, verb: str):
     noise = [0.1, -0.1] * 5
