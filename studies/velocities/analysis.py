@@ -326,8 +326,9 @@ def _name_bound(options: Sequence[bool], velocities: Sequence[bool]) -> str:
 
     A pair in which neither does bounds nothing.
     """
-    alone = {who for who in zip(options, velocities, strict=True) if who[0] != who[1]}
-    return {((False, True),): "more than ", ((True, False),): "less than "}.get(tuple(alone), "")
+    alone = {by_options for by_options, by_velocities in zip(options, velocities, strict=True)
+             if by_options != by_velocities}
+    return "" if len(alone) != 1 else "less than " if True in alone else "more than "
 
 
 def _take_logarithms(pair: Pair) -> Pair:
