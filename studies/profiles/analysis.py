@@ -349,4 +349,5 @@ def draw_axes(cells: Cells, axes: Sequence[AxisRecord], names: Mapping[str, str]
                                                                                    strict=True)}
         figure.legend(keys.values(), keys.keys(), loc="lower right", frameon=False, fontsize=8)
         figure.supylabel("efficiency", color=palette.INK, fontsize=9)
+        figure.supxlabel("rung of the axis", color=palette.INK, fontsize=9)
     return figure

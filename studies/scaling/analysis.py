@@ -210,7 +210,7 @@ def draw_escapes(results: Sequence[ScalingRun]) -> Figure:
     """Primitives to the first escape against buttons: a column a graph, a row a rule; dots are runs."""
     budget = _get_budget(results)
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(10.4, 5.0), facecolor=palette.BACKGROUND, layout="constrained")
+        figure = Figure(figsize=(10.4, 6.2), facecolor=palette.BACKGROUND, layout="constrained")
         panels = figure.subplots(len(RULES), len(GRAPHS), sharex=True, sharey=True, squeeze=False)
         for row, rule in zip(panels, RULES, strict=True):
             for axes, graph in zip(row, GRAPHS, strict=True):
@@ -224,20 +224,28 @@ def draw_escapes(results: Sequence[ScalingRun]) -> Figure:
                     shift = 0.08 * (number - (len(AGENTS) - 1) / 2)
                     dots = [(r.buttons + shift, r.first_escape) for r in own]
                     axes.scatter(*zip(*dots, strict=True) if dots else ([], []), s=7, alpha=0.5, **style)
-                    failed = [r.buttons + shift for r in here if r.agent == agent and r.first_escape is None]
-                    axes.scatter(failed, [1.5 * budget] * len(failed), s=14, linewidths=0.8, **style)
+                for size in SIZES:
+                    failed = [agent for agent in AGENTS
+                              if any((r.agent, r.buttons, r.first_escape) == (agent, size, None) for r in here)]
+                    for place, agent in enumerate(failed):
+                        axes.plot(size, 1.05 + 0.055 * place, color=_COLOURS[agent], marker=MARKERS[agent],
+                                  markersize=4, transform=axes.get_xaxis_transform(), clip_on=False)
                 axes.axhline(budget, color=palette.MUTED, linestyle=":", linewidth=1)
-                axes.set_title(f"{graph}, {rule}", fontsize=9, color=palette.INK, loc="left")
+                axes.set_title(f"{graph}, {rule}", fontsize=9, color=palette.INK, loc="left", pad=48)
                 axes.set_yscale("log")
                 finish_axes(axes)
                 axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.0f}"))
                 axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        least = min((r.first_escape for r in results if r.first_escape is not None), default=1)
+        panels[0, 0].set_ylim(0.7 * least, 1.05 * budget)
         for axes in panels[-1]:
             axes.set_xlabel("buttons", color=palette.INK)
             axes.set_xlim(0.5, SIZES[-1] + 1.5)
             axes.set_xticks(SIZES)
         for axes in panels[:, 0]:
             axes.set_ylabel("primitives to the\nfirst escape", color=palette.INK)
+            axes.text(-0.03, 1.03, f"not within\n{budget:,}", transform=axes.transAxes, ha="right", va="bottom",
+                      color=palette.MUTED, fontsize=8)
         panels[0, -1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     return figure
 
@@ -264,6 +272,7 @@ def draw_structure(results: Sequence[ScalingRun]) -> Figure:
             axes.set_ylim(-0.04, 1.04)
             finish_axes(axes)
             axes.set_xticks([0, budget // 20_000 * 10_000 or budget // 2, budget // 10_000 * 10_000 or budget])
+        panels[0].set_ylabel("precision or recall", color=palette.INK)
         panels[-1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
@@ -43,7 +43,7 @@ def tell_sizes(results: Sequence[ScalingRun]) -> list[str]:
 
 
 def advise_sizes(results: Sequence[ScalingRun]) -> str:
-    """Advice to a user: the agents that come furthest whatever the rule, and how far."""
+    """Advice to a user: the agents that come furthest whatever the rule, how far, and whether others are told apart."""
     reach = {agent: min(_find_reach([run for run in results if (run.agent, run.rule) == (agent, rule)])[0]
                         for rule in RULES if any((run.agent, run.rule) == (agent, rule) for run in results))
              for agent in AGENTS if any(run.agent == agent for run in results)}
@@ -52,7 +52,39 @@ def advise_sizes(results: Sequence[ScalingRun]) -> str:
         return "Begin with fewer buttons: no agent escapes in all runs of any size."
     names = [f"`{agent.removeprefix('smdp-')}`" for agent, size in reach.items() if size == most]
     return (f"For many buttons take {join_words(names, 'or')}, which {'comes' if len(names) == 1 else 'come'} furthest "
-            f"whatever the rule, up to {most} buttons.")
+            f"whatever the rule, up to {most} buttons{_tell_lead(results, reach)}.")
+
+
+def _tell_lead(results: Sequence[ScalingRun], reach: Mapping[str, int]) -> str:
+    """A clause: next best agents that Fisher's test does not tell from the first, where they fall behind; else empty.
+
+    Args:
+        results: all runs.
+        reach: agent -> most buttons with which all its runs escape, whatever the rule.
+    """
+    most = max(reach.values())
+    second = max((size for size in reach.values() if size < most), default=0)
+    first = next(agent for agent, size in reach.items() if size == most)
+    parts = []
+    for rule in RULES:
+        own, count = _count_escapes(results, rule, first, most)
+        near = []
+        for agent in (agent for agent, size in reach.items() if size == second):
+            hits, runs = _count_escapes(results, rule, agent, most)
+            p = float(np.asarray(stats.fisher_exact([(own, count - own), (hits, runs - hits)]))[1])
+            if hits < runs and p >= ALPHA:
+                near.append(f"{hits} of {runs} of `{agent.removeprefix('smdp-')}`")
+        if near:
+            parts.append(f"with {most} buttons under `{rule}` {own} of {count} runs of `{first.removeprefix('smdp-')}` "
+                         f"escape, {join_words(near)}")
+    return f"; the lead is not told apart: {', and '.join(parts)}" if parts else ""
+
+
+def _count_escapes(results: Sequence[ScalingRun], rule: str, agent: str, size: int) -> tuple[int, int]:
+    """Runs of an agent that escape with some number of buttons, and all that were planned."""
+    own = [run for run in results if (run.rule, run.agent, run.buttons) == (rule, agent, size)]
+    return (sum(run.first_escape is not None for run in own),
+            len(own) + count_spared(results, rule, agent, size))
 
 
 def _find_reach(own: Sequence[ScalingRun]) -> tuple[int, bool]:

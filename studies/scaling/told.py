@@ -26,7 +26,8 @@ from studies.statistics import (
     tell_power,
 )
 
-__all__ = ["HOLDS", "ToldCost", "advise_told", "compute_told_costs", "list_told_rows", "tell_told"]
+__all__ = ["HOLDS", "ToldCost", "advise_told", "compute_told_costs", "list_told_rows", "tell_told",
+           "tell_too_few"]
 
 HOLDS = f"all-on, {MAX_PARENTS}"
 """Label of the learner that is told just what holds in these rooms."""
@@ -145,15 +146,38 @@ def _tell_cost(cost: ToldCost) -> str:
 def advise_told(results: Sequence[ScalingRun]) -> str:
     """Advice to a user: what to tell a learner of structure, by what being told otherwise costs."""
     costs = [cost for cost in compute_told_costs(results) if cost.runs >= LEAST_RUNS]
+    few = tell_too_few(results)
     learner = f"`{BAR_AGENT.removeprefix('smdp-')}`"
     dearer, cheaper = ([f"`{cost.label}`" for cost in costs if cost.is_shown and cost.more * sign > 0]
                        for sign in (1, -1))
     if cheaper:
-        return f"Tell {learner} {join_words(dict.fromkeys(cheaper), 'or')}, which is shown to help beyond what holds."
-    if dearer:
-        return (f"Tell {learner} what holds and nothing else: told {join_words(dict.fromkeys(dearer), 'or')} it takes "
+        said = f"Tell {learner} {join_words(dict.fromkeys(cheaper), 'or')}, which is shown to help beyond what holds."
+    elif dearer:
+        said = (f"Tell {learner} what holds and nothing else: told {join_words(dict.fromkeys(dearer), 'or')} it takes "
                 "longer.")
-    return f"What {learner} is told is not shown to matter." if costs else ""
+    else:
+        said = f"What {learner} is told is not shown to change how long it takes." if costs else ""
+    return f"{said} {few}".strip()
+
+
+def tell_too_few(results: Sequence[ScalingRun]) -> str:
+    """A sentence where all labels of too few parents find the whole graph in fewer runs than any other; else empty."""
+    shares: dict[str, list[tuple[int, int]]] = {}
+    for task, spec in itertools.product(TOLD_TASKS, TOLD):
+        own = [run for run in results if (run.task, run.agent) == (task, spec.label)]
+        if len(own) >= LEAST_RUNS:
+            shares.setdefault(spec.label, []).append((sum(map(_has_graph, own)), len(own)))
+    few, enough = ({label: own for label, own in shares.items()
+                    if (int(label.rsplit(", ")[1]) < MAX_PARENTS) == is_few} for is_few in (True, False))
+    if not few or not enough:
+        return ""
+    best, least = (choose((pair for own in group.values() for pair in own), key=lambda pair: pair[0] / pair[1])
+                   for choose, group in ((max, few), (min, enough)))
+    if best[0] * least[1] >= least[0] * best[1]:
+        return ""
+    names = join_words([f"`{label}`" for label in few], "or")
+    return (f"Too few parents are the worst to be told: with {names} it finds the whole graph in at most {best[0]} of "
+            f"{best[1]} runs, with the others in at least {least[0]} of {least[1]}.")
 
 
 def list_told_rows(results: Sequence[ScalingRun]) -> list[list[Any]]:

@@ -38,7 +38,7 @@ from studies.scaling.rounds import (
     make_room,
     run_scaling,
 )
-from studies.scaling.told import HOLDS, advise_told, compute_told_costs, tell_told
+from studies.scaling.told import HOLDS, advise_told, compute_told_costs, tell_told, tell_too_few
 from studies.store import Store
 from studies.study import find_study
 from tests.comparison.small import break_checkpoint
@@ -338,6 +338,19 @@ def test_sizes_that_all_runs_master_are_told_agent_by_agent():
     assert "Begin with fewer buttons" in advise_sizes(results[-2:-1])
 
 
+@pytest.mark.parametrize(("escapes", "said"), [
+    (3, "up to 15 buttons; the lead is not told apart: with 15 buttons under `ignore` 4 of 4 runs of `factored-r-max` "
+        "escape, 3 of 4 of `r-max`."),
+    (0, "up to 15 buttons."),
+])
+def test_a_lead_of_a_run_is_not_called_one(escapes: int, said: str):
+    """By Fisher's test 4 of 4 are told from 0 of 4 (p = 0.029), and not from 3 of 4 (p = 1)."""
+    first = [make_result(AGENTS[0], buttons, run=run) for buttons in SIZES[:-1] for run in range(4)]
+    second = [make_result("smdp-r-max", buttons, run=run, first=400 if buttons < 15 or run < escapes else None)
+              for buttons in SIZES[:-1] for run in range(4)]
+    assert advise_sizes([*first, *second]).endswith(said), advise_sizes([*first, *second])
+
+
 def test_few_runs_that_all_escape_leave_much_open():
     runs = [make_result(run=run) for run in range(4)] + [make_result(buttons=6, run=run) for run in range(10)]
     low = [stats.binomtest(count, count).proportion_ci(0.95, "exact").low for count in (4, 10)]
@@ -386,11 +399,11 @@ def test_being_told_less_costs_what_the_runs_show():
     told = [dataclasses.replace(run, primitives=600 + 100 * (run.run % 7)) if run.agent == "all-on, 3" else run
             for run in told]
     sentence, power = tell_told(told)
-    assert power.startswith("Of such studies 80 % would have seen a difference of "), "one varies"
+    assert power.startswith("A study of this size has 80 % power to detect a difference of "), "one varies"
     assert advise_told(told) == "Tell `factored-r-max` `any, 4`, which is shown to help beyond what holds."
     slow = make_told({label: 900 for label in LABELS} | {"all-on, 1": None})
     assert advise_told(slow) == ("Tell `factored-r-max` what holds and nothing else: told `all-on, 1` it takes longer.")
-    assert "is not shown to matter" in advise_told(make_told({label: 900 for label in LABELS}))
+    assert "is not shown to change how long it takes." in advise_told(make_told({label: 900 for label in LABELS}))
     assert "all runs have the whole graph told `all-on, 2`, `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2`, `any, 3` " \
         "or `any, 4`; not all do told `all-on, 1` (0 of 10)." in sentence
     assert "it takes more primitives told `all-on, 1` (19,100, 19,100 to 19,100, in 10 of 10 pairs); it takes " \
@@ -405,6 +418,19 @@ def test_being_told_less_costs_what_the_runs_show():
     everywhere = [dataclasses.replace(run, rule=task.rule) for task in TOLD_TASKS for run in told]
     shown = [cost.p for cost in compute_told_costs(everywhere) if cost.is_shown]
     assert shown == pytest.approx(6 * [21 * 2 / 2**10])
+
+
+def test_too_few_parents_are_called_the_worst_only_where_they_are():
+    few = {"all-on, 1": None, "any, 1": None}
+    told = make_told({label: 900 for label in LABELS} | few)
+    told = [dataclasses.replace(run, structure=((800, 1.0, 1.0),)) if run.run < 3 and run.agent in few else run
+            for run in told]
+    sentence = ("Too few parents are the worst to be told: with `all-on, 1` or `any, 1` it finds the whole graph in at "
+                "most 3 of 10 runs, with the others in at least 10 of 10.")
+    assert tell_too_few(told) == sentence and advise_told(told).endswith(f" it takes longer. {sentence}")
+    assert tell_too_few(make_told({label: 900 for label in LABELS} | few | {"any, 4": None})) == "", "as bad as they"
+    assert tell_too_few(make_told({label: 900 for label in LABELS})) == ""
+    assert tell_too_few(make_told({label: 900 for label in LABELS} | few, runs=9)) == ""
 
 
 def test_nothing_is_concluded_of_fewer_than_ten_runs_or_without_what_holds():
