@@ -292,7 +292,7 @@ def find_visible_shift(differences: ArrayLike, alpha: float, power: float = 0.8,
 
 
 def tell_power(sizes: Sequence[float], what: str, tell: Callable[[float], str]) -> str:
-    """A sentence: what 80 % of such studies would have seen; empty where nothing that varies was compared.
+    """A sentence: what a study of this size sees in 80 % of cases; empty where nothing that varies was compared.
 
     Args:
         sizes: smallest visible difference of each comparison; 0 where runs do not vary, infinite where none is visible.
@@ -306,8 +306,8 @@ def tell_power(sizes: Sequence[float], what: str, tell: Callable[[float], str]) 
         lost = sum(map(np.isinf, known))
         return f"In {lost} of {len(known)} of these comparisons there were too few runs to see any difference."
     middle = float(np.median(known))
-    return (f"Of such studies 80 % would have seen {what} {tell(middle)} in half of these comparisons, and of "
-            f"{tell(known[-1])} in all of them.")
+    return (f"A study of this size has 80 % power to detect {what} {tell(middle)} in half of these comparisons, and of "
+            f"{tell(known[-1])} in all.")
 
 
 def choose_holm_levels(p: Sequence[float], alpha: float = 1 - LEVEL) -> list[float]:

@@ -81,8 +81,8 @@ def conclude(findings: Findings) -> list[str]:
     unshown = [effect for effect in findings.effects if not effect.is_shown]
     if unshown:
         middle = float(np.median([effect.visible for effect in unshown]))
-        sentences.append(f"On the slope nothing is shown of {join_words(effect.factor for effect in unshown)}; of such "
-                         f"studies 80 % would have seen an effect of {middle:.2f} of half of these.")
+        sentences.append(f"On the slope nothing is shown of {join_words(effect.factor for effect in unshown)}; a study "
+                         f"of this size has 80 % power to detect an effect of {middle:.2f} of half of these.")
     return [*sentences, *(_tell_paths(effect, findings.paths) for effect in findings.shown)]
 
 

@@ -136,7 +136,7 @@ def _conclude(ratios: Sequence[CostRatio], one: str, other: str, cost: RunCost) 
     unknown = groups["unknown"]
     left_out = f"; with {_name_sizes(unknown)} the price could not be estimated" if unknown else ""
     if short := groups["short"]:
-        left_out += f"; with {_name_sizes(short)} its budget was smaller, so no price is told"
+        left_out += f"; with {_name_sizes(short)} its budget was smaller, so no price is given"
     return f"Until {cost.event}, `{one}` {'; it '.join(parts)}{left_out}."
 
 

@@ -216,7 +216,7 @@ def test_intervals_leave_0_out_just_where_an_effect_is_shown_and_power_is_told()
     findings = analyse_screening(Screening.make("sarsa", runs))
     said = " ".join(conclude(findings))
     assert said.startswith("No correction is shown to raise the slope. No correction is shown to raise the level.")
-    assert "of such studies 80 % would have seen an effect of 0." in said
+    assert "a study of this size has 80 % power to detect an effect of 0." in said
     strong = analyse_screening(Screening.make("sarsa", make_runs(lambda on: 0.3 + 0.3 * on["choices"])))
     for effect in (*findings.effects, *findings.levels, *strong.effects, *strong.levels):
         assert (effect.test.low > 0 or effect.test.high < 0) == effect.is_shown

@@ -332,4 +332,4 @@ def test_the_best_of_several_cells_is_corrected_for_the_choice():
     several = [line for shift, rooms in enumerate((1, 4, 16, 64, 256)) for line in train_in(rooms, shift)]
     said = tell("generalisation", [*searched, *several])
     assert f"`{MEMORY}` at its best number of training rooms, " in said, "the number was chosen after a look"
-    assert "**No learner is shown to beat searching in `pair`: " in said and "would have seen a gain of 0." in said
+    assert "**No learner is shown to beat searching in `pair`: " in said and "80 % power to detect a gain of 0." in said

@@ -249,7 +249,7 @@ def test_learners_are_held_against_the_best_searcher(learner: float, nearest: fl
     lines = [*make("smdp-dqn+no-primitives", learner, 1000), *make(CHANCE, 0.1, 0), *make(ROUND, nearest - 0.3, 0),
              *make("smdp-untried-nearest+no-primitives", nearest, 0)]
     page = tell(lines, RUNGS)
-    assert finding in page and "80 % would have seen a gain of 0.0" in page
+    assert finding in page and "80 % power to detect a gain of 0.0" in page
     assert "is the best searcher that learns nothing, and not chance or a round in the order of the numbers" in page
     lucky = [dataclasses.replace(line, efficiency=0.95) if line.agent == CHANCE and line.rung == RUNGS[1] else line
              for line in lines]

@@ -223,12 +223,12 @@ def test_a_price_measured_in_small_rooms_alone_grows_by_a_bound_at_least():
 
 
 def test_a_price_measured_in_three_sizes_grows_by_a_number_whatever_the_others_bound():
-    """A long budget in small rooms, a short one in large rooms, where no price is told; the truth is 1.6 a button."""
+    """A long budget in small rooms, a short one in large rooms, where no price is given; the truth is 1.6 a button."""
     lines = [dataclasses.replace(line, **cap(line, 20_000)) if line.agent == "f" and line.buttons > 3 else line
              for line in make_truth(price=10.0, growth=1.6)]
     told = conclude(lines)
     assert "with 2 buttons and" in told and "more than" not in told
-    assert "with 4 or 6 buttons its budget was smaller, so no price is told." in told
+    assert "with 4 or 6 buttons its budget was smaller, so no price is given." in told
     words, = [part for part in told.split(". ") if part.startswith("Each button from 1 to 3 multiplies the factor by")]
     low, high = (float(end) for end in words.split("(")[1].rstrip(").").split(" to "))
     assert low < 1.6 < high < 2
@@ -406,3 +406,6 @@ def test_the_page_tells_every_learner_and_its_figure_is_drawn(tmp_path: Path):
     for variant in VARIANTS:
         assert f". Until it is efficient, `{variant}` pays only 0.032 (0.032 to 0.032) times the primitives of" in page
     assert (tmp_path / "figures" / "price.svg").exists()
+    assert f"kept of 0 of {len(lines)} runs; the others were made before." in page
+    curved = [dataclasses.replace(line, curve=((0, 0.0), (line.primitives, 0.0))) for line in lines]
+    assert f"kept of {len(lines)} of {len(lines)} runs." in tell("price", curved)

@@ -126,6 +126,6 @@ def test_a_shift_is_visible_where_the_t_test_would_see_it():
 
 def test_power_is_told_of_what_varies():
     assert tell_power([0.0, 0.1, 0.3], "a gain of", "{:.1f}".format) == (
-        "Of such studies 80 % would have seen a gain of 0.2 in half of these comparisons, and of 0.3 in all of them.")
+        "A study of this size has 80 % power to detect a gain of 0.2 in half of these comparisons, and of 0.3 in all.")
     assert tell_power([0.1, np.inf], "a gain of", str).startswith("In 1 of 2 of these comparisons there were too few")
     assert tell_power([0.0], "a gain of", str) == ""

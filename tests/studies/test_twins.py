@@ -199,7 +199,7 @@ def test_what_would_have_been_seen_grows_with_the_spread():
         cells = group(lines)
         return tell_visible(compare_twins([list_questions(GIVEN_HIERARCHIES)[1]], cells, ROOMS)[0])
 
-    assert "would have seen a gain of 0.09 in half" in see(0.1) and "0.35 in half" in see(0.4)
+    assert "80 % power to detect a gain of 0.09 in half" in see(0.1) and "0.35 in half" in see(0.4)
     assert tell_visible([]) == ""
 
 
