@@ -43,7 +43,7 @@ from studies.store import Store
 from studies.study import Study
 
 __all__ = ["ARCHIVE", "CORNER", "TENTHS", "FlatArgs", "FlatJob", "FlatLearner", "FlatRun", "RepeatedStreams",
-           "find_until", "list_learners", "measure_flat_runs", "run_flat"]
+           "count_untrained", "find_until", "list_learners", "measure_flat_runs", "run_flat"]
 
 CORNER = 0.8
 """Share of the way from the middle to a wall from which on, along both walls, the robot is in a corner: 4 % of the
@@ -384,6 +384,18 @@ def _split(values: Sequence[float]) -> tuple[float, ...]:
     """Means of tenths."""
     parts = np.array_split(np.array(values), TENTHS) if len(values) >= TENTHS else []
     return tuple(round(float(part.mean()), 4) for part in parts)
+
+
+def count_untrained(learner: FlatLearner) -> int:
+    """Most primitives before a learner's first update; 0 of one ordinary environment, where that is soon.
+
+    A decision takes all its repeats until an episode ends, so that first escapes up to here are the untrained policy's.
+    """
+    recipe: Any = None if learner.agent == ARCHIVE or not learner.streams else get_recipe(learner.agent)
+    if not hasattr(recipe, "stream_rollout"):
+        return 0
+    settings: Any = replace_settings(recipe, learner.settings)
+    return max(settings.rollout, settings.stream_rollout * learner.streams) * learner.repeat
 
 
 def list_learners(study: Study, args: FlatArgs) -> list[FlatLearner]:

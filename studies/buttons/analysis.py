@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any, NamedTuple
@@ -170,7 +171,7 @@ class Growth(NamedTuple):
         high: upper end.
         factor: c.
         power: share of resamples in which the power law fits better than an exponential.
-        largest: most buttons with which at least half of the runs escaped.
+        largest: most buttons that were fitted.
         band: (buttons, low, high), the 95 % interval of the law at each number of buttons that was fitted.
     """
 
@@ -223,23 +224,35 @@ def _fit_lines(x: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDA
     return slope, start, (np.where(kept, start[:, None] + slope[:, None] * x - y, 0.0) ** 2).sum(axis=1)
 
 
-def tell_reach(largest: Mapping[str, int | None], words: Mapping[str, str], most: int) -> str:
-    """One sentence: who still escapes with the most buttons, and where the others stop.
+def tell_reach(largest: Mapping[str, int | None], words: Mapping[str, str], widths: Mapping[int, float]) -> str:
+    """One sentence: who still escapes with the most buttons, and beyond how many the others do in few runs.
 
     Args:
         largest: agent -> most buttons with which at least half of the runs escape; None for none.
         words: agent -> what it stands for.
-        most: buttons in the largest rooms.
+        widths: number of buttons -> width of the rooms, m.
     """
+    most = max(widths)
     arrived = [words[agent] for agent, reach in largest.items() if reach == most]
     stops: dict[int, list[str]] = {}
     for agent, reach in largest.items():
         if reach != most:
             stops.setdefault(reach or 0, []).append(words[agent])
     there = f"{join_words(arrived) or 'nobody'} still escape{'' if len(arrived) > 1 else 's'} with {most} buttons"
-    rest = [f"{join_words(names)} stop{'' if len(names) > 1 else 's'} "
-            + (f"at {reach}" if reach else "before the smallest room") for reach, names in sorted(stops.items())[::-1]]
-    return (there[0].upper() + there[1:]) + ("; " + ", ".join(rest) if rest else "") + "."
+    rest = [f"of {join_words(names)} {'' if number else 'escape '}{_tell_stop(reach, widths)}"
+            for number, (reach, names) in enumerate(sorted(stops.items())[::-1])]
+    return (there[0].upper() + there[1:]) + ("; fewer than half of the runs " + ", and ".join(rest) if rest else
+                                             "") + "."
+
+
+def _tell_stop(reach: int, widths: Mapping[int, float]) -> str:
+    """Words on where an agent comes no further, and whether rooms grow there too."""
+    if not reach:
+        return "with any number of buttons"
+    after = min(size for size in widths if size > reach)
+    grown = (f", where rooms also grow from {widths[reach]:g} m to {widths[after]:g} m"
+             if widths[after] > widths[reach] else "")
+    return f"beyond {reach} buttons{grown}"
 
 
 def tell_growth(growths: Mapping[str, Growth | None], largest: Mapping[str, int | None], words: Mapping[str, str],
@@ -267,7 +280,7 @@ def tell_growth(growths: Mapping[str, Growth | None], largest: Mapping[str, int 
         law = ("; a power law fits better than an exponential" if growth.power >= SURE else
                "; an exponential fits better than a power law" if growth.power <= 1 - SURE else
                "; these sizes do not tell a power law from an exponential")
-        yield (f"{text}, after a number of primitives that grows as n^{growth.exponent:.1f} "
+        yield (f"{text}; up to {growth.largest} buttons the number of primitives grows as n^{growth.exponent:.1f} "
                f"({growth.low:.1f} to {growth.high:.1f}){law}.")
 
 
@@ -329,17 +342,23 @@ def analyse(study: Study, lines: Sequence[EscapeRun]) -> Page:
         raise ComparisonError("there are no runs to tell of")
     words: Mapping[str, str] = study.data["agents"]
     of = {agent: own for agent in words if (own := [run for run in lines if run.agent == agent])}
-    growths = {agent: fit_growth(own, np.random.default_rng(0)) for agent, own in of.items()}
-    largest = {agent: max(list_times(own), default=None) for agent, own in of.items()}
     sizes = study.data["sizes"]
+    rooms = {size: make_room(RoomKind(study.data["graph"], size, study.data["rule"])) for size in sizes}
+    widths = {size: room.room.width for size, room in rooms.items()}
+    alike = [size for size, width in widths.items() if width == widths[sizes[0]]]
+    growths = {agent: fit_growth([run for run in own if run.buttons in alike], np.random.default_rng(0))
+               for agent, own in of.items()}
+    largest = {agent: max(list_times(own), default=None) for agent, own in of.items()}
     rows = [[f"{words[agent]} (`{agent}`)", *(_describe([run for run in own if run.buttons == size])
                                               for size in sizes)] for agent, own in of.items()]
     ratios = compare_searchers(of, largest, max(sizes))
     sentences = [*tell_growth(growths, largest, words, max(sizes)), *tell_searchers(ratios, words, max(sizes))]
-    headline = tell_reach(largest, words, max(sizes))
+    headline = tell_reach(largest, words, widths)
     return Page({"headline": headline, "advice": advise(ratios, words, max(sizes)),
                  "sentences": sentences, "table": make_table(["agent", *map(str, sizes)], rows),
                  "runs": max(sum(run.buttons == sizes[0] for run in own) for own in of.values()),
+                 "widths": [(width, [size for size in sizes if widths[size] == width])
+                            for width in dict.fromkeys(widths.values())], "horizon": rooms[sizes[0]].horizon,
                  "budget": study.data["budget"], "graph": study.data["graph"], "rule": study.data["rule"]},
                 {"buttons": draw(of, growths, words)}, [headline, *sentences])
 
@@ -358,6 +377,7 @@ def draw(of: Mapping[str, Sequence[EscapeRun]], growths: Mapping[str, Growth | N
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(7.6, 4.2), facecolor=palette.BACKGROUND, layout="constrained")
         axes = figure.add_subplot()
+        budget, rows = max(run.budget for own in of.values() for run in own), 0
         for number, (agent, own) in enumerate(of.items()):
             colour = palette.LINES[number]
             dots = [(run.buttons, run.first_escape) for run in own if run.first_escape is not None]
@@ -370,12 +390,19 @@ def draw(of: Mapping[str, Sequence[EscapeRun]], growths: Mapping[str, Growth | N
             if growth is not None:
                 at, low, high = zip(*growth.band, strict=True)
                 axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0)
-            failed = [run.buttons for run in own if run.first_escape is None]
-            axes.scatter(failed, [own[0].budget * 1.35 ** (number + 1)] * len(failed), marker="x", s=20, color=colour,
-                         linewidths=1)
+            failed = Counter(run.buttons for run in own if run.first_escape is None)
+            for size, count in failed.items():
+                axes.text(size, 1.03 + 0.055 * rows, count, color=colour, ha="center", fontsize=8,
+                          transform=axes.get_xaxis_transform())
+            rows += bool(failed)
+        axes.axhline(budget, color=palette.MUTED, linestyle=":", linewidth=1)
+        if rows:
+            axes.text(1.03, 1.03, f"runs without an escape\nwithin {budget:,} primitives", color=palette.MUTED,
+                      fontsize=8, transform=axes.transAxes)
         finish_axes(axes)
         sizes = sorted({run.buttons for own in of.values() for run in own})
         axes.set(xscale="log", yscale="log", xlabel="buttons", ylabel="primitives to the first escape")
+        axes.set_ylim(top=1.05 * budget)
         axes.set_xticks(sizes, [str(size) for size in sizes])
         axes.xaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))

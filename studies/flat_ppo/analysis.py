@@ -7,7 +7,7 @@ each table of comparisons is one family (Holm), and all tests are by flipped sig
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -22,14 +22,23 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import join_words
 from studies.figures import FIGURE_STYLE, finish_axes
-from studies.flat import TENTHS, FlatArgs, FlatJob, FlatRun, list_learners, measure_flat_runs
+from studies.flat import (
+    TENTHS,
+    FlatArgs,
+    FlatJob,
+    FlatLearner,
+    FlatRun,
+    count_untrained,
+    list_learners,
+    measure_flat_runs,
+)
 from studies.page import make_table
 from studies.statistics import Difference, compare_signs
 from studies.store import Store
 from studies.study import Page, Study
 
 __all__ = ["LINES", "Args", "advise", "analyse", "compare", "measure", "tell_fall", "tell_learning",
-           "tell_remedies"]
+           "tell_remedies", "tell_untrained"]
 
 LINES = (FlatRun,)
 Args = FlatArgs
@@ -95,7 +104,55 @@ def tell_fall(lines: Sequence[FlatRun], plain: str, chance: str) -> str:
     return f"Flat PPO falls below chance, and not by corners: until its first escape it takes {price}; it {where}."
 
 
-def tell_remedies(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str, chance: str) -> list[str]:
+def find_untrained(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner]) -> dict[str, tuple[int, int]]:
+    """Label -> latest first escape and primitives before the first update, of those all of whose escapes come before.
+
+    Args:
+        lines: all runs.
+        learners: by label.
+    """
+    found = {}
+    for label, learner in learners.items():
+        ends = [run.first_escape for run in lines if run.agent == label]
+        known = [end for end in ends if end is not None]
+        if known and len(known) == len(ends) and max(known) <= count_untrained(learner):
+            found[label] = max(known), count_untrained(learner)
+    return found
+
+
+def tell_untrained(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner], chance: str) -> str:
+    """Sentences on learners whose first escapes all come before their first update; empty where there are none.
+
+    Args:
+        lines: all runs.
+        learners: by label.
+        chance: label of the one that never learns.
+    """
+    found = find_untrained(lines, {label: learner for label, learner in learners.items() if label != chance})
+    said = []
+    for escapes, labels in group_alike(lines, found).items():
+        latest, update = found[labels[0]]
+        repeat, who = learners[labels[0]].repeat, join_words([f"`{label}`" for label in labels])
+        alike = f", the same in {'both' if len(labels) == 2 else 'all'} run by run," if len(labels) > 1 else ""
+        said.append(f"The {len(escapes)} first escapes of {who}{alike} come within {latest:,} primitives, and the "
+                    f"first update only after {update:,}: they are those of random moves"
+                    + (f", each repeated {repeat} times" if repeat > 1 else "") + ", and not of learning.")
+        if repeat != learners[chance].repeat:
+            said.append(f"Chance with {repeat} repeats was not run.")
+    return " ".join(said)
+
+
+def group_alike(lines: Sequence[FlatRun], labels: Iterable[str]) -> dict[tuple[tuple[int, int | None], ...], list[str]]:
+    """Labels by their first escapes, seed by seed."""
+    groups: dict[tuple[tuple[int, int | None], ...], list[str]] = {}
+    for label in labels:
+        own = tuple(sorted((run.seed, run.first_escape) for run in lines if run.agent == label))
+        groups.setdefault(own, []).append(label)
+    return groups
+
+
+def tell_remedies(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str, chance: str,
+                  untrained: Collection[str] = ()) -> list[str]:
     """A sentence a remedy: time in corners and first escape against the plain learner's, and whether chance is beaten.
 
     Args:
@@ -103,6 +160,7 @@ def tell_remedies(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str,
         remedies: labels.
         plain: label of the learner without them.
         chance: label of the policy that never learns.
+        untrained: labels whose first escapes come before they learn.
     """
     corners = compare(lines, remedies, plain, read_corners)
     escapes = compare(lines, remedies, plain, read_escape)
@@ -114,23 +172,38 @@ def tell_remedies(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str,
                  0: "is not shown to change its time in corners"}[where.sign]
         factor, ends = math.exp(when.mean), (math.exp(when.low), math.exp(when.high))
         speed = {-1: "comes sooner", 1: "comes later", 0: "is not shown to come sooner or later"}[when.sign]
-        chances = "" if over is None else {-1: "; it beats chance", 1: "; it stays behind chance",
+        sooner = ("; all of its first escapes come before the first update" if label in untrained else
+                  "; it beats chance")
+        chances = "" if over is None else {-1: sooner, 1: "; it stays behind chance",
                                            0: "; it is not told apart from chance"}[over.sign]
         told.append(f"`{label}` {keeps} ({where.mean:+.2f}, {where.low:+.2f} to {where.high:+.2f}), and its first "
                     f"escape {speed} ({factor:.2f} times the primitives, {ends[0]:.2f} to {ends[1]:.2f}){chances}.")
     return told
 
 
-def advise(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str) -> str:
-    """Advice to a user: remedies that bring the first escape sooner, and those that only keep out of corners."""
+def advise(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str, untrained: Collection[str] = ()) -> str:
+    """Advice to a user: remedies that bring the first escape sooner, and those that only keep out of corners.
+
+    Args:
+        lines: all runs.
+        remedies: labels.
+        plain: label of the learner without them.
+        untrained: labels whose first escapes come before they learn.
+    """
     corners, escapes = (compare(lines, remedies, plain, read) for read in (read_corners, read_escape))
     sooner = [f"`{label}`" for label, found in escapes.items() if found.sign < 0]
     kept = [f"`{label}`" for label, found in corners.items() if found.sign < 0 and f"`{label}`" not in sooner]
     said = "Watch where your agent spends its time before the first reward"
-    if sooner:
-        said += f", and begin with {join_words(sooner, 'or')}: the first escape comes sooner"
+    learned = [label for label in sooner if label.strip("`") not in untrained]
+    early = [label for label in sooner if label not in learned]
+    if learned:
+        said += f", and begin with {join_words(learned, 'or')}: the first escape comes sooner"
+    if early:
+        said += (f"{'; ' if learned else ', and '}try {join_words(early, 'or')}: the first escape comes sooner, "
+                 "before anything is learned")
     if kept:
-        said += f"; only out of corners it is kept by {join_words(kept)}"
+        said += (f"; {join_words(kept)} {'keeps' if len(kept) == 1 else 'keep'} it out of corners but "
+                 f"{'is' if len(kept) == 1 else 'are'} not shown to bring the first escape sooner")
     return f"{said}{'' if sooner or kept else '; none of the remedies tried here is shown to help'}."
 
 
@@ -162,17 +235,20 @@ def analyse(study: Study, lines: Sequence[FlatRun]) -> Page:
     labels = [table["label"] for table in data["learners"] if any(run.agent == table["label"] for run in lines)]
     plain, chance = data["plain"], data["chance"]
     remedies = [label for label in labels if label not in (plain, chance)]
-    headline, told = tell_fall(lines, plain, chance), tell_remedies(lines, remedies, plain, chance)
+    learners = {learner.label: learner for learner in list_learners(study, FlatArgs(agents=tuple(labels)))}
+    untrained = find_untrained(lines, learners)
+    headline, told = tell_fall(lines, plain, chance), tell_remedies(lines, remedies, plain, chance, untrained)
+    early = tell_untrained(lines, learners, chance)
     learning = tell_learning(lines, [label for label in labels if label != chance])
     return Page({
-        "headline": headline, "told": told,
-        "advice": advise(lines, remedies, plain), "learning": learning, "budget": lines[0].budget,
+        "headline": headline, "told": told, "early": early,
+        "advice": advise(lines, remedies, plain, untrained), "learning": learning, "budget": lines[0].budget,
         "runs": min(sum(run.agent == label for run in lines) for label in labels),
         "table": make_table(["learner", "runs", "first escape, median", "never", "in corners", "share of full entropy",
                              "escapes in training, last half", "efficiency at the end"],
                             [_describe(label, [run for run in lines if run.agent == label]) for label in labels]),
         "settings": {table["label"]: table for table in data["learners"]},
-    }, {"flat-ppo": draw(lines, labels)}, [headline, *told, learning])
+    }, {"flat-ppo": draw(lines, labels)}, [headline, *told, learning, *filter(None, [early])])
 
 
 def _describe(label: str, runs: Sequence[FlatRun]) -> list[Any]:

@@ -25,7 +25,15 @@ from hrl_escape.names import count_nouns, join_words
 from hrl_escape.settings import read_record
 from studies.buttons.analysis import find_first_escape
 from studies.figures import FIGURE_STYLE, finish_axes
-from studies.flat import FlatArgs, FlatJob, FlatLearner, FlatRun, list_learners, measure_flat_runs
+from studies.flat import (
+    FlatArgs,
+    FlatJob,
+    FlatLearner,
+    FlatRun,
+    count_untrained,
+    list_learners,
+    measure_flat_runs,
+)
 from studies.page import make_table
 from studies.price.contestants import CONTESTANTS, sample_replicate_room
 from studies.price.ratios import COSTS, CostRatio, correct_prices, find_middle
@@ -38,7 +46,7 @@ from studies.study import Page, Study, find_study
 
 __all__ = ["LINES", "Args", "Attempt", "SearcherRun", "advise", "analyse", "choose_candidate", "choose_course",
            "find_longer", "measure", "read_flat", "read_price", "tell_arrivals", "tell_cheapest", "tell_longer",
-           "tell_privileged", "tell_quickest", "tell_searcher"]
+           "tell_privileged", "tell_quickest", "tell_searcher", "tell_untrained"]
 
 FIELDS = {field.name for field in dataclasses.fields(FlatLearner)}
 ESCAPE = 0.0
@@ -367,6 +375,24 @@ def tell_searcher(ratios: Mapping[str, CostRatio], searcher: str) -> str:
             f"({tell_number(middle.low)} to {tell_number(middle.high)}) times its primitives, over {rooms} rooms.")
 
 
+def tell_untrained(cells: Cells, updates: Mapping[str, int]) -> str:
+    """Sentences on learners half of whose first escapes or more come before their first update.
+
+    Args:
+        cells: all runs.
+        updates: label -> primitives before its first update; 0 where that is soon.
+    """
+    told = []
+    for label, update in updates.items():
+        ends = [run.waits[ESCAPE][0] for (name, _), runs in cells.items() if name == label for run in runs
+                if run.waits.get(ESCAPE, (0.0, False))[1]]
+        early = sum(end <= update for end in ends)
+        if ends and 2 * early >= len(ends):
+            told.append(f"Of the {len(ends)} first escapes of `{label}` {early} come before its first update, after "
+                        f"{update:,} primitives: they are those of an untrained policy.")
+    return " ".join(told)
+
+
 def tell_longer(before: Mapping[str, Sequence[Attempt]], after: Mapping[str, Sequence[Attempt]], level: float,
                 budget: int) -> str:
     """A sentence: how many runs are efficient with more primitives, of learners that were not.
@@ -388,9 +414,11 @@ def advise(cells: Cells, sizes: Sequence[int], levels: Sequence[float], budget: 
     by_size = {size: list_arrived(cells, size, levels[-1]) for size in sizes
                if any(buttons == size for _, buttons in cells)}
     far = [size for size, arrived in by_size.items() if arrived]
-    idle = sorted({label for (label, size), runs in cells.items() if len(runs) >= LEAST_RUNS
-                   and count_arrived(runs, ESCAPE) == len(runs) and is_followed(runs, levels[0], budget)
-                   and not count_arrived(runs, levels[0])})
+    idle: dict[int, list[str]] = {}
+    for (label, size), runs in sorted(cells.items()):
+        if (len(runs) >= LEAST_RUNS and count_arrived(runs, ESCAPE) == len(runs)
+                and is_followed(runs, levels[0], budget) and not count_arrived(runs, levels[0])):
+            idle.setdefault(size, []).append(f"`{label}`")
     said = []
     if far:
         best = next(iter(by_size[far[-1]]))
@@ -402,8 +430,10 @@ def advise(cells: Cells, sizes: Sequence[int], levels: Sequence[float], budget: 
     elif by_size:
         said.append("Give a learner options before you give it a larger budget: none over primitives became efficient")
     if idle:
-        said.append(f"An escape in training is not yet learning: {join_words(f'`{label}`' for label in idle)} escaped "
-                    f"in every run of some size, and reached an efficiency of {levels[0]:g} in none")
+        who = join_words([f"{join_words(labels)} with {count_nouns(size, 'button')}"
+                          for size, labels in sorted(idle.items())])
+        said.append(f"An escape in training is not yet learning: {who} escaped in every run, and reached an efficiency "
+                    f"of {levels[0]:g} in none within {budget:,} primitives")
     return " ".join(f"{sentence}." for sentence in said)
 
 
@@ -447,6 +477,7 @@ def analyse(study: Study, lines: Sequence[Any]) -> Page:
     (pooled, first), _ = correct_prices([list(ratios.values()), [ratio for _, ratio, _ in quickest]])
     ratios = dict(zip(ratios, pooled, strict=True))
     quickest = [(label, ratio, second) for (label, _, second), ratio in zip(quickest, first, strict=True)]
+    chosen = {label: choose_candidate(study, lines, label) for label in dict.fromkeys(name for name, _ in cells)}
     headline = tell_arrivals(plain, sizes, levels[-1], budget)
     trials = [run for run in lines if isinstance(run, FlatRun) and run.agent not in labels]
     events = {ESCAPE: "the first escape", **{level: f"an efficiency of {level:g}" for level in levels}}
@@ -455,6 +486,7 @@ def analyse(study: Study, lines: Sequence[Any]) -> Page:
     sentences = list(filter(None, [
         tell_quickest(quickest), tell_privileged(cells, privileged, sizes, levels[-1]),
         tell_searcher({label: ratio for label, ratio in ratios.items() if label not in privileged}, searcher),
+        tell_untrained(cells, {label: count_untrained(learner) for label, learner in chosen.items()}),
         tell_longer({label: cells[label, size] for label, (size, _) in longer.items()},
                     {label: runs for label, (_, runs) in longer.items()}, levels[-1], data["longer"]["budget"])]))
     return Page({

@@ -85,7 +85,7 @@ def test_sentences_follow_the_data():
 
     slow, quick = make_runs(lambda n: 40 * n**1.5), make_runs(lambda n: 10 * n**1.5, SEARCHER)
     one, two = write(slow, quick)
-    assert re.search(r"up to 20 of 20 buttons, .* n\^1\.5 \(1\.\d to 1\.\d\); a power law fits better", one)
+    assert re.search(r"of 20 buttons; up to 20 buttons .* n\^1\.5 \(1\.\d to 1\.\d\); a power law fits better", one)
     steep, *_ = write(make_runs(lambda n: 30 * 2.2**n), quick)
     assert "up to 10 of 20 buttons" in steep and "an exponential fits better" in steep
     assert "fewer than half of the runs escape" in write(make_runs(lambda n: 2 * BUDGET), quick)[0]
@@ -112,13 +112,16 @@ def give_to(runs: list[EscapeRun], agent: str) -> list[EscapeRun]:
 
 @pytest.mark.parametrize(("largest", "sentence"), [
     ({LEARNER: 20, SEARCHER: 20}, "A learner and a searcher still escape with 20 buttons."),
-    ({LEARNER: 4, SEARCHER: 20}, "A searcher still escapes with 20 buttons; a learner stops at 4."),
-    ({LEARNER: None, SEARCHER: 6}, "Nobody still escapes with 20 buttons; a searcher stops at 6, a learner stops "
-                                   "before the smallest room."),
-    ({LEARNER: 10, SEARCHER: 10}, "Nobody still escapes with 20 buttons; a learner and a searcher stop at 10."),
+    ({LEARNER: 4, SEARCHER: 20}, "A searcher still escapes with 20 buttons; fewer than half of the runs of a learner "
+                                 "escape beyond 4 buttons."),
+    ({LEARNER: None, SEARCHER: 6}, "Nobody still escapes with 20 buttons; fewer than half of the runs of a searcher "
+                                   "escape beyond 6 buttons, and of a learner with any number of buttons."),
+    ({LEARNER: 10, SEARCHER: 10}, "Nobody still escapes with 20 buttons; fewer than half of the runs of a learner and "
+                                  "a searcher escape beyond 10 buttons, where rooms also grow from 20 m to 30 m."),
 ])
-def test_the_headline_says_who_arrives(largest, sentence):
-    assert tell_reach(largest, WORDS, 20) == sentence
+def test_the_headline_says_who_arrives_and_where_rooms_grow_too(largest, sentence):
+    assert tell_reach(largest, WORDS, {size: 20.0 if size <= 10 else 30.0 for size in SIZES}) == sentence
+    assert "grow" not in tell_reach(largest, WORDS, dict.fromkeys(SIZES, 20.0)), "rooms of one width"
 
 
 @pytest.mark.in_turn
@@ -126,7 +129,13 @@ def test_a_page_of_another_truth_says_another_thing(tmp_path: Path):
     agents = list(find_study("buttons").data["agents"])
     runs = [run for agent in agents for run in make_runs(lambda n: 9 * n**1.2, agent)]
     page = tell("buttons", runs, tmp_path)
-    assert page.count("with up to 20 of 20 buttons") == len(agents) and "stop" not in page.split("\n")[2]
+    assert page.count("with up to 20 of 20 buttons") == len(agents) and "fewer" not in page.split("\n")[2]
+    laws = re.findall(r"; up to 10 buttons the number of primitives grows as n\^1\.[123] .*", page)
+    assert len(laws) == len(agents), "rooms of one width"
+    assert "Rooms are 20 m wide with 2 to 10 buttons and 30 m wide with 12 to 20 buttons; laws are fitted" in page
+    larger = [dataclasses.replace(run, first_escape=2 * (run.first_escape or 0)) if run.buttons > 10 else run
+              for run in runs]
+    assert all(law in tell("buttons", larger) for law in laws), "what larger rooms cost is no growth"
     assert (tmp_path / "figures/buttons.svg").stat().st_size > 10_000
 
 

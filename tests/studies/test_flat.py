@@ -16,9 +16,9 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from studies.__main__ import main
-from studies.flat import ARCHIVE, CORNER, FlatLearner, FlatRun, RepeatedStreams, run_flat
+from studies.flat import ARCHIVE, CORNER, FlatLearner, FlatRun, RepeatedStreams, count_untrained, run_flat
 from studies.flat_ppo.analysis import advise as advise_ppo
-from studies.flat_ppo.analysis import tell_fall, tell_learning, tell_remedies
+from studies.flat_ppo.analysis import tell_fall, tell_learning, tell_remedies, tell_untrained
 from studies.league.analysis import (
     Attempt,
     SearcherRun,
@@ -38,6 +38,7 @@ from studies.league.analysis import (
     tell_quickest,
     tell_searcher,
 )
+from studies.league.analysis import tell_untrained as tell_untrained_league
 from studies.price.runs import PriceRun
 from studies.study import find_study
 from tests.studies.pages import load, save, tell
@@ -186,7 +187,7 @@ def test_remedies_are_told_by_corners_escapes_and_chance():
 
 @pytest.mark.parametrize(("remedy", "words"), [
     ((20, 0.05), "and begin with `good`: the first escape comes sooner."),
-    ((400, 0.05), "first reward; only out of corners it is kept by `good`."),
+    ((400, 0.05), "first reward; `good` keeps it out of corners but is not shown to bring the first escape sooner."),
     ((400, 0.3), "first reward; none of the remedies tried here is shown to help."),
 ])
 def test_advice_follows_the_remedies(remedy: tuple[float, float], words: str):
@@ -194,6 +195,34 @@ def test_advice_follows_the_remedies(remedy: tuple[float, float], words: str):
                                  corners=(run.corners[0] + 0.004 * (-1) ** run.seed,) * 10)
              for run in make_runs("good", *remedy)]
     assert advise_ppo([*lines, *make_runs("ppo", 400, 0.3)], ["good"], "ppo").endswith(words)
+
+
+def test_escapes_before_the_first_update_are_not_called_learning():
+    """Of 64 streams and 32 decisions a rollout, each of eight primitives, the first update comes after 16,384."""
+    learners = {label: FlatLearner(label, "ppo", repeat=repeat)
+                for label, repeat in (("chance", 1), ("a", 8), ("b", 8), ("c", 1))}
+    others = [*make_runs("chance", 20_000, 0.02), *make_runs("c", 20_000, 0.3)]
+    told = tell_untrained([*others, *make_runs("a", 10_000, 0.1), *make_runs("b", 10_000, 0.2)], learners, "chance")
+    assert told == ("The 10 first escapes of `a` and `b`, the same in both run by run, come within 11,800 primitives, "
+                    "and the first update only after 16,384: they are those of random moves, each repeated 8 times, "
+                    "and not of learning. Chance with 8 repeats was not run.")
+    apart = tell_untrained([*others, *make_runs("a", 10_000, 0.1), *make_runs("b", 9_000, 0.2)], learners, "chance")
+    assert "escapes of `a` come within 11,800" in apart and "escapes of `b` come within 10,620" in apart
+    late = [*others, *make_runs("a", 15_000, 0.1), *make_runs("b", 16_000, 0.2)]
+    assert tell_untrained(late, learners, "chance") == "", "some come after it"
+    never = [dataclasses.replace(run, first_escape=None) if run.seed == 3 else run for run in make_runs("a", 90, 0.1)]
+    assert tell_untrained([*others, *never], learners, "chance") == ""
+    lines = [*make_runs("good", 20, 0.05), *make_runs("chance", 100, 0.02), *make_runs("ppo", 400, 0.3)]
+    assert advise_ppo(lines, ["good"], "ppo", ["good"]).endswith(
+        "and try `good`: the first escape comes sooner, before anything is learned.")
+    (remedy,) = tell_remedies(lines, ["good"], "ppo", "chance", ["good"])
+    assert "beats chance" not in remedy and remedy.endswith("; all of its first escapes come before the first update.")
+
+
+def test_the_first_update_is_where_a_run_s_settings_put_it():
+    assert count_untrained(FlatLearner("x", "ppo", {"stream_rollout": 16}, streams=64, repeat=4)) == 4_096
+    assert count_untrained(FlatLearner("x", "ppo", streams=4)) == 256, "no rollout is shorter"
+    assert count_untrained(FlatLearner("x", "ppo", streams=0)) == count_untrained(FlatLearner("x", ARCHIVE)) == 0
 
 
 def test_an_escape_in_training_is_not_called_learning():
@@ -294,11 +323,19 @@ def test_advice_follows_how_far_learners_got():
     far = advise({**GOOD, **LATE, **LOST, **make_cells("a", 2, 100, None, None)}, (1, 2), (0.5, 0.9), 1_000_000)
     assert far == ("If you must learn over primitives, begin with `a`, the quickest to be efficient with 1 button; "
                    "with 2 buttons 1,000,000 primitives were not enough, so give it options. An escape in training is "
-                   "not yet learning: `a` and `c` escaped in every run of some size, and reached an efficiency of 0.5 "
-                   "in none.")
+                   "not yet learning: `c` with 1 button and `a` with 2 buttons escaped in every run, and reached an "
+                   "efficiency of 0.5 in none within 1,000,000 primitives.")
     assert advise(GOOD, (1,), (0.5, 0.9), 1_000_000) == (
         "If you must learn over primitives, begin with `a`, the quickest to be efficient with 1 button.")
     assert advise(LOST, (1,), (0.5, 0.9), 1_000_000).startswith("Give a learner options before you give it a lar")
+
+
+def test_first_escapes_of_the_untrained_are_counted():
+    cells = {**GOOD, **LATE, **make_cells("a", 2, 110, None, None)}
+    assert tell_untrained_league(cells, {"a": 118, "b": 0}) == (
+        "Of the 20 first escapes of `a` 14 come before its first update, after 118 primitives: they are those of an "
+        "untrained policy.")
+    assert tell_untrained_league(cells, {"a": 108, "b": 99}) == "", "less than half"
 
 
 def test_hopeless_cells_are_not_run():

@@ -134,7 +134,7 @@ def test_visible_factors_grow_with_the_spread_and_with_the_family():
     lines = make_truth(price=50, growth=1)
     told = tell_visible(lines, "f", "o", COSTS[:1])
     factor = float(told.split("a factor of ")[1].split(" ")[0])
-    assert 1.2 < factor < 1.8 and told.endswith("in all of them.")
+    assert 1.2 < factor < 1.8 and told.endswith("in all.")
     wide = [dataclasses.replace(line, efficient_at=round(line.efficient_at * 3 ** (-1) ** line.replicate))
             if line.agent == "f" and line.efficient_at else line for line in lines]
     assert float(tell_visible(wide, "f", "o", COSTS[:1]).split("a factor of ")[1].split(" ")[0]) > 2
