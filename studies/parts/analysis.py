@@ -34,6 +34,7 @@ from studies.parts.answers import (
     fit_law,
     is_given_up,
     tell_abstract,
+    tell_again,
     tell_bar,
     tell_finding,
     tell_law,
@@ -210,14 +211,15 @@ def analyse(study: Study, lines: Sequence[PartsRun]) -> Page:
               for name in data["slices"]}
     if not slices["first"]:
         raise ComparisonError("there are no runs to tell of")
-    answers, laws, abstract = _conclude(slices["first"], data)
     missing = {name: len(list_missing(data, name, own)) for name, own in slices.items()}
     again, _, confirmed = ([], {}, []) if missing["confirmation"] else _conclude(slices["confirmation"], data)
+    answers, laws, abstract = _conclude(slices["first"], data, again)
+    bar = tell_bar(answers, slices["first"])
     rows = _list_rows(answers, again)
     return Page({
-        "missing": missing, "finding": f"{tell_finding(answers)} {tell_bar(answers)}",
+        "missing": missing, "finding": f"{tell_finding(answers)} {bar}",
         "abstract": abstract, "confirmed": confirmed,
-        "agree": sum(one.verdict == other.verdict for one, other in zip(answers, again, strict=False)),
+        "agree": tell_again(answers, again) if again else "",
         "answers": make_table(HEADER, rows), "count": len(answers), "design": compute_design(study),
         "growth": make_table(["cell", *(f"`{rule}`" for rule in data["rules"])], [
             [cell["name"], *(_describe_law(laws[cell["name"], rule]) for rule in data["rules"])]
@@ -234,7 +236,7 @@ def analyse(study: Study, lines: Sequence[PartsRun]) -> Page:
             [f"{one['more']} against {one['less']}", one["rooms"], one["spread"], f"{one['power']:.2f}"]
             for one in data["questions"]]),
     }, {"parts": (figure := draw(slices["first"], laws, answers, data)), "parts.pdf": figure},
-        [tell_finding(answers), tell_bar(answers), *abstract],
+        [tell_finding(answers), bar, *abstract],
         {"parts.tex": make_latex(HEADER[:5], [row[:5] for row in rows])})
 
 
@@ -242,13 +244,13 @@ HEADER = ["part", "with it", "without it", "rule", "times fewer primitives", "ch
           "rooms", "80 % would see", "fresh rooms"]
 
 
-def _conclude(runs: Sequence[PartsRun], data: Mapping[str, Any]
+def _conclude(runs: Sequence[PartsRun], data: Mapping[str, Any], again: Sequence[Answer] = ()
               ) -> tuple[list[Answer], dict[tuple[str, str], Law | None], list[str]]:
     answers = answer(runs, data)
     laws = {(name, rule): fit_law([run for run in runs if (run.cell, run.rule, run.failure) == (name, rule, 0)])
             for name in (cell["name"] for cell in data["cells"]) for rule in data["rules"]}
     exchanges = [find_exchange(runs, data, rule) for rule in data["rules"]]
-    return answers, laws, tell_abstract(answers, laws, exchanges, runs, data)
+    return answers, laws, tell_abstract(answers, laws, exchanges, runs, data, again)
 
 
 def _list_rows(answers: Sequence[Answer], again: Sequence[Answer]) -> list[list[str]]:

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.comparison.inference import ALPHA, LEVEL, correct_by_holm
-from hrl_escape.names import join_words
+from hrl_escape.names import count_nouns, join_words
 from studies.price.ratios import Middle, find_middle
 from studies.price.words import tell_number
 from studies.statistics import choose_holm_levels, find_visible_difference, find_visible_shift
 
 __all__ = ["Answer", "Exchange", "Law", "PartsRun", "answer", "choose_slope", "compute_power", "find_exchange",
-           "fit_law", "is_given_up", "tell_abstract", "tell_bar", "tell_finding", "tell_law",
-           "tell_ratio"]
+           "find_reach", "fit_law", "is_given_up", "tell_abstract", "tell_again", "tell_bar", "tell_finding",
+           "tell_law", "tell_ratio"]
 
 RESAMPLES = 2_000
 LEAST_SIZES = 3
@@ -338,17 +338,49 @@ def tell_finding(answers: Sequence[Answer]) -> str:
         f"; {join_words(idle)} {'is' if len(idle) == 1 else 'are'} not shown to." if idle else ".")
 
 
-def tell_bar(answers: Sequence[Answer]) -> str:
-    """The learner with all parts beside the best searcher, in one breath."""
-    asked = [one for one in answers if one.part == "learning"]
-    costs, pays = ([one for one in asked if one.verdict == verdict] for verdict in ("costs", "pays"))
-    if costs:
-        return (f"With all of these the learner still needs up to {tell_ratio(max(1 / one.factor for one in costs))} "
-                "times the primitives of a searcher that learns nothing.")
-    if pays:
-        return (f"With all of these the learner needs up to {tell_ratio(max(one.factor for one in pays))} times fewer "
-                "primitives than a searcher that learns nothing.")
-    return "With all of these the learner is not shown to differ from a searcher that learns nothing."
+def tell_bar(answers: Sequence[Answer], runs: Sequence[PartsRun]) -> str:
+    """The learner with all parts beside the best searcher, rule by rule, and who comes further where one does."""
+    told = []
+    for one in (one for one in answers if one.part == "learning"):
+        words = (f"needs on average {tell_ratio(1 / one.factor)} times the primitives" if one.verdict == "costs" else
+                 f"needs on average {tell_ratio(one.factor)} times fewer primitives" if one.verdict == "pays" else
+                 "is not shown to need more or fewer")
+        own, other = (find_reach(runs, cell, one.rule) for cell in (one.more, one.less))
+        further = ("" if own == other else f", where half of its runs escape with up to {own} buttons and half of the "
+                   f"searcher's with up to {other}")
+        told.append(f"{words} under `{one.rule}`{further}")
+    return f"Beside a searcher that learns nothing, the learner with all of these {', and '.join(told)}."
+
+
+def find_reach(runs: Sequence[PartsRun], cell: str, rule: str) -> int:
+    """Most buttons with which half of a cell's runs or more escape; 0 for none."""
+    ends: dict[int, list[bool]] = defaultdict(list)
+    for run in runs:
+        if (run.cell, run.rule, run.failure) == (cell, rule, 0):
+            ends[run.buttons].append(run.first_escape is not None)
+    return max((size for size, found in ends.items() if 2 * sum(found) >= len(found)), default=0)
+
+
+def tell_again(answers: Sequence[Answer], again: Sequence[Answer]) -> str:
+    """Words on how many verdicts fresh rooms give again, and how many of the exponents that a part lowers.
+
+    Args:
+        answers: of the first rooms.
+        again: of the fresh ones, in the same order.
+    """
+    both = list(zip(answers, again, strict=True))
+    agree = sum(one.verdict == other.verdict for one, other in both)
+    asked = [(one, other) for one, other in both if one.part in PARTS]
+    lower = [one for one, _ in asked if one.lowers_exponent]
+    kept = [one for one, other in asked if one.lowers_exponent and other.lowers_exponent]
+    new = [other for one, other in asked if other.lowers_exponent and not one.lowers_exponent]
+    said = f"{agree} of {len(both)} answers are the same"
+    if not lower and not new:
+        return f"{said}."
+    said += (f". Of {count_nouns(len(lower), 'exponent')} that a part lowered in the first rooms, "
+             f"{len(kept) or 'none'} {'is' if len(kept) < 2 else 'are'} lowered again" if lower else
+             ". In the first rooms no part lowered an exponent")
+    return f"{said}{f'; here {_name_parts(new)} lowers it, which did not there' if new else ''}."
 
 
 def tell_ratio(value: float) -> str:
@@ -360,8 +392,9 @@ PARTS = ("commitment", "geometry", "memory", "structure")
 
 
 def tell_abstract(answers: Sequence[Answer], laws: Mapping[tuple[str, str], Law | None],
-                  exchanges: Sequence[Exchange], runs: Sequence[PartsRun], data: Mapping[str, Any]) -> list[str]:
-    """Eight sentences, each by rule from the data."""
+                  exchanges: Sequence[Exchange], runs: Sequence[PartsRun], data: Mapping[str, Any],
+                  again: Sequence[Answer] = ()) -> list[str]:
+    """Eight sentences, each by rule from the data; with answers of fresh rooms that on growth says if they agree."""
     cells = [cell["name"] for cell in data["cells"] if "reference" not in cell]
     seeds = len({run.seed for run in runs})
     of = defaultdict(list)
@@ -383,7 +416,7 @@ def tell_abstract(answers: Sequence[Answer], laws: Mapping[tuple[str, str], Law 
             f"{words} {_tell_verdicts(chosen)}" for words, chosen in (
                 ("over learned walks", [one for one in of["structure"] if one.less == "learned walks"]),
                 ("over options", [one for one in of["structure"] if one.less != "learned walks"]))) + ".",
-        _tell_growth(answers, laws),
+        _tell_growth(answers, laws, again),
         _tell_searchers(of["learning"], exchanges),
     ]
 
@@ -408,7 +441,8 @@ def _tell_verdicts(answers: Sequence[Answer]) -> str:
     return " and ".join(told)
 
 
-def _tell_growth(answers: Sequence[Answer], laws: Mapping[tuple[str, str], Law | None]) -> str:
+def _tell_growth(answers: Sequence[Answer], laws: Mapping[tuple[str, str], Law | None], again: Sequence[Answer]
+                 ) -> str:
     """One sentence: which part changes the exponent, which only the constant, and what law is told."""
     asked = [one for one in answers if one.part in PARTS]
     lower = _name_parts([one for one in asked if one.lowers_exponent])
@@ -417,13 +451,16 @@ def _tell_growth(answers: Sequence[Answer], laws: Mapping[tuple[str, str], Law |
     untold = _name_parts([one for one in asked if one.verdict == "pays" and one.slope is None])
     known = [law for law in laws.values() if law is not None]
     power, steep = (sum(tell_law(law) == words for law in known) for words in ("power law", "exponential"))
-    parts = [f"the exponent is lowered by {lower}" if lower else "no part is shown to lower the exponent"]
+    kept = sum(one.lowers_exponent and other.lowers_exponent for one, other in zip(answers, again, strict=False)
+               if one.part in PARTS)
+    fresh = f", {kept or 'none'} of these again in fresh rooms" if again else ""
+    parts = [f"the exponent is lowered by {lower}{fresh}" if lower else "no part is shown to lower the exponent"]
     if only:
         parts.append(f"only the constant is shown to fall with {only}")
     if untold:
         parts.append(f"too few sizes tell of {untold}")
     return (f"With the number of buttons, {'; '.join(parts)}; of {len(known)} growths {power} "
-            f"{'is' if power == 1 else 'are'} told to be a power law and {steep} an exponential.")
+            f"{'is' if power == 1 else 'are'} best described by a power law and {steep} by an exponential.")
 
 
 def _name_parts(answers: Sequence[Answer]) -> str:
@@ -443,14 +480,15 @@ def _tell_searchers(answers: Sequence[Answer], exchanges: Sequence[Exchange]) ->
          f"is not shown to need more or fewer primitives than {one.less}") + f" under `{one.rule}`" for one in answers)
     rates = " and ".join(f"{_tell_exchange(one)} under `{one.rule}`" for one in exchanges)
     return (f"Beside searchers that learn nothing, the learner with all parts {beside}; memory and structure together "
-            f"are worth walks that fail {rates}.")
+            f"make up for {rates}.")
 
 
 def _tell_exchange(one: Exchange) -> str:
     if math.isnan(one.failure):
-        return "an unknown share of the time"
+        return "walks that fail an unknown share of the time"
     if one.failure == 0:
-        return "none of the time"
+        return "no failing walks"
     if one.failure == 1:
-        return f"more than {one.most:.0%} of the time"
-    return f"{one.failure:.0%} of the time ({one.low:.0%} to {'more' if one.high == 1 else format(one.high, '.0%')})"
+        return f"walks that fail more than {one.most:.0%} of the time"
+    most = "more" if one.high == 1 else f"{one.high:.0%}"
+    return f"walks that fail {one.failure:.0%} of the time ({one.low:.0%} to {most})"

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,7 @@ from studies.parts.answers import (
     fit_law,
     is_given_up,
     tell_abstract,
+    tell_again,
     tell_bar,
     tell_finding,
     tell_law,
@@ -70,12 +71,12 @@ def make_runs(factors: dict[str, Callable[[int], float]], slice_: str = "first",
     return runs
 
 
-def write(runs: list[PartsRun]) -> tuple[str, list[str]]:
+def write(runs: list[PartsRun], again: Sequence[Answer] = ()) -> tuple[str, list[str]]:
     answers = answer(runs, DATA)
     laws = {(cell["name"], rule): fit_law([run for run in runs if (run.cell, run.rule, run.failure) == (
         cell["name"], rule, 0)]) for cell in DATA["cells"] for rule in DATA["rules"]}
     exchanges = [find_exchange(runs, DATA, rule) for rule in DATA["rules"]]
-    return tell_finding(answers), tell_abstract(answers, laws, exchanges, runs, DATA)
+    return tell_finding(answers), tell_abstract(answers, laws, exchanges, runs, DATA, again)
 
 
 def nothing(_: int) -> float:
@@ -112,6 +113,10 @@ def test_a_truth_in_which_only_structure_pays_and_lowers_the_exponent():
     assert "saves" not in "".join(abstract[2:5]) and "saves" in abstract[5]
     assert "the exponent is lowered by structure" in abstract[6]
     assert "times fewer primitives than untried-nearest" in abstract[7] and "is not shown" not in abstract[7]
+    runs = make_runs({"structure": lambda n: n**0.8})
+    kept = [one for one in answer(runs, DATA) if one.lowers_exponent and one.part == "structure"]
+    fresh = write(runs, answer(runs, DATA))[1][6], write(runs, answer(make_runs({}), DATA))[1][6]
+    assert f", {len(kept)} of these again in fresh rooms" in fresh[0] and ", none of these again in fresh" in fresh[1]
 
 
 @pytest.mark.in_turn
@@ -126,10 +131,35 @@ def test_a_truth_in_which_all_parts_add():
 
 def test_the_headline_holds_all_parts_against_a_searcher():
     of = {"costs": 0.5, "pays": 2.0, "open": 1.0}
-    words = {"costs": "still needs up to 2", "pays": "needs up to 2", "open": "is not shown to differ"}
+    words = {"costs": "needs on average 2 times the primitives under `reset`",
+             "pays": "needs on average 2 times fewer primitives under `reset`",
+             "open": "is not shown to need more or fewer under `reset`"}
+    both = [PartsRun(cell, "reset", buttons, seed, 0.0, 100, None, DESIGN) for seed in range(4) for buttons in (10, 20)
+            for cell in ("options + both", "retrace")]
+    behind = [dataclasses.replace(run, first_escape=None) if run.cell == "retrace" and run.buttons == 20
+              and run.seed != 0 else run for run in both]
     for verdict, factor in of.items():
         one = Answer("learning", "options + both", "retrace", "reset", 96, factor, p=1.0 if verdict == "open" else 0.01)
-        assert words[verdict] in tell_bar([one]) and one.verdict == verdict
+        assert tell_bar([one], both).endswith(f"the learner with all of these {words[verdict]}.")
+        assert one.verdict == verdict and tell_bar([one], behind).endswith(
+            f"{words[verdict]}, where half of its runs escape with up to 20 buttons and half of the searcher's with up "
+            "to 10.")
+    other = one._replace(rule="ignore", factor=0.25, p=0.01)
+    assert "needs on average 4 times the primitives under `ignore`, and is not shown" in tell_bar([other, one], [])
+
+
+def test_fresh_rooms_are_said_to_give_exponents_again_only_where_they_do():
+    """Answers on commitment and geometry; a slope with its interval above 0 lowers the exponent."""
+    first, second = (Answer(part, part, "flat", "ignore", 96, 2.0, p=0.01) for part in ("commitment", "geometry"))
+    lower = (1.0, 0.5, 1.5)
+    there = [first._replace(slope=lower), second]
+    assert tell_again([first, second], [first, second._replace(p=1.0)]) == "1 of 2 answers are the same."
+    assert tell_again(there, there) == (
+        "2 of 2 answers are the same. Of 1 exponent that a part lowered in the first rooms, 1 is lowered again.")
+    assert tell_again(there, [first, second._replace(slope=lower)]) == (
+        "2 of 2 answers are the same. Of 1 exponent that a part lowered in the first rooms, none is lowered again; "
+        "here geometry (`ignore`) lowers it, which did not there.")
+    assert "In the first rooms no part lowered an exponent; here" in tell_again([first, second], there)
 
 
 @pytest.mark.in_turn
@@ -222,6 +252,9 @@ def test_the_exchange_rate_is_where_the_gain_is_gone(gain: float, expected: floa
     runs = make_runs({"structure": lambda n: gain}, spread=0.05)
     found = find_exchange(runs, DATA, "ignore")
     assert found.failure == pytest.approx(expected, abs=0.02) and found.low <= found.failure <= found.high
+    said = {0.0: "make up for no failing walks under", 0.9: "make up for walks that fail 90% of the time (",
+            1.0: "make up for walks that fail more than 98% of the time under"}[expected]
+    assert said.replace("90%", f"{found.failure:.0%}") in write(runs)[1][7]
 
 
 def test_what_each_question_would_see_was_simulated_before_the_runs():
