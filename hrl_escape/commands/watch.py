@@ -53,8 +53,9 @@ def run(args: WatchArgs) -> None:
     driver = open_driver(args.make_spec(text), instance, observation=args.observation, seed=args.episode_seed,
                          trust=args.trust)
     gate = Gate(args.pace or None, args.paused)
+    watch = Watch(driver, gate, args.episode_seed)
     server = args.open_server()
-    page = WatchPage(server, Watch(driver, gate, args.episode_seed))
+    page = WatchPage(server, watch)
     thread = run_in_thread(page)
     try:
         args.announce(server, f"Watch {driver.name}")

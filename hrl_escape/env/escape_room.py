@@ -22,7 +22,7 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.engine import Engine, Renderer, check_camera, check_picture_size, make_engine, make_renderer
 from hrl_escape.env.instance import InstanceForm, RoomInstance, read_instance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.noise import draw_episode
+from hrl_escape.env.noise import check_seed, draw_episode
 from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import SchematicForm, read_schematic
 from hrl_escape.env.sampling.generation import generate
@@ -193,6 +193,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[NDArray[Any], dict[str, Any]]:
         """Begin an episode; see the class for `options`."""
+        seed = None if seed is None else check_seed(seed)
         super().reset(seed=seed)
         if not isinstance(options, Mapping | None):
             raise ConfigError("reset options", options, "a table of instance_seed, instance_index and state, or None")

@@ -10,6 +10,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
+from hrl_escape.errors import ConfigError
+
 MASK = 0xFFFFFFFF
 _MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 _WEYL = (0x9E3779B9, 0xBB67AE85)
@@ -42,6 +46,13 @@ def draw_words(key: Any, count: Any, purpose: int = EPISODE_PURPOSE) -> Words:
 def scale_word(word: Any, count: Any) -> Any:
     """Turn 32-bit words into whole numbers from 0 to count - 1 (multiply and shift)."""
     return word * count >> 32
+
+
+def check_seed(seed: Any) -> int:
+    """The seed of a room or an episode as an int; `ConfigError` where it is none."""
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**63:
+        raise ConfigError("seed", seed, "a whole number from 0 to 2**63 - 1")
+    return int(seed)
 
 
 def draw_episode(seed: int, episode: int, starts: int) -> tuple[int, int]:

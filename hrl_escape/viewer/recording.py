@@ -11,6 +11,7 @@ from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
+from hrl_escape.env.noise import check_seed
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.viewer.play.episode import Episode, SavedEpisode
 from hrl_escape.viewer.watch.drivers import Driver
@@ -37,7 +38,7 @@ def record_driver(driver: Driver, seed: int = 0) -> Recording:
     steps: list[PrimitiveStep] = []
     driver.recorder.on_step = steps.append
     decisions: list[tuple[str, int]] = []
-    for transition, _ in play_episode(driver.agent, driver.env, seed):
+    for transition, _ in play_episode(driver.agent, driver.env, check_seed(seed)):
         decisions.append((driver.names[transition.action], transition.duration))
     return _make(driver.room.instance, steps, decisions, driver.name)
 

@@ -33,6 +33,7 @@ from hrl_escape.env.geometry import (
     stack_footprints,
 )
 from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, SpaceLayout, Start, Target, does_base_fit
+from hrl_escape.env.noise import check_seed
 from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.maps import GridMap
@@ -75,13 +76,12 @@ def generate(config: RoomConfig, seed: int) -> RoomInstance:
     """
     if not isinstance(config, RoomConfig):
         raise ConfigError("config", config, "a RoomConfig")
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**63:
-        raise ConfigError("seed", seed, "a whole number from 0 to 2**63 - 1")
+    seed = check_seed(seed)
     try:
         hash(config)
     except TypeError:  # a stranger's settings may hold a table
-        return _sample_room.__wrapped__(config, int(seed))
-    return _sample_room(config, int(seed))
+        return _sample_room.__wrapped__(config, seed)
+    return _sample_room(config, seed)
 
 
 @functools.lru_cache(KEPT_ROOMS)

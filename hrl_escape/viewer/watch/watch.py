@@ -23,6 +23,7 @@ from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.comparison.references.by_lights import Searcher
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
+from hrl_escape.env.noise import check_seed
 from hrl_escape.errors import EscapeError
 from hrl_escape.options.execution import OptionExecution
 from hrl_escape.options.option import Option
@@ -196,7 +197,7 @@ class Watch:
 
     def __init__(self, driver: Driver, gate: Gate, seed: int = 0) -> None:
         self.driver, self.gate = driver, gate
-        self._seed = seed
+        self._seed = check_seed(seed)
         self.choice: ObservedChoice | None = None
         self.plan: Preview | None = None
         self.calls: tuple[ShownCall, ...] = ()
