@@ -143,7 +143,7 @@ def run(args: TrainArgs) -> None:
         player = make_player(spec, env, recorder) if spec.name == TOOLS else None
     else:
         env = args.make_batch(spec, instance)
-    result = train(player or args.agent, env, primitives=args.primitives or PRIMITIVES,
+    result = train(player or args.agent, env, primitives=PRIMITIVES if args.primitives is None else args.primitives,
                    seed=args.training_seed, settings=None if player else resolved, eval_every=args.eval_every,
                    eval_episodes=args.eval_episodes, out=out, callbacks=[TensorBoard()] if args.tensorboard else [],
                    threads=args.threads, observed=recorder is None)

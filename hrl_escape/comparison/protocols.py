@@ -138,10 +138,10 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     if settings.source == rung:
         raise ConfigError("from", rung, f"another rung than {rung}; the protocol generalise trains and tests on one")
     name, test = f"{bench.source}/{rung}", record.test.count
-    count = settings.rooms or (min(10, test) if protocol == "per-instance" else test)
+    count = settings.rooms if settings.rooms is not None else min(10, test) if protocol == "per-instance" else test
     if not 1 <= count <= test:
         raise ConfigError("rooms", count, f"from 1 to {test}, the rooms of {name}/test")
-    primitives = settings.primitives or get_budget(source)
+    primitives = get_budget(source) if settings.primitives is None else settings.primitives
     is_plain = protocol == "per-instance" and not any(agent.reads_objects for agent in agents)
     given = next((axis.observation for axis in bench.manifest.axes if rung in axis.rungs), "")
     observation = settings.observation or given or ("features" if is_plain else "objects")
@@ -164,7 +164,8 @@ def _make_grid(name: str, description: str, agents: Sequence[AgentSpec], setting
                episodes: int, observation: str, **rooms: Any) -> Grid:
     return Grid(name, description, tuple(agents), runs=settings.runs, first_seed=settings.first_seed,
                 primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
-                eval_episodes=settings.eval_episodes or episodes, observation=observation, **rooms)
+                eval_episodes=episodes if settings.eval_episodes is None else settings.eval_episodes,
+                observation=observation, **rooms)
 
 
 def choose_floors(bench: Benchmark) -> tuple[str, ...]:
@@ -193,7 +194,7 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
         raise ConfigError("agents", followers[0], "one that does not follow the options of one room, which the floors "
                           "of a tower have not in common")
     most = min(record.test.count for record in records)
-    count = settings.rooms or (most if repeats else min(FLOOR_ROOMS, most))
+    count = settings.rooms if settings.rooms is not None else most if repeats else min(FLOOR_ROOMS, most)
     for field, role, number in (("rooms", "test", count), *(("train_sizes", "train", n) for n in settings.train_sizes)):
         most = min(getattr(record, role).count for record in records)
         if not 1 <= number <= most:
@@ -203,7 +204,7 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
         text = ABOVE.join(f"{bench.source}/{rung}/{role}[:{number}]" for rung in rungs)
         return f"{text} x {settings.floors}" if repeats else text
 
-    primitives = settings.primitives or max(map(get_budget, rungs))
+    primitives = max(map(get_budget, rungs)) if settings.primitives is None else settings.primitives
     rooms = (f"{settings.floors} rooms of {bench.name}/{rungs[0]} with one motif" if repeats else
              f"A room of each of {len(rungs)} rungs of {bench.name}, from {rungs[0]} to {rungs[-1]},")
     return _make_grid(

@@ -120,6 +120,9 @@ def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(cap
 @pytest.mark.parametrize(("arguments", "words"), [
     (["dqn", "--settings", "gamma"], "--settings = 'gamma' is not possible: name=value is needed"),
     (["dqn", "--threads", "0"], "threads = 0 is not possible"),
+    (["smdp-q-learning", "--primitives", "0"], "primitives = 0 is not possible"),
+    (["smdp-q-learning", "--eval-every", "0"], "eval_every = 0 is not possible"),
+    (["smdp-iql", "--data", "pair-play-v1", "--primitives", "0"], "primitives = 0 is not possible"),
 ])
 def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)

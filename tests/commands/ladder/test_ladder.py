@@ -112,6 +112,13 @@ def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
     assert code == 2 and "smdp-dqn+objects" in err and err.count("\n") == 1
 
 
+@pytest.mark.parametrize("option", ["rooms", "primitives", "runs", "eval-episodes"])
+@pytest.mark.parametrize("rungs", [["pair"], ["pair", "chain", "--protocol", "tower"]], ids=len)
+def test_no_rooms_runs_primitives_or_episodes_are_refused(capsys, option, rungs):
+    code, out, err = call(capsys, "run", "planner", "--rung", *rungs, f"--{option}", "0", "--dry-run")
+    assert code == 2 and out == "" and f"{option.replace('-', '_')} = 0 is not possible" in err
+
+
 def test_a_benchmark_with_axes_gives_a_profile(capsys, tmp_path):
     axes = (AxisRecord("size", ("one",), "objects"), AxisRecord("depth", ("five",)))
     dataclasses.replace(make_manifest(), axes=axes).save(tmp_path / "mine.json")
