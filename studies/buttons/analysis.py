@@ -392,7 +392,7 @@ def draw(of: Mapping[str, Sequence[EscapeRun]], growths: Mapping[str, Growth | N
                 axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0)
             failed = Counter(run.buttons for run in own if run.first_escape is None)
             for size, count in failed.items():
-                axes.text(size, 1.03 + 0.055 * rows, count, color=colour, ha="center", fontsize=8,
+                axes.text(size, 1.03 + 0.055 * rows, str(count), color=colour, ha="center", fontsize=8,
                           transform=axes.get_xaxis_transform())
             rows += bool(failed)
         axes.axhline(budget, color=palette.MUTED, linestyle=":", linewidth=1)
