@@ -240,7 +240,7 @@ def tell(cells: Cells) -> list[str]:
 
 
 def _name_clue(kind: Mapping[str, Any]) -> tuple[str, str]:
-    """What tells of the order, and what is done to it in the control."""
+    """Name of the clue that tells of the order, and of what is done to it in the control."""
     return kind.get("clue", "marks"), kind.get("shuffled", "shuffled")
 
 
