@@ -77,8 +77,8 @@ def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Se
                 f"{words}.{limit}")
     if len(behind) == len(gains):
         return f"No learner matches searching in `{run.rung}`: {words} at best.{limit}"
-    return (f"No learner is shown to beat searching in `{run.rung}`: {words} at best; of such studies 80 % would have "
-            f"seen a gain of {visible:.2f}.{limit}")
+    return (f"No learner is shown to beat searching in `{run.rung}`: {words} at best; a study of this size has 80 % "
+            f"power to detect a gain of {visible:.2f}.{limit}")
 
 
 def advise(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], learner: str, without: str) -> str:
