@@ -47,6 +47,20 @@ MUTATIONS = [
         "agents/algorithms/test_deep_losses.py agents/training/test_train.py",
     ),
     Mutation(
+        "one update follows a step of many environments, however many are due",
+        "agents/components/replay.py",
+        "count = min(due, settings.stream_updates)",
+        "count = min(due, 1)",
+        "agents/components/test_stream_replay.py::test_as_many_updates_as_in_one_environment_follow_a_step_of_many_up_to_a_limit",
+    ),
+    Mutation(
+        "a run of an agent of one's own imports its class untrusted",
+        "agents/training/train.py",
+        "        if not trust:\n            raise TrustError([path]) from error\n",
+        "",
+        "agents/training/test_env_description.py",
+    ),
+    Mutation(
         "masked actions are no samples",
         "agents/factored/planning_agent.py",
         "if action not in self._done and key not in self._masked:",

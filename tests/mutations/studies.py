@@ -283,4 +283,11 @@ MUTATIONS = [
         "return int(np.sign(self.mean))",
         "studies/test_velocities.py::test_one_lucky_run_and_few_runs_are_no_difference",
     ),
+    Mutation(
+        "a run of budgets is known whatever its number of copies",
+        "studies/budgets/analysis.py",
+        '"copies": data["copies"],\n        "episodes"',
+        '"episodes"',
+        "studies/test_budgets.py::test_published_runs_count_as_made_unless_something_that_decides_them_has_changed",
+    ),
 ]
