@@ -40,6 +40,8 @@ def test_a_recording_is_listed_shown_drawn_and_made_only_once(capsys, folder):
     scores = load_data(NAME, observation="features").tape.about["scores"]  # a trial's own, not the published
     assert (rows[NAME]["mean_return"], rows[NAME]["escapes"]) == (scores["mean_return"], scores["escapes"])
     assert 1_000 <= rows[NAME]["primitives"] < 2_000 and rows["pair-play-v1"]["primitives"] == 100_530
+    code, _, err = call(capsys, "data", "list", "--rung", "lattis")
+    assert code == 2 and "unknown rung with data sets 'lattis'" in err and "lattice" in err
     listed = call(capsys, "data", "list")[1].splitlines()
     assert "play: legal options, drawn uniformly" in listed and sum("-v1 " in line for line in listed) == len(
         json.loads(call(capsys, "data", "list", "--json")[1])) == len(listed) - len(TAPE_KINDS) - 2

@@ -11,9 +11,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.data.catalogue import FOLDER, TAPE_KINDS, find_tape, list_specs, parse_spec
+from hrl_escape.data.catalogue import FOLDER, RUNGS, TAPE_KINDS, find_tape, list_specs, parse_spec
 from hrl_escape.data.published import compare_published, read_published, refuse_other
-from hrl_escape.errors import ConfigError, FileReadError, VerificationError
+from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, VerificationError
 from hrl_escape.names import make_file_name
 
 
@@ -72,6 +72,8 @@ def run_list(args: DataListArgs) -> None:
     """
     from hrl_escape.data.tape import load_tape
 
+    if args.rung not in (None, *RUNGS):
+        raise UnknownNameError("rung with data sets", args.rung, RUNGS)
     published = read_published()
     rows: list[dict[str, Any]] = []
     for spec in list_specs():
