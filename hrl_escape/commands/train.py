@@ -19,6 +19,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -54,6 +55,9 @@ if TYPE_CHECKING:
     from hrl_escape.agents.streams import Streams
 
 SHOWN_EVALUATIONS, PRIMITIVES = 12, 20_000
+OF_OPTIONS = ("options_only", "flavour", "memory")
+OF_ROOMS = (*(field.name for field in dataclasses.fields(RoomChoice)), "batch", "device", "compile", "leaves",
+            *OF_OPTIONS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,8 +128,11 @@ def run(args: TrainArgs) -> None:
         _print_settings(args, resolved)
         return
     if args.data is not None:
+        _refuse(args, OF_ROOMS, f"does not go with --data, whose rooms and options are those of {args.data}")
         _train_offline(args, resolved)
         return
+    if not spec.chooses_options:
+        _refuse(args, OF_OPTIONS, f"is for agents that choose options, such as smdp-{spec.algorithm}")
     if args.leaves is None and spec.algorithm in list_given_agents():
         acts = "options" if spec.chooses_options else "primitives"
         print(f"{spec.name} is given no hierarchy: it learns over {acts}, as one task. --leaves planned or --leaves "
@@ -152,6 +159,13 @@ def run(args: TrainArgs) -> None:
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
         env.close()
     _tell(args, result, best_known_return(instance))
+
+
+def _refuse(args: TrainArgs, names: Collection[str], why: str) -> None:
+    """Refuse the first of these options that was given: it would say nothing."""
+    for field in dataclasses.fields(args):
+        if field.name in names and getattr(args, field.name) != field.default:
+            raise UnsupportedError(f"--{field.name.replace('_', '-')} {why}")
 
 
 def _train_offline(args: TrainArgs, settings: dict[str, Any]) -> None:

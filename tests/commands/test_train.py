@@ -123,6 +123,9 @@ def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(cap
     (["smdp-q-learning", "--primitives", "0"], "primitives = 0 is not possible"),
     (["smdp-q-learning", "--eval-every", "0"], "eval_every = 0 is not possible"),
     (["smdp-iql", "--data", "pair-play-v1", "--primitives", "0"], "primitives = 0 is not possible"),
+    (["smdp-iql", "--data", "pair-play-v1", "--preset", "clutter"], "--preset does not go with --data"),
+    (["q-learning", "--memory"], "--memory is for agents that choose options, such as smdp-q-learning"),
+    (["hamq", "--leaves", "planned", "--flavour", "press-markov"], "--flavour is for agents that choose options"),
 ])
 def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
