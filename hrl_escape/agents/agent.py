@@ -151,7 +151,7 @@ class Agent(Stateful, ABC):
     """Number of actions of the space it was made with; None where its class is constructed in another way."""
 
     def __init_subclass__(cls, **named: Any) -> None:
-        """Name an algorithm like its file, any other class that has no name like itself; take up its `Settings`."""
+        """Name an algorithm like its file, any other class like itself unless it says one; take up its `Settings`."""
         super().__init_subclass__(**named)
         if (said := inspect.get_annotations(cls).get("settings")) and "Settings" not in cls.__dict__:
             declared = getattr(sys.modules[cls.__module__], said, None) if isinstance(said, str) else said
@@ -162,8 +162,10 @@ class Agent(Stateful, ABC):
         package, _, file = cls.__module__.rpartition(".")
         if package.startswith(CATALOGUE):
             cls.name = file.replace("_", "-")
-        elif not cls.name:
-            cls.name = cls.__name__
+        else:
+            giver = next(base for base in cls.__mro__ if "name" in vars(base))
+            if giver.name in ("", giver.__name__) or giver.__module__.startswith(CATALOGUE):
+                cls.name = cls.__name__
 
     def __new__(cls, *arguments: Any, **named: Any) -> Self:
         """Note the number of actions."""

@@ -156,6 +156,7 @@ def test_a_run_of_an_agent_of_ones_own_is_loaded_where_it_is_trusted(tmp_path):
     assert compute_state_digest(loaded.state_dict()) == compute_state_digest(agent.state_dict())
     described = json.loads((tmp_path / "run" / "run.json").read_text())
     assert described["agent"].endswith("test_env_description:Named")
+    assert type("Variant", (QLearning,), {}).name == "Variant", "and not that of the algorithm that it varies"
 
 
 class Forgetful(ButtonGrid):
