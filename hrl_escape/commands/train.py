@@ -143,9 +143,8 @@ def run(args: TrainArgs) -> None:
     recorder: StateRecorder | None = None
     player: Agent | None = None
     if args.batch is None:
-        if args.compile or args.device != "cpu":
-            raise UnsupportedError(f"--{'compile' if args.compile else 'device'} is for many copies of the room: give "
-                                   "--batch N too; one room is stepped by Bullet, on the CPU")
+        _refuse(args, ("compile", "device"), "is for many copies of the room: give --batch N too; one room is stepped "
+                "by Bullet, on the CPU")
         env, recorder = make_env(spec, instance, args.observation)
         player = make_player(spec, env, recorder) if spec.name == TOOLS else None
     else:
@@ -163,9 +162,10 @@ def run(args: TrainArgs) -> None:
 
 def _refuse(args: TrainArgs, names: Collection[str], why: str) -> None:
     """Refuse the first of these options that was given: it would say nothing."""
-    for field in dataclasses.fields(args):
-        if field.name in names and getattr(args, field.name) != field.default:
-            raise UnsupportedError(f"--{field.name.replace('_', '-')} {why}")
+    defaults = {field.name: field.default for field in dataclasses.fields(args)}
+    for name in names:
+        if getattr(args, name) != defaults[name]:
+            raise UnsupportedError(f"--{name.replace('_', '-')} {why}")
 
 
 def _train_offline(args: TrainArgs, settings: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, TypeAlias
 
 from hrl_escape.agents.registry import SMDP_PREFIX
@@ -106,11 +107,17 @@ def run_once(data: Mapping[str, Any], rung: str, number: int, agent: str, seed: 
     return BaselineRun(*place, efficiency, None, escapes, data["episodes"], escapes, first_escape, key)
 
 
+@cache
+def get_room_id(benchmark: str, rung: str, number: int) -> str:
+    """Content id of a test room, which is sampled once for all its runs."""
+    return load_benchmark(benchmark)[rung].test[number].id
+
+
 def identify(data: Mapping[str, Any], rung: str, number: int, agent: str, seed: int, primitives: int
              ) -> tuple[tuple[str, str, str, str, int, int], str]:
     """Place of a run among the lines, and the hash of everything that decides its numbers."""
     key = compute_digest({
-        "room": load_benchmark(data["benchmark"])[rung].test[number].id, "agent": agent,
+        "room": get_room_id(data["benchmark"], rung, number), "agent": agent,
         "settings": AgentSpec.parse(agent).settings, "seed": seed, "primitives": primitives, "copies": data["copies"],
         "episodes": data["episodes"]})
     return (PROTOCOL, rung, f"{data['benchmark']}/{rung}/test[{number}]", agent, seed, primitives), key

@@ -191,11 +191,11 @@ def advise(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str, untrai
         untrained: labels whose first escapes come before they learn.
     """
     corners, escapes = (compare(lines, remedies, plain, read) for read in (read_corners, read_escape))
-    sooner = [f"`{label}`" for label, found in escapes.items() if found.sign < 0]
-    kept = [f"`{label}`" for label, found in corners.items() if found.sign < 0 and f"`{label}`" not in sooner]
+    sooner = {label: f"`{label}`" for label, found in escapes.items() if found.sign < 0}
+    kept = [f"`{label}`" for label, found in corners.items() if found.sign < 0 and label not in sooner]
     said = "Watch where your agent spends its time before the first reward"
-    learned = [label for label in sooner if label.strip("`") not in untrained]
-    early = [label for label in sooner if label not in learned]
+    learned, early = ([name for label, name in sooner.items() if (label in untrained) == is_early]
+                      for is_early in (False, True))
     if learned:
         said += f", and begin with {join_words(learned, 'or')}: the first escape comes sooner"
     if early:

@@ -370,17 +370,22 @@ def tell_again(answers: Sequence[Answer], again: Sequence[Answer]) -> str:
     """
     both = list(zip(answers, again, strict=True))
     agree = sum(one.verdict == other.verdict for one, other in both)
-    asked = [(one, other) for one, other in both if one.part in PARTS]
-    lower = [one for one, _ in asked if one.lowers_exponent]
-    kept = [one for one, other in asked if one.lowers_exponent and other.lowers_exponent]
-    new = [other for one, other in asked if other.lowers_exponent and not one.lowers_exponent]
+    lower = [one for one in answers if one.part in PARTS and one.lowers_exponent]
+    kept = count_kept(answers, again)
+    new = [other for one, other in both if one.part in PARTS and other.lowers_exponent and not one.lowers_exponent]
     said = f"{agree} of {len(both)} answers are the same"
     if not lower and not new:
         return f"{said}."
     said += (f". Of {count_nouns(len(lower), 'exponent')} that a part lowered in the first rooms, "
-             f"{len(kept) or 'none'} {'is' if len(kept) < 2 else 'are'} lowered again" if lower else
+             f"{kept or 'none'} {'is' if kept < 2 else 'are'} lowered again" if lower else
              ". In the first rooms no part lowered an exponent")
     return f"{said}{f'; here {_name_parts(new)} lowers it, which did not there' if new else ''}."
+
+
+def count_kept(answers: Sequence[Answer], again: Sequence[Answer]) -> int:
+    """Exponents that a part lowers in the first rooms and in the fresh ones."""
+    return sum(one.lowers_exponent and other.lowers_exponent for one, other in zip(answers, again, strict=True)
+               if one.part in PARTS)
 
 
 def tell_ratio(value: float) -> str:
@@ -451,9 +456,7 @@ def _tell_growth(answers: Sequence[Answer], laws: Mapping[tuple[str, str], Law |
     untold = _name_parts([one for one in asked if one.verdict == "pays" and one.slope is None])
     known = [law for law in laws.values() if law is not None]
     power, steep = (sum(tell_law(law) == words for law in known) for words in ("power law", "exponential"))
-    kept = sum(one.lowers_exponent and other.lowers_exponent for one, other in zip(answers, again, strict=False)
-               if one.part in PARTS)
-    fresh = f", {kept or 'none'} of these again in fresh rooms" if again else ""
+    fresh = f", {count_kept(answers, again) or 'none'} of these again in fresh rooms" if again else ""
     parts = [f"the exponent is lowered by {lower}{fresh}" if lower else "no part is shown to lower the exponent"]
     if only:
         parts.append(f"only the constant is shown to fall with {only}")

@@ -56,8 +56,8 @@ MUTATIONS = [
     Mutation(
         "a run of an agent of one's own imports its class untrusted",
         "agents/training/train.py",
-        "        if not trust:\n            raise TrustError([path]) from error\n",
-        "",
+        "made = load_part(path, trust)",
+        "made = load_part(path, True)",
         "agents/training/test_env_description.py",
     ),
     Mutation(

@@ -187,7 +187,12 @@ def _list_names(value: Any) -> Iterator[Any]:
                 yield from _list_names(part)
 
 
-def _load(name: Any, trust: bool) -> Any:
+def load_part(name: Any, trust: bool) -> Any:
+    """The class or function that a name, `module:name`, stands for.
+
+    Raises:
+        TrustError: it is in no table of known parts, and is not trusted; nothing was imported.
+    """
     load = find_part(name)
     if load is None and not trust:
         raise TrustError([name])
@@ -203,7 +208,7 @@ def _make_env(description: Mapping[str, Any], trust: bool,
 
 
 def _make_part(description: Mapping[str, Any], kind: type, trust: bool, *inner: gymnasium.Env) -> Any:
-    part = _load(description["class"], trust)
+    part = load_part(description["class"], trust)
     if not (isinstance(part, type) and issubclass(part, kind)):
         raise TypeError(f"{description['class']} is no {kind.__name__}")
     arguments = description["arguments"]
@@ -286,12 +291,12 @@ def _revive(value: Any, trust: bool) -> Any:
     if value.keys() == {"class", "arguments", "wrappers"}:
         return _make_env(value, trust)
     if value.keys() == {"settings", "fields"}:
-        settings = _load(value["settings"], trust)
+        settings = load_part(value["settings"], trust)
         if not (isinstance(settings, type) and issubclass(settings, Settings)):
             raise TypeError(f"{value['settings']} is no Settings")
         return settings.from_dict(value["fields"])
     if value.keys() == {"function"}:
-        return _load(value["function"], trust)
+        return load_part(value["function"], trust)
     if value.keys() - {"origin"} == {"object", "name", "digest"}:
         raise TypeError(f"an object of {value['object']} is not kept with a run")
     return {name: _revive(part, trust) for name, part in value.items()}

@@ -24,7 +24,12 @@ from hrl_escape.agents.registry import get_agent_class, list_stream_agents, make
 from hrl_escape.agents.streams import StreamAgent, Streams
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
-from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
+from hrl_escape.agents.training.env_description import (
+    compute_digest,
+    hash_large_parts,
+    load_part,
+    make_described_env,
+)
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.run import (
@@ -270,12 +275,12 @@ def _make_described_agent(described: Mapping[str, Any], env: gymnasium.Env, trus
     except UnknownNameError as error:
         if not isinstance(path := described.get("agent"), str):
             raise CheckpointError(f"{where}: the description of this run names no agent") from error
-        if not trust:
-            raise TrustError([path]) from error
         try:
-            made = resolve_name(path)
+            made = load_part(path, trust)
             settings = replace_settings(made.Settings(), described["settings"])
             return made(env.observation_space, env.action_space, described["seed"], settings)
+        except TrustError:
+            raise
         except Exception as reason:
             raise CheckpointError(f"{where}: its agent is not made by {path}(observation_space, action_space, seed, "
                                   f"settings) ({describe_damage(reason)})") from reason
