@@ -52,6 +52,14 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> PackageCopy:
 
 
 @pytest.mark.slow
+def test_no_bug_runs_with_the_bytecode_of_another_of_its_size(copy: PackageCopy, monkeypatch: pytest.MonkeyPatch):
+    """Python takes a file for unchanged by its size and the whole second of its last change."""
+    planted = find_source(copy.folder, "names.py")
+    monkeypatch.setattr(copy, "_run", lambda tests, seconds: int(planted.stat().st_mtime))
+    assert len({copy.is_change_seen("names.py", "", []) for _ in range(3)}) == 3
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("mutation", EVERY)
 def test_a_planted_bug_is_seen(copy: PackageCopy, mutation: Mutation):
     assert copy.is_seen(mutation), f"no test of {mutation.tests} sees: {mutation.bug} ({mutation.file})"

@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import subprocess
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -59,10 +60,14 @@ class PackageCopy:
 
     Args:
         folder: where it is made; one that stands there is refreshed, its compiled kernels stay.
+
+    Attributes:
+        folder: where it is.
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self.folder = folder
+        self._planted = 0
         for name in ("hrl_escape", "studies", "tests", "examples", "docs", "benchmarks"):
             shutil.rmtree(folder / name, ignore_errors=True)
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -86,8 +91,10 @@ class PackageCopy:
 
     def is_change_seen(self, file: str, changed: str, tests: Sequence[str], seconds: int = 300) -> bool:
         """The same for the whole changed text of a file."""
-        path = find_source(self._folder, file)
+        path = find_source(self.folder, file)
         path.write_text(changed, encoding="utf-8")
+        self._planted = max(self._planted + 1, int(time.time()))  # bytecode is known by the second and the size
+        os.utime(path, (self._planted, self._planted))
         try:
             return self._run(tests, seconds)
         finally:
@@ -96,9 +103,9 @@ class PackageCopy:
 
     def _run(self, tests: Sequence[str], seconds: int) -> bool:
         places = [f"tests/{test}" for test in tests]
-        environment = os.environ | {"PYTHONPATH": str(self._folder), "NUMBA_CACHE_DIR": str(self._folder / "kernels")}
+        environment = os.environ | {"PYTHONPATH": str(self.folder), "NUMBA_CACHE_DIR": str(self.folder / "kernels")}
         try:
-            done = run_fork(PYTEST, *places, cwd=self._folder, environment=environment, processor_seconds=seconds,
+            done = run_fork(PYTEST, *places, cwd=self.folder, environment=environment, processor_seconds=seconds,
                             timeout=10 * seconds)
         except subprocess.TimeoutExpired:
             return True
