@@ -37,7 +37,7 @@ from studies.statistics import Difference, compare_signs
 from studies.store import Store
 from studies.study import Page, Study
 
-__all__ = ["LINES", "Args", "advise", "analyse", "compare", "measure", "tell_fall", "tell_learning",
+__all__ = ["LINES", "Args", "advise", "analyse", "compare", "measure", "tell_fall", "tell_late", "tell_learning",
            "tell_remedies", "tell_untrained"]
 
 LINES = (FlatRun,)
@@ -74,6 +74,12 @@ def read_escape(run: FlatRun) -> float:
 def read_corners(run: FlatRun) -> float:
     """Share of the run spent in corners."""
     return float(np.mean(run.corners))
+
+
+def read_late(run: FlatRun) -> float:
+    """Share of episodes in the last half of the run that end in an escape."""
+    late = [share for share in run.escapes[TENTHS // 2:] if share is not None]
+    return float(np.mean(late)) if late else 0.0
 
 
 # --- words -----------------------------------------------------------------------------------
@@ -120,26 +126,53 @@ def find_untrained(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner]
     return found
 
 
-def tell_untrained(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner], chance: str) -> str:
+def tell_untrained(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner], chances: Mapping[int, str]) -> str:
     """Sentences on learners whose first escapes all come before their first update; empty where there are none.
 
     Args:
         lines: all runs.
         learners: by label.
-        chance: label of the one that never learns.
+        chances: primitives that an action is repeated for -> label of the policy that never learns with as many.
     """
-    found = find_untrained(lines, {label: learner for label, learner in learners.items() if label != chance})
+    controls = list(chances.values())
+    found = find_untrained(lines, learners)
     said = []
     for escapes, labels in group_alike(lines, found).items():
+        if all(label in controls for label in labels):
+            continue
         latest, update = found[labels[0]]
         repeat, who = learners[labels[0]].repeat, join_words([f"`{label}`" for label in labels])
         alike = f", the same in {'both' if len(labels) == 2 else 'all'} run by run," if len(labels) > 1 else ""
         said.append(f"The {len(escapes)} first escapes of {who}{alike} come within {latest:,} primitives, and the "
                     f"first update only after {update:,}: they are those of random moves"
                     + (f", each repeated {repeat} times" if repeat > 1 else "") + ", and not of learning.")
-        if repeat != learners[chance].repeat:
+        if repeat not in chances:
             said.append(f"Chance with {repeat} repeats was not run.")
     return " ".join(said)
+
+
+def tell_late(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner], chances: Mapping[int, str]) -> list[str]:
+    """A sentence a control: do its learners escape more often in the last half of training than it does?
+
+    Args:
+        lines: all runs.
+        learners: by label.
+        chances: as of `tell_untrained`.
+    """
+    said = []
+    for repeat, control in chances.items():
+        twins = [label for label, learner in learners.items() if learner.repeat == repeat and label != control]
+        found = compare(lines, twins, control, read_late)
+        share = {label: float(np.mean([read_late(run) for run in lines if run.agent == label]))
+                 for label in (control, *found)}
+        words = {sign: [f"`{label}` ({share[label]:.0%}; {test.mean:+.2f}, {test.low:+.2f} to {test.high:+.2f})"
+                        for label, test in found.items() if test.sign == sign] for sign in (1, -1, 0)}
+        told = [f"{kind} {join_words(words[sign])}" for sign, kind in
+                ((1, "more often"), (-1, "less often"), (0, "no difference is shown for")) if words[sign]]
+        if told:
+            said.append(f"In the last half of training `{control}` escapes in {share[control]:.0%} of its episodes; "
+                        f"{'; '.join(told)}.")
+    return said
 
 
 def group_alike(lines: Sequence[FlatRun], labels: Iterable[str]) -> dict[tuple[tuple[int, int | None], ...], list[str]]:
@@ -233,26 +266,27 @@ def analyse(study: Study, lines: Sequence[FlatRun]) -> Page:
     data = study.data
     lines = sorted(lines, key=lambda run: run.place)
     labels = [table["label"] for table in data["learners"] if any(run.agent == table["label"] for run in lines)]
-    plain, chance = data["plain"], data["chance"]
-    remedies = [label for label in labels if label not in (plain, chance)]
+    plain, chance = data["plain"], data["chances"][0]
+    remedies = [label for label in labels if label not in (plain, *data["chances"])]
     learners = {learner.label: learner for learner in list_learners(study, FlatArgs(agents=tuple(labels)))}
+    chances = {learners[label].repeat: label for label in data["chances"] if label in learners}
     untrained = find_untrained(lines, learners)
     headline, told = tell_fall(lines, plain, chance), tell_remedies(lines, remedies, plain, chance, untrained)
-    early = tell_untrained(lines, learners, chance)
-    learning = tell_learning(lines, [label for label in labels if label != chance])
+    early, late = tell_untrained(lines, learners, chances), tell_late(lines, learners, chances)
+    learning = tell_learning(lines, [label for label in labels if label not in data["chances"]])
     return Page({
-        "headline": headline, "told": told, "early": early,
+        "headline": headline, "told": told, "early": early, "late": late,
         "advice": advise(lines, remedies, plain, untrained), "learning": learning, "budget": lines[0].budget,
         "runs": min(sum(run.agent == label for run in lines) for label in labels),
         "table": make_table(["learner", "runs", "first escape, median", "never", "in corners", "share of full entropy",
                              "escapes in training, last half", "efficiency at the end"],
                             [_describe(label, [run for run in lines if run.agent == label]) for label in labels]),
         "settings": {table["label"]: table for table in data["learners"]},
-    }, {"flat-ppo": draw(lines, labels)}, [headline, *told, learning, *filter(None, [early])])
+    }, {"flat-ppo": draw(lines, labels)}, [headline, *told, *late, learning, *filter(None, [early])])
 
 
 def _describe(label: str, runs: Sequence[FlatRun]) -> list[Any]:
-    late = [share for run in runs for share in run.escapes[TENTHS // 2:] if share is not None]
+    late = [read_late(run) for run in runs if any(share is not None for share in run.escapes[TENTHS // 2:])]
     first = np.median([min(run.first_escape or run.budget, run.budget) for run in runs])
     return [f"`{label}`", len(runs), f"{first:,.0f}",
             sum(run.first_escape is None for run in runs), f"{np.mean([read_corners(run) for run in runs]):.2f}",

@@ -18,7 +18,7 @@ from hrl_escape.errors import ComparisonError
 from studies.__main__ import main
 from studies.flat import ARCHIVE, CORNER, FlatLearner, FlatRun, RepeatedStreams, count_untrained, run_flat
 from studies.flat_ppo.analysis import advise as advise_ppo
-from studies.flat_ppo.analysis import tell_fall, tell_learning, tell_remedies, tell_untrained
+from studies.flat_ppo.analysis import tell_fall, tell_late, tell_learning, tell_remedies, tell_untrained
 from studies.league.analysis import (
     Attempt,
     SearcherRun,
@@ -201,22 +201,47 @@ def test_escapes_before_the_first_update_are_not_called_learning():
     """Of 64 streams and 32 decisions a rollout, each of eight primitives, the first update comes after 16,384."""
     learners = {label: FlatLearner(label, "ppo", repeat=repeat)
                 for label, repeat in (("chance", 1), ("a", 8), ("b", 8), ("c", 1))}
+    plain = {1: "chance"}
     others = [*make_runs("chance", 20_000, 0.02), *make_runs("c", 20_000, 0.3)]
-    told = tell_untrained([*others, *make_runs("a", 10_000, 0.1), *make_runs("b", 10_000, 0.2)], learners, "chance")
+    told = tell_untrained([*others, *make_runs("a", 10_000, 0.1), *make_runs("b", 10_000, 0.2)], learners, plain)
     assert told == ("The 10 first escapes of `a` and `b`, the same in both run by run, come within 11,800 primitives, "
                     "and the first update only after 16,384: they are those of random moves, each repeated 8 times, "
                     "and not of learning. Chance with 8 repeats was not run.")
-    apart = tell_untrained([*others, *make_runs("a", 10_000, 0.1), *make_runs("b", 9_000, 0.2)], learners, "chance")
+    apart = tell_untrained([*others, *make_runs("a", 10_000, 0.1), *make_runs("b", 9_000, 0.2)], learners, plain)
     assert "escapes of `a` come within 11,800" in apart and "escapes of `b` come within 10,620" in apart
     late = [*others, *make_runs("a", 15_000, 0.1), *make_runs("b", 16_000, 0.2)]
-    assert tell_untrained(late, learners, "chance") == "", "some come after it"
+    assert tell_untrained(late, learners, plain) == "", "some come after it"
     never = [dataclasses.replace(run, first_escape=None) if run.seed == 3 else run for run in make_runs("a", 90, 0.1)]
-    assert tell_untrained([*others, *never], learners, "chance") == ""
+    assert tell_untrained([*others, *never], learners, plain) == ""
+    learners["control"] = dataclasses.replace(learners["a"], label="control")
+    alike = [*others, *make_runs("a", 10_000, 0.1), *make_runs("control", 10_000, 0.1)]
+    told = tell_untrained(alike, learners, {1: "chance", 8: "control"})
+    assert told.startswith("The 10 first escapes of `a` and `control`, the same in both") and "not run" not in told
+    assert tell_untrained(alike[10:], {"control": learners["control"]}, {8: "control"}) == "", "a control is no learner"
     lines = [*make_runs("good", 20, 0.05), *make_runs("chance", 100, 0.02), *make_runs("ppo", 400, 0.3)]
     assert advise_ppo(lines, ["good"], "ppo", ["good"]).endswith(
         "and try `good`: the first escape comes sooner, before anything is learned.")
     (remedy,) = tell_remedies(lines, ["good"], "ppo", "chance", ["good"])
     assert "beats chance" not in remedy and remedy.endswith("; all of its first escapes come before the first update.")
+
+
+def test_a_learner_is_told_from_chance_with_as_many_repeats_by_its_late_escapes():
+    learners = {label: FlatLearner(label, "ppo", repeat=repeat)
+                for label, repeat in (("chance", 1), ("plain", 1), ("held", 8), ("a", 8), ("b", 8), ("c", 8))}
+
+    def make(label: str, share: float) -> list[FlatRun]:
+        return [dataclasses.replace(run, escapes=(None,) * 6 + (share + 0.01 * (-1) ** run.seed,) * 4)
+                for run in make_runs(label, 100, 0.1)]
+
+    lines = [*make("chance", 0.2), *make("plain", 0.1), *make("held", 0.5), *make("a", 0.7), *make("b", 0.5)]
+    lines += [dataclasses.replace(run, escapes=(0.5 + 0.1 * (-1) ** (run.seed // 2),) * 10)
+              for run in make_runs("c", 100, 0.1)]
+    plain, held = tell_late(lines, learners, {1: "chance", 8: "held"})
+    assert plain == ("In the last half of training `chance` escapes in 20% of its episodes; less often `plain` (10%; "
+                     "-0.10, -0.10 to -0.10).")
+    assert held.startswith("In the last half of training `held` escapes in 50% of its episodes; more often `a` (70%; +")
+    assert "; no difference is shown for `b` (50%; " in held and " and `c` (5" in held
+    assert tell_late([run for run in lines if run.seed < 9], learners, {1: "chance"}) == [], "too few pairs"
 
 
 def test_the_first_update_is_where_a_run_s_settings_put_it():
@@ -239,7 +264,7 @@ def test_the_page_on_ppo_follows_its_lines(tmp_path: Path):
     lines = [run for number, label in enumerate(labels) for run in make_runs(label, 100 * (1 + number), 0.1)]
     page = tell("flat-ppo", lines, tmp_path)
     assert page.index("![Time") < page.index("**Flat PPO falls below chance") < page.index("<details>")
-    assert page.count("\n- `ppo, ") == len(labels) - 2 and (tmp_path / "figures" / "flat-ppo.svg").exists()
+    assert page.count("\n- `ppo, ") == len(labels) - 3 and (tmp_path / "figures" / "flat-ppo.svg").exists()
     turned = [dataclasses.replace(run, first_escape=10) if run.agent == "ppo" else run for run in lines]
     assert "**`ppo` beats chance" in tell("flat-ppo", turned)
 
