@@ -1,9 +1,10 @@
-"""Many environments at once: how many primitives are learned from in a second, options run?
+"""Many environments at once: how many primitives are learned from in a second, options run, pictures taken?
 
     python -m benchmarks.many_environments rates               # one room at 1 to 4,096, beside SB3
     python -m benchmarks.many_environments rates --counts 4096 --threads 2    # both cores at work
     python -m benchmarks.many_environments options             # options a second, beside the single environment
     python -m benchmarks.many_environments decisions           # options a second that are learned from
+    python -m benchmarks.many_environments pixels              # frames of the robot's camera, beside Bullet's
     python -m benchmarks.many_environments rates --device cuda --counts 4096 65536 --contenders "1 epoch"
     python -m benchmarks.many_environments rates --quick       # seconds: shows that everything runs
 
@@ -34,6 +35,7 @@ from hrl_escape.options.memory import MemoryStreams
 RATES = "hrl_escape/PaperTwoButton-v1"
 CHOOSING = ("PaperTwoButton", "ArmTwoButton")
 PEERS = (1, 8)
+PICTURED = ("PaperTwoButton", "Clutter")
 COMPILED = 512
 """Environments from which on rooms are compiled: fewer do not spend enough to be worth it."""
 RATED: dict[str, tuple[str, dict[str, Any]]] = {
@@ -135,12 +137,35 @@ def _tell_rates(count: int, started: float, clock: float) -> dict[str, float]:
     return {"rate": count / (time.process_time() - started), "wall": count / (time.perf_counter() - clock)}
 
 
+def measure_pixels(contender: str, count: int, room: str, quick: bool) -> float:
+    """Frames of the robot's camera, 84 x 84, that are taken in a second of processor time."""
+    rounds = 2 if quick else 5
+    if contender == "single":
+        view: dict[str, Any] = {"render_mode": "rgb_array", "camera": "robot", "render_size": (84, 84)}
+        env: Any = gymnasium.make(f"hrl_escape/{room}-v1", **view)
+        env.reset(seed=0)
+        env.render()
+        started = time.process_time()
+        for _ in range(20 * rounds):
+            env.render()
+        return 20 * rounds / (time.process_time() - started)
+    env = gymnasium.make_vec(f"hrl_escape/{room}-v1", num_envs=count).unwrapped
+    env.reset(seed=0)
+    env.take_pictures()
+    started = time.process_time()
+    for _ in range(rounds):
+        env.take_pictures()
+    return rounds * count / (time.process_time() - started)
+
+
 def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """What each run is, without its outcome."""
     what, counts = arguments.what, arguments.counts
     if what == "options":
         contenders = [("single", [1]), ("vector environment", counts), ("own pace", counts),
                       ("own pace, compiled", counts)]
+    elif what == "pixels":
+        contenders = [("single", [1]), ("batch", counts)]
     elif what == "decisions":
         contenders = [(name, counts) for name in DECIDED]
     else:
@@ -158,6 +183,8 @@ def execute(run: dict[str, Any], quick: bool) -> dict[str, Any]:
     count, peer, device = run["count"], run["contender"] == "sb3", run["device"]
     if run["what"] == "options":
         return measure_options(run["contender"], count, run["room"], quick, device)
+    if run["what"] == "pixels":
+        return {"rate": measure_pixels(run["contender"], count, run["room"], quick)}
     budget = 4_096 if quick or peer or count <= 8 else 512 * count
     if run["what"] == "decisions":
         return measure_decisions(run["contender"], count, run["room"], budget, device)
@@ -174,7 +201,7 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
             groups.setdefault((row["contender"], row["count"]), []).append(row)
     median = {key: float(np.median([row["rate"] for row in found])) for key, found in groups.items()}
     peer, unit = {"rates": ("sb3", "primitives"), "options": ("single", "options"),
-                  "decisions": ("smdp-ppo, 10 epochs", "decisions")}[what]
+                  "pixels": ("single", "frames"), "decisions": ("smdp-ppo, 10 epochs", "decisions")}[what]
     base = median.get((peer, 1), float("nan"))
     wall = {key: float(np.median([row["wall"] for row in found]))
             for key, found in groups.items() if "wall" in found[0]}
@@ -188,9 +215,9 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
 def main() -> None:
     """Run what is missing, then print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["rates", "options", "decisions"])
+    parser.add_argument("what", choices=["rates", "options", "decisions", "pixels"])
     parser.add_argument("--counts", nargs="+", type=int, help="numbers of environments")
-    parser.add_argument("--rooms", nargs="+", help="rooms of options")
+    parser.add_argument("--rooms", nargs="+", help="rooms of options and pixels")
     parser.add_argument("--contenders", nargs="+", default=(), help="lines of the table to measure; by default all")
     parser.add_argument("--device", default="cpu", help="of rooms and networks: cpu, cuda, ...")
     parser.add_argument("--rounds", type=int, default=3)
@@ -199,10 +226,11 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small budgets, one round")
     arguments = parser.parse_args()
     if arguments.counts is None:
-        arguments.counts = {"rates": [1, 8, 64, 512, 4096], "options": [256, 2048],
+        arguments.counts = {"rates": [1, 8, 64, 512, 4096], "options": [256, 2048], "pixels": [64],
                             "decisions": [256, 2048]}[arguments.what]
     if arguments.rooms is None:
-        arguments.rooms = {"options": CHOOSING, "decisions": CHOOSING[:1]}.get(arguments.what, [None])
+        arguments.rooms = {"options": CHOOSING, "decisions": CHOOSING[:1], "pixels": PICTURED}.get(
+            arguments.what, [None])
     if arguments.quick:
         arguments.rounds = 1
     torch.set_num_threads(1)

@@ -1,8 +1,8 @@
 """Thousands of Escape Rooms as one Gymnasium `VectorEnv` over the batched engine.
 
 `gymnasium.make_vec("hrl_escape/PaperTwoButton-v1", num_envs=4096)` makes one. It has the spaces,
-observations, rewards and rules of `escape_room.py`; the observation `pixels`, frames and physics are the
-Bullet engine's.
+observations, rewards and rules of `escape_room.py`; the observation `pixels` and physics are the
+Bullet engine's. Pictures are taken by the batch's own cameras.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 from typing_extensions import Unpack
 
+from hrl_escape.env.batched.cameras import BatchedCamera, Pictures
 from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_seed
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import INSTEAD
-from hrl_escape.env.engine import Renderer, check_camera, check_picture_size, make_renderer
 from hrl_escape.env.presets import SchematicForm
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
 from hrl_escape.spaces import make_vector_space
@@ -36,7 +36,6 @@ _AUTORESETS: dict[AutoresetMode, Autoreset] = {
     AutoresetMode.SAME_STEP: "same-step",
     AutoresetMode.DISABLED: "disabled",
 }
-_MOST_RENDERERS = 64  # Bullet has room for a few hundred in a process
 
 
 class BatchVectorEnv(VectorEnv):
@@ -109,8 +108,8 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
     content hash of the only one. With `output="torch"`, where there is no text, it is `instance_index`, the number.
 
     ## Pictures
-    With `render_mode="rgb_array"`, `render()` gives a tuple of frames, one a room, each by Bullet's cameras as in
-    `EscapeRoomEnv`: for a few rooms, as each takes milliseconds.
+    `take_pictures(camera, width, height)` gives colours, depth and labels of what each room's camera sees, as tensors
+    on the device. With `render_mode="rgb_array"`, `render()` gives the colours as a tuple of frames, one a room.
 
     ## Random numbers
     `reset(seed=n)` seeds room i with n + i. What happens in a room depends on its own seed and actions, never on
@@ -122,7 +121,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         config: preset name, `RoomConfig`, or the dict form of one.
         observation: name of a vector observation.
         render_mode: `rgb_array`, or None.
-        camera: as in `EscapeRoomEnv`.
+        camera: `robot` or `overhead`.
         render_size: width and height of frames in pixels.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device, which cost no copy.
@@ -157,10 +156,10 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         self.room = TensorRoom(self.rooms, autoreset=_AUTORESETS[self.autoreset_mode], velocities=self.velocities)
         self.instances = self.room.instances
         self.render_mode = render_mode
-        check_camera(camera)
-        check_picture_size(*render_size)
-        self._renderers: dict[int, Renderer] = {}
+        self._cameras: dict[tuple[str, int, int], BatchedCamera] = {}
         self._view = (camera, *render_size)
+        if render_mode is not None:
+            self._get_camera(*self._view)
         room = self.room
         self.single_observation_space = make_vector_space(room.low, room.high, room.rows, room.words)
         self.single_action_space = self._make_action_space()
@@ -200,25 +199,38 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
             }
         return self._give(seen), self._give(reward), self._give(terminated), self._give(truncated), infos
 
+    def take_pictures(self, camera: str = "robot", width: int = 84, height: int = 84) -> Pictures:
+        """Take a picture of every room as it is now, on the rooms' device.
+
+        Args:
+            camera: `robot`, ahead from the front of the robot, or `overhead`.
+            width: pixels, from 8 to 2048.
+            height: pixels, from 8 to 2048.
+
+        Raises:
+            UnknownNameError: no camera of that name.
+            ConfigError: an impossible size.
+            UnsupportedError: the camera `chase`, a robot with an arm, or targets with marks.
+            ResetNeededError: no episode has begun.
+        """
+        self._check_open()
+        return self._get_camera(camera, width, height).take()
+
     def render(self) -> tuple[Any, ...] | None:
         """Take the frames of all rooms, uint8 (height, width, 3) each; None without a `render_mode`."""
         if self.render_mode is None:
             return None
-        self._check_open()
-        states, instances = self.room.get_room_states(range(self.num_envs)), self.room.state.instance.tolist()
-        return tuple(self._get_renderer(number).render(state, *self._view)
-                     for number, state in zip(instances, states, strict=True))
+        return tuple(self.take_pictures(*self._view).rgb.cpu().numpy())
 
-    def _get_renderer(self, instance: int) -> Renderer:
-        if instance not in self._renderers:
-            if len(self._renderers) >= _MOST_RENDERERS:
-                self._renderers.clear()
-            self._renderers[instance] = make_renderer(self.instances[instance])
-        return self._renderers[instance]
+    def _get_camera(self, camera: str, width: int, height: int) -> BatchedCamera:
+        key = (camera, width, height)
+        if key not in self._cameras:
+            self._cameras[key] = BatchedCamera(self.room, *key)
+        return self._cameras[key]
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Drop the room and its renderers, which frees their memory."""
-        self._renderers.clear()
+        """Drop the room and its cameras, which frees their tensors."""
+        self._cameras.clear()
         del self.room
 
     @property

@@ -12,11 +12,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 import hrl_escape
-from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
-from hrl_escape.errors import ActionError, BatchError, ClosedError, ConfigError, UnknownNameError, UnsupportedError
+from hrl_escape.errors import ActionError, BatchError, ClosedError, ConfigError, UnsupportedError
 from tests.covering import thin
 
 LEFT = 2
@@ -158,8 +157,9 @@ def test_instances_can_be_given_and_drawn(tmp_path):
     [
         ({"observation": "pixels"}, UnsupportedError, "vectorization_mode='sync'"),
         ({"render_mode": "human"}, UnsupportedError, "vectorization_mode='sync'"),
-        ({"render_mode": "rgb_array", "camera": "behind"}, UnknownNameError, "chase"),
+        ({"render_mode": "rgb_array", "camera": "chase"}, UnsupportedError, "'robot' or 'overhead'"),
         ({"render_mode": "rgb_array", "render_size": 84}, ConfigError, "a pair"),
+        ({"render_mode": "rgb_array", "config": "arm-two-button"}, UnsupportedError, "no arm"),
         ({"config": "push-block"}, UnsupportedError, "physics"),
         ({"output": "jax"}, ConfigError, "'numpy' or 'torch'"),
         ({"autoreset_mode": "never"}, ConfigError, "'NextStep', 'SameStep', 'Disabled'"),
@@ -171,22 +171,6 @@ def test_instances_can_be_given_and_drawn(tmp_path):
 def test_a_wrong_argument_gets_one_clear_error(settings, error, words):
     with pytest.raises(error, match=words):
         EscapeRoomVectorEnv(**{"num_envs": 2} | settings)
-
-
-def test_frames_are_those_of_single_environments(monkeypatch):
-    rooms = [generate(get_preset("arm-two-button"), seed) for seed in range(2)]
-    view = {"render_mode": "rgb_array", "render_size": (40, 30), "camera": "chase"}
-    env = EscapeRoomVectorEnv(3, instance=rooms, **view)
-    env.reset(seed=0)
-    env.step(np.array([0, 4, 2]))
-    frames = env.render()
-    monkeypatch.setattr("hrl_escape.env.vector_env._MOST_RENDERERS", 1)
-    for room, frame, again in zip(range(3), frames, env.render(), strict=True):
-        single = EscapeRoomEnv(instance=rooms[room % 2], **view)
-        single.reset(seed=0)
-        single.set_state(env.room.get_room_state(room))
-        assert frame.shape == (30, 40, 3) and np.array_equal(frame, single.render()) and np.array_equal(frame, again)
-    assert EscapeRoomVectorEnv(1).render() is None
 
 
 def test_a_wrong_call_gets_one_clear_error():

@@ -271,10 +271,12 @@ def test_pixels_show_marks():
     assert 30 < (np.abs(pictures[0] - pictures[1]).sum(axis=2) > 60).sum() < 2000  # the mark, and it alone
 
 
-def test_marked_and_bare_rooms_are_no_batch():
+def test_marked_and_bare_rooms_are_no_batch_and_batched_cameras_refuse_marks():
     marked, bare = generate(make_with(MarksConfig("rank")), 0), generate(make_with(MarksConfig()), 0)
     with pytest.raises(UnsupportedError, match="marks on targets"):
         EscapeRoomVectorEnv(2, instance=[marked, bare], observation="objects")
+    with pytest.raises(UnsupportedError, match="draw no marks"):
+        EscapeRoomVectorEnv(1, instance=marked, render_mode="rgb_array")
 
 
 @pytest.mark.parametrize(("changes", "words"), [
