@@ -127,7 +127,7 @@ def measure_memory(plans: int, kinds: Sequence[str]) -> bool:
                 planner.plan(wandered, target)
             elif name == "answer":  # planned anew each time: nothing is remembered
                 planner.answer(PlanningRequest(state, target, improve=number % 200 == 0))
-                planner = RoomPlanner(instance)
+                planner = planner.adapt(instance)
             elif name == "fields":
                 search.search(state, target)
             else:

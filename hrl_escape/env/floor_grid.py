@@ -72,13 +72,16 @@ class FloorGrid(NamedTuple):
         high = np.minimum(np.floor((middle + extent - self.low) / self.size).astype(int) + 1, self.shape)
         return low, np.maximum(low, high)
 
-    def measure(self, shape: Footprint, around: float
+    def measure(self, shape: Footprint, around: float, within: tuple[Any, Any] | None = None
                 ) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
         """Distances from a footprint to the centres of all cells that may be within `around` of it, m.
 
-        Returns the window of these cells, as an index of arrays of the grid's shape, and the distances.
+        Returns the window of these cells, as an index of arrays of the grid's shape and cut to the corners `within`,
+        and the distances.
         """
         low, high = self.find_window(shape, around)
+        if within is not None:
+            low, high = np.maximum(low, within[0]), np.minimum(high, within[1])
         sides = np.maximum(high - low, 0)
         away = np.zeros(sides)
         if away.size:

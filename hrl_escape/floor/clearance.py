@@ -10,7 +10,7 @@ import copy
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,24 +71,41 @@ class CollisionMap:
         self.footprints, self._neighbourhood = footprints, Neighbourhood(footprints)
         self.solids = self._neighbourhood.shapes
 
+    def _copy(self, footprints: tuple[Footprint, ...]) -> CollisionMap:
+        """Copy of the map with other solids, whose distances are still those of the present ones."""
+        new = copy.copy(self)
+        new.__dict__.pop("_labels", None)
+        new._take_solids(footprints)
+        new.distance = self.distance.copy()
+        return new
+
     def _index(self) -> None:
         self._distances = array.array("f", self.distance.tobytes())  # scalar look-ups are ten times as fast as numpy's
         self._near: dict[int, tuple[Footprint, ...]] = {}
 
+    def adapt(self, instance: RoomInstance, door_shut: bool, changed: Sequence[Footprint]) -> CollisionMap:
+        """Map of a room that differs in some solids alone, `changed`: their footprints before and after."""
+        new = self._copy(_list_footprints(instance, door_shut))
+        windows = [self.grid.find_window(shape, self.horizon) for shape in changed]
+        for low, high in windows:
+            new.distance[low[0] : high[0], low[1] : high[1]] = self.horizon
+        for low, high in windows:
+            for footprint in new.footprints:
+                new._lower(footprint, (low, high))
+        new._index()
+        return new
+
     def keep_out(self, footprints: Sequence[Footprint]) -> CollisionMap:
         """Make the map of a room in which these footprints are solid, too."""
-        new = copy.copy(self)
-        new.__dict__.pop("_labels", None)
-        new._take_solids((*self.footprints, *footprints))
-        new.distance = self.distance.copy()
+        new = self._copy((*self.footprints, *footprints))
         for footprint in footprints:
             new._lower(footprint)
         new._index()
         return new
 
-    def _lower(self, footprint: Footprint) -> None:
-        """Lower the distances of cells to those from a footprint."""
-        window, away = self.grid.measure(footprint, self.horizon)
+    def _lower(self, footprint: Footprint, within: tuple[Any, Any] | None = None) -> None:
+        """Lower the distances of cells, in a window or everywhere, to those from a footprint."""
+        window, away = self.grid.measure(footprint, self.horizon, within)
         part = self.distance[window]
         np.minimum(part, away, out=part, casting="same_kind")
 

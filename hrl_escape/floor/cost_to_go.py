@@ -8,16 +8,17 @@ searches exact poses.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import OrderedDict
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.clock import NO_LIMIT, Clock
-from hrl_escape.env.floor_grid import FloorGrid
+from hrl_escape.env.floor_grid import FloorGrid, compute_extent_radius
 from hrl_escape.env.geometry import Footprint, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
@@ -43,6 +44,18 @@ class Seeds(NamedTuple):
     states: NDArray[np.int64]  # cell * headings + heading, shape (n,), int64
     costs: NDArray[np.int64]  # their cost-to-go, shape (n,), int64
     headings: int  # headings that the states distinguish: the grid's classes, or all
+
+
+class _Landings(NamedTuple):
+    """Landings of moves by cell, heading class and translation, shape (cells * classes * moves,)."""
+
+    cells: NDArray[np.int32]  # the cell, or -1
+    costs: NDArray[np.int16]  # primitives of the move
+
+    @classmethod
+    def make(cls, count: int) -> _Landings:
+        """Landings of moves that lead nowhere yet."""
+        return cls(np.full(count, -1, dtype=np.int32), np.zeros(count, dtype=np.int16))
 
 
 class _Links(NamedTuple):
@@ -121,8 +134,10 @@ class FieldMaker:
         self._within = self._find_corridor(path, width * max(step, 2 * self.size))
         columns, rows = self.shape
         self.points, self.standing = np.empty((columns * rows, 2)), np.zeros(columns * rows, dtype=np.bool_)
-        self._choose_points(clock)
+        self._choose_points(0, columns, clock)
         self._choose_headings(clock)
+        self._keeps_landings = not refinement  # refined grids are large, and never adapted
+        self._landings: _Landings | None = None
         self._known_links: _Links | None = None
         self._fields: OrderedDict[object, NDArray[np.int16]] = OrderedDict()
 
@@ -137,12 +152,12 @@ class FieldMaker:
         ])
         return compute_distance_many(self.grid.get_centres(), shapes) <= width
 
-    def _choose_points(self, clock: Clock) -> None:
-        columns, rows = self.shape
+    def _choose_points(self, begin: int, end: int, clock: Clock) -> None:
+        rows = self.shape[1]
         stride = max(1, SLICE // rows)
-        for first in range(0, columns, stride):
+        for first in range(begin, end, stride):
             clock.check()
-            dijkstra.choose_points(self.scene, self.low, self.size, rows, first, min(first + stride, columns),
+            dijkstra.choose_points(self.scene, self.low, self.size, rows, first, min(first + stride, end),
                                            self._within, self.points, self.standing)
 
     def _choose_headings(self, clock: Clock) -> None:
@@ -167,24 +182,74 @@ class FieldMaker:
         layers = len(self.fits) // len(self.points)
         return self.fits.reshape(-1, layers)[cells][:, np.arange(headings) % layers]
 
-    def _get_links(self, clock: Clock = NO_LIMIT) -> _Links:
-        """Links into each cell, found on first use: they take nearly all of a grid's time. Raises `OutOfTime`.
-
-        They are the moves inverted: for each cell, the cells from which one move lands there, and its cost.
-        """
-        if self._known_links is None:
-            (columns, rows), moves = self.shape, self._moves.shape[1]
-            landing = np.full(self.states * moves, -1, dtype=np.int32)
-            link_cost = np.zeros(self.states * moves, dtype=np.int16)
-            stride = max(1, SLICE // self.classes)
-            for first in range(0, columns * rows, stride):
-                clock.check()
-                dijkstra.find_landings(self.scene, self.points, self.fits, self.turns, rows, self.low, self.size,
-                                       self._moves, self.macro, first, min(first + stride, columns * rows), landing,
-                                       link_cost)
+    def _find_landings(self, landings: _Landings, begin: int, end: int, clock: Clock) -> None:
+        """Fill in where the moves from some columns of cells land."""
+        rows = self.shape[1]
+        stride = max(1, SLICE // self.classes)
+        for first in range(begin * rows, end * rows, stride):
             clock.check()
-            self._known_links = _Links(*dijkstra.link_cells(landing, link_cost, self.classes, moves))
+            dijkstra.find_landings(self.scene, self.points, self.fits, self.turns, rows, self.low, self.size,
+                                           self._moves, self.macro, first, min(first + stride, end * rows), *landings)
+        clock.check()
+
+    def _get_links(self, clock: Clock = NO_LIMIT) -> _Links:
+        """Links into each cell, found on first use: they take nearly all of a grid's time. Raises `OutOfTime`."""
+        if self._known_links is None:
+            landings = _Landings.make(self.states * self._moves.shape[1])
+            self._find_landings(landings, 0, self.shape[0], clock)
+            self._link_cells(landings)
+        assert self._known_links is not None
         return self._known_links
+
+    def _link_cells(self, landings: _Landings) -> None:
+        """Invert the moves: for each cell, the cells from which one move lands there, and its cost."""
+        self._landings = landings if self._keeps_landings else None
+        self._known_links = _Links(*dijkstra.link_cells(*landings, self.classes, self._moves.shape[1]))
+
+    # --- edited rooms ------------------------------------------------------------------
+
+    def adapt(self, instance: RoomInstance, collision: CollisionMap, changed: Sequence[Footprint],
+              keeps: Callable[[Any], bool]) -> FieldMaker:
+        """Make the grid of a room that differs in some solids only, equal to one made anew; the base turns anywhere.
+
+        `changed` are their footprints before and after. Columns of cells that none of them comes near are taken over,
+        and fields where no cell has changed and `keeps` says of their key that the goal is still the same.
+        """
+        new = copy.copy(self)
+        new.collision = collision
+        new.scene = make_sweep_scene(collision, len(instance.solids) if self.door_shut else -1, self.span)
+        new.points, new.standing = self.points.copy(), self.standing.copy()
+        near = collision.radius + 3 * self.size + collision.slack
+        for begin, end in self._find_columns(changed, near):
+            new.standing[begin * self.shape[1] : end * self.shape[1]] = False
+            new._choose_points(begin, end, NO_LIMIT)
+        new._fields, new._known_links = OrderedDict(), None
+        if self._landings is None:  # no field has needed links so far
+            return new
+        landings = _Landings(*(array.copy() for array in self._landings))
+        wide = self.shape[1] * self.classes * self._moves.shape[1]
+        for begin, end in self._find_columns(changed, near + self.span + 3 * self.size):
+            landings.cells[begin * wide : end * wide], landings.costs[begin * wide : end * wide] = -1, 0
+            new._find_landings(landings, begin, end, NO_LIMIT)
+        new._link_cells(landings)
+        moved = (new.standing != self.standing) | (new.points != self.points).any(axis=1)
+        if not moved.any() and all(map(np.array_equal, landings, self._landings)):
+            new._fields.update((key, field) for key, field in self._fields.items() if keeps(key))
+        return new
+
+    def _find_columns(self, shapes: Sequence[Footprint], around: float) -> list[tuple[int, int]]:
+        """Columns of cells within a distance of footprints, as ranges [first, last) apart from each other."""
+        spans = sorted(
+            (max(0, math.floor((s.x - compute_extent_radius(s) - around - self.low[0]) / self.size)),
+             min(self.shape[0], math.ceil((s.x + compute_extent_radius(s) + around - self.low[0]) / self.size)))
+            for s in shapes)
+        joined: list[tuple[int, int]] = []
+        for begin, end in spans:
+            if joined and begin <= joined[-1][1]:
+                joined[-1] = joined[-1][0], max(end, joined[-1][1])
+            elif begin < end:
+                joined.append((begin, end))
+        return joined
 
     def find_seeds(self, goal: Footprint, reach: float, facing: NDArray[np.bool_] | None = None,
                    presser: Presser = POINT) -> Seeds:

@@ -253,6 +253,16 @@ class RoomPlanner:
         """Cheapest orders of the puzzle's operators."""
         return Orders(self.routes)
 
+    def adapt(self, instance: RoomInstance) -> RoomPlanner:
+        """Make the planner of an edited room; it plans as a new one would, and takes over what the edit leaves valid.
+
+        Args:
+            instance: the edited room, such as `Scene.instance`.
+        """
+        new = RoomPlanner(instance, self.routes.method, self.routes.budget, self.routes.time_limit)
+        new.routes.take_over(self.routes)
+        return new
+
     def prepare(self) -> None:
         """Compute now the fields that routes share, so that the first plans are as quick as later ones."""
         with self.routes.lock:

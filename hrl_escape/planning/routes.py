@@ -85,11 +85,14 @@ class Routes:
     def _open(self) -> None:
         self.search = PrimitiveSearch(self._quiet, self.rules)
         self._joint: JointSearch | None = None
-        self._doors = None if self.rules.inner_doors is None else DoorSearches(self.search)
+        self._doors = self._make_door_searches()
         self._routes: OrderedDict[RouteKey, Route | PlanningFailed] = OrderedDict()
         self._poses = 0
         self._reasons: dict[int, str] = {}
         self.lock = threading.RLock()
+
+    def _make_door_searches(self) -> DoorSearches | None:
+        return None if self.rules.inner_doors is None else DoorSearches(self.search)
 
     def __getstate__(self) -> dict[str, Any]:
         left_out = ("search", "_joint", "_doors", "_routes", "_poses", "_reasons", "lock")
@@ -98,6 +101,12 @@ class Routes:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._open()
+
+    def take_over(self, before: Routes) -> None:
+        """Take over the grids and fields of the room as it was before an edit, as far as the edit leaves them valid."""
+        with before.lock:
+            self.search = before.search.adapt(self._quiet, self.rules)
+            self._doors = self._make_door_searches()
 
     def get_field_maker(self) -> FieldMaker:
         """Grid of the cost-to-go fields with the exit door shut."""
@@ -392,7 +401,10 @@ COMPASS = {"east": (1, 0, 0.0), "north": (0, 1, math.pi / 2), "west": (-1, 0, ma
 
 
 class DoorSearches:
-    """Searches of one room with inner doors, by those that are shut; `opened` is that with all of them open."""
+    """Searches of one room with inner doors, by those that are shut; `opened` is that with all of them open.
+
+    The others are adapted from it: they take over grid and fields, and repair what the doors change.
+    """
 
     def __init__(self, opened: PrimitiveSearch) -> None:
         assert opened.kinematics.inner_doors is not None
@@ -408,7 +420,7 @@ class DoorSearches:
         if walls not in self._searches:
             doors = (door for number, door in enumerate(self._room.inner_doors) if walls >> number & 1)
             room = dataclasses.replace(self._room, solids=(*self._room.solids, *doors))
-            self._searches[walls] = PrimitiveSearch(room, self._rules)
+            self._searches[walls] = self._opened.adapt(room, self._rules)
             if len(self._searches) > MOST_SEARCHES:
                 self._searches.popitem(last=False)
         self._searches.move_to_end(walls)

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra as shortest_paths
 
 from hrl_escape.clock import Clock, OutOfTime
 from hrl_escape.env.config import ExitConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
-from hrl_escape.env.geometry import compute_distance, compute_distance_many, make_footprint, stack_footprints
+from hrl_escape.env.geometry import Solid, compute_distance, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
@@ -250,7 +250,7 @@ def test_sweeps_and_clearances_are_those_of_all_solids_from_anywhere_on_the_floo
     assert not sweep_all(maker.scene, beyond, turns[:4], moves[:4], needs[:4] - 99.0)[:, 2].any(), "off the floor"
 
 
-# --- corridors, sizes ----------------------------------------------------------------------
+# --- corridors, edits, sizes ----------------------------------------------------------------------
 
 
 def test_a_corridor_holds_the_cells_within_its_width_of_a_path():
@@ -266,6 +266,49 @@ def test_a_corridor_holds_the_cells_within_its_width_of_a_path():
     within = away <= width * max(rules.actions.stride, 2 * maker.size)
     assert 0.1 < within.mean() < 0.5
     assert maker.standing.tolist() == (whole.standing & within).tolist()
+
+
+def list_edits(rules: Kinematics):
+    """Rooms before and after an edit, and the footprints that have changed."""
+    rng, room = np.random.default_rng(1), rules.instance
+    box, post = (Solid(shape, *rng.uniform(-1.5, 1.5, 2).tolist(), *rng.uniform(0.1, 0.3, 2).tolist(), yaw=yaw)
+                 for shape, yaw in (("box", 0.7), ("cylinder", 0.0)))
+    pole = Solid("cylinder", -0.13206, -1.10908, 0.11485, 0.11485)
+    nudged = dataclasses.replace(pole, x=-0.13573, y=-1.11263)
+    for before, after in (((), (box,)), ((box,), (post,)), ((post,), ()), ((pole,), (nudged,))):
+        rooms = [dataclasses.replace(room, solids=(*room.solids, *solids)) for solids in (before, after)]
+        yield *rooms, [solid.footprint for solid in (*before, *after)]
+
+
+def test_what_an_edit_leaves_is_equal_to_what_is_made_anew():
+    rules, _ = make_maker()
+    area, moved = compute_goal_area(PressGoal(0), rules.instance), []
+    for before, after, changed in list_edits(rules):
+        old, anew = (FieldMaker(room, rules, door_shut=True) for room in (before, after))
+        field = old.get_field("goal", lambda maker: maker.find_seeds(*area))
+        collision = old.collision.adapt(after, True, changed)
+        adapted = old.adapt(after, collision, changed, lambda key: key == "goal")
+        assert (collision.distance == anew.collision.distance).all()
+        assert (adapted.points == anew.points).all() and (adapted.standing == anew.standing).all()
+        expected = anew.make_field(anew.find_seeds(*area))
+        assert (adapted.get_field("goal", lambda maker: maker.find_seeds(*area)) == expected).all()
+        assert (expected != field).any()
+        moved.append((anew.standing != old.standing).any() or (anew.points != old.points).any())
+    assert moved == [True, True, True, False], "the last changes ends of moves only"
+
+
+def test_an_edit_that_changes_no_cell_keeps_the_fields_whose_goals_it_keeps():
+    rules, maker = make_maker()
+    area = compute_goal_area(PressGoal(0), rules.instance)
+    fields = {key: maker.get_field(key, lambda maker: maker.find_seeds(*area)) for key in ("kept", "lost")}
+    wall = Solid(x=0.0, y=-20.0, half_x=0.1, half_y=0.1)
+    room = dataclasses.replace(rules.instance, solids=(*rules.instance.solids, wall))
+    adapted = maker.adapt(room, maker.collision.adapt(room, True, [wall.footprint]), [wall.footprint],
+                          lambda key: key == "kept")
+    made = []
+    assert adapted.get_field("kept", made.append) is fields["kept"]
+    assert (adapted.get_field("lost", lambda new: made.append(new) or new.find_seeds(*area)) == fields["lost"]).all()
+    assert made == [adapted]
 
 
 @pytest.mark.parametrize(("step", "size"), [(0.4, 0.1), (1.0, 0.25), (2.0, 0.25)])
@@ -287,3 +330,13 @@ def test_a_field_without_seeds_needs_no_links_and_one_that_ran_out_of_time_is_ma
     with pytest.raises(OutOfTime):
         maker.make_field(seeds, clock=Clock(0.0))
     assert np.array_equal(maker.make_field(seeds), FieldMaker(rules.instance, rules, door_shut=True).make_field(seeds))
+
+
+def test_an_edit_before_any_field_leaves_what_is_made_anew():
+    rules, _ = make_maker()
+    area = compute_goal_area(PressGoal(0), rules.instance)
+    for before, after, changed in list_edits(rules):
+        old, anew = (FieldMaker(room, rules, door_shut=True) for room in (before, after))
+        adapted = old.adapt(after, old.collision.adapt(after, True, changed), changed, lambda key: True)
+        seeds = anew.find_seeds(*area)
+        assert np.array_equal(adapted.make_field(seeds), anew.make_field(seeds))

@@ -243,6 +243,13 @@ MUTATIONS = [
         "planning/motion/test_trajectory.py::test_under_physics_nothing_is_pressed_by_a_margin",
     ),
     Mutation(
+        "fields outlive an edit that moves links only",
+        "floor/cost_to_go.py",
+        "if not moved.any() and all(map(np.array_equal, landings, self._landings)):",
+        "if not moved.any():",
+        "floor/test_dijkstra.py::test_what_an_edit_leaves_is_equal_to_what_is_made_anew",
+    ),
+    Mutation(
         "parts from which a hand reaches are remembered whatever the joints' offsets",
         "planning/search/primitive_search.py",
         "key = maker.door_shut, problem.goal.target, state.joint_offsets, state.heading_offset",

@@ -84,6 +84,10 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
         count = sum(prop.kind == "plate" for prop in self.things)
         return tuple(zip(self.things[: 2 * count : 2], self.things[1 : 2 * count : 2], strict=True))
 
+    def with_props(self, props: tuple[Prop, ...]) -> PushBlockPuzzle:
+        """The same puzzle with other blocks and plates."""
+        return dataclasses.replace(self, things=props)
+
     @property
     def props(self) -> tuple[Prop, ...]:
         """Blocks and plates that the room must place, in the order of `things`."""

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from hrl_escape.env.puzzles.places import Capsule, Prop
+from hrl_escape.errors import UnsupportedError
 
 Trait = TypeVar("Trait")
 
@@ -116,3 +117,12 @@ class Propped:
     def props(self) -> tuple[Prop, ...]:
         """Props that the room must place."""
         return ()
+
+    def with_props(self, props: tuple[Prop, ...]) -> Any:
+        """The same puzzle with other props on the floor.
+
+        Raises:
+            ConfigError: the puzzle cannot be one with these.
+            UnsupportedError: nothing stands on this puzzle's floor.
+        """
+        raise UnsupportedError("this puzzle has no blocks or plates; push-block has")

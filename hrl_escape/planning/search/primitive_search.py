@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections import Counter
 from collections.abc import Hashable, Iterator, Sequence
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
@@ -387,6 +388,27 @@ class PrimitiveSearch:
                                            collision=self.get_collision(key[0]), clock=clock)
         return self._makers[key]
 
+    def adapt(self, instance: RoomInstance, kinematics: Kinematics) -> PrimitiveSearch:
+        """The search of an edited room, with the grids and fields that the edit leaves as they are; refined ones go."""
+        new, old = PrimitiveSearch(instance, kinematics), self.instance
+        if _get_floor(instance) != _get_floor(old) or not instance.robot.base.turns_anywhere:
+            return new
+        before, after = Counter(old.solids), Counter(instance.solids)
+        changed = [solid.footprint for solid in (*(before - after), *(after - before))]
+        same_arm = (instance.robot, instance.dynamics.press_with) == (old.robot, old.dynamics.press_with)
+
+        def keeps(key: object) -> bool:
+            goal = key[0]  # type: ignore[index]  # of `_get_field`
+            if not isinstance(goal, PressGoal):
+                return not isinstance(goal, ExitGoal) or instance.exit == old.exit
+            return same_arm and instance.targets[goal.target : goal.target + 1] == old.targets[
+                goal.target : goal.target + 1]
+
+        new._maps = {shut: held.adapt(instance, shut, changed) for shut, held in self._maps.items()}
+        new._makers = {(shut, 0): maker.adapt(instance, new._maps[shut], changed, keeps)
+                       for (shut, refinement), maker in self._makers.items() if not refinement}
+        return new
+
     def prepare(self) -> None:
         """Compute the fields of all targets and the exit now, so that the first searches are as quick as later ones."""
         state = self.kinematics.make_state(self.instance.starts[0])
@@ -652,3 +674,10 @@ class PrimitiveSearch:
             least[inside] = np.minimum(least[inside], costs[columns, rows])
         which, heading = np.nonzero((least < far) & maker.get_fits(near, costs.shape[2]))
         return near[which] * maker.headings + heading, least[which, heading].astype(np.int64)
+
+
+def _get_floor(instance: RoomInstance) -> tuple:
+    """Everything except solids on which the grids of a room depend."""
+    robot = instance.robot
+    return (instance.reach_x, instance.reach_y, instance.door, robot.outer_radius, robot.body_height, robot.actions,
+            robot.turn_step_deg, instance.dynamics.press_margin, instance.dynamics.press_with)

@@ -15,6 +15,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import DerivedModel, Panels, Puzzle, PuzzleConfig
 from hrl_escape.env.puzzles.symbolic import Modelled
 from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, Mapped, Propped, Pushing, get_trait
+from hrl_escape.errors import UnsupportedError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +68,8 @@ def test_a_puzzle_without_a_trait_has_nothing_of_it():
     assert (level.map_rows, level.target_cells, level.blockable_cells, level.list_cells("", "grip", 0)) == ((),) * 4
     assert get_trait(pair, Barring).get_shut("") == get_trait(pair, Doored).get_shut("") == 0
     assert get_trait(pair, Depicted).puddles == get_trait(pair, Propped).props == ()
+    with pytest.raises(UnsupportedError, match="no blocks or plates"):
+        get_trait(pair, Propped).with_props(())
     assert isinstance(pair.symbolic, DerivedModel) and pair.symbolic is pair.symbolic
 
 
