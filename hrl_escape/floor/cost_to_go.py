@@ -29,6 +29,8 @@ from hrl_escape.floor.sweeps import POINT, Presser, make_sweep_scene
 MOST_STATES = 1_500_000
 CACHE_BYTES = 64_000_000
 """Memory for the cached fields of one grid, bytes; a field of a room of 20 m takes 0.1 to 0.3 MB."""
+EXPLORED = 8
+"""Share of a grid's cells, one in this many, up to which what is cut off is explored from either side."""
 SLICE = 100_000
 """States that a kernel processes between two checks of a clock."""
 
@@ -321,6 +323,48 @@ class FieldMaker:
                 self._fields.popitem(last=False)
         self._fields.move_to_end(key)
         return self._fields[key]
+
+    def has_field(self, key: object) -> bool:
+        """Return whether the field under a key is kept."""
+        return key in self._fields
+
+    def is_cut_off(self, state: RoomState, seeds: Seeds, allowed: NDArray[np.bool_] | None = None,
+                   clock: Clock = NO_LIMIT) -> bool:
+        """Return true only if a field of these seeds is -1 at a state, found sooner than the field and its links.
+
+        What leads to the seeds, or else what the state leads to, is explored up to an eighth of the cells, by a kernel
+        each, in which nothing looks at the clock.
+
+        Raises:
+            OutOfTime: the clock is up before either.
+        """
+        allowed = np.ones(len(self.points), dtype=np.bool_) if allowed is None else allowed
+        wanted, most = self._list_sources(state, seeds.headings, allowed), len(self.points) // EXPLORED
+        if not len(wanted):
+            return True
+        grid = (self.scene, self.points, self.fits, self.turns, self.shape[1], self.low, self.size, self._moves,
+                self._turn_steps, self._can_turn, seeds.headings, allowed, seeds.states.astype(np.int64), wanted)
+        far = math.ceil(self.span / self.size) + 2  # cells: places are off the centres, and ends are moved to cells
+        clock.check()
+        if (result := dijkstra.grow_back(*grid, far, most)) == dijkstra.UNDECIDED:
+            clock.check()
+            result = dijkstra.grow_on(*grid, most)
+        return bool(result == dijkstra.CUT_OFF)
+
+    def _list_sources(self, state: RoomState, headings: int, allowed: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """States of the grid of which a field at a pose has the least: its own, or its neighbours' where that is none.
+
+        Without any of them a field there is -1.
+        """
+        columns, rows = self.shape
+        if (cell := self.grid.find_number(state.x, state.y)) < 0:
+            return np.zeros(0, dtype=np.int64)
+        heading, layers = self._find_layer(state, headings), len(self.fits) // len(self.points)
+        i, j = divmod(cell, rows)
+        cells = np.array([cell, *(at * rows + to for at in range(max(i - 1, 0), min(i + 2, columns))
+                                  for to in range(max(j - 1, 0), min(j + 2, rows)))])
+        known = self.fits[cells * layers + heading % layers] & allowed[cells]
+        return (cells[:1] if known[0] else cells[known]) * headings + heading
 
     def _find_layer(self, state: RoomState, headings: int) -> int:
         """Heading of a state among the `headings` that a field distinguishes."""

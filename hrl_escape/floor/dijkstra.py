@@ -307,3 +307,141 @@ def fill_gaps(field, known, headings, rows):
                             least = cost
                 field[cell * headings + heading] = least
     return field
+
+
+# --- what is cut off --------------------------------------------------------------------
+
+TILE = 8
+"""Cells along each side of a block whose links are found together."""
+CUT_OFF, JOINED, UNDECIDED = 0, 1, 2
+
+
+@kernel_part
+def _visit(marks, queue, count, state):
+    """Queue a state that is not seen yet; returns how many are queued now, or -1 if it is one that is looked for.
+
+    `marks` are 1 at states that are looked for and 2 at those that were seen.
+    """
+    if marks[state] == 1:
+        return -1
+    if marks[state] == 0:
+        marks[state] = 2
+        queue[count] = state
+        count += 1
+    return count
+
+
+@kernel
+def grow_back(scene, points, fits, turns, rows, low, size, moves, turn_steps, can_turn, headings, allowed, seeds,
+              wanted, far, most):
+    """Grow the states that lead to some seeds, as `run_dijkstra` would, by links that are found as they are needed.
+
+    `seeds` and `wanted` are states cell * headings + heading, and a move leads at most `far` cells along each axis.
+    Returns `CUT_OFF` if no wanted state leads to a seed, `JOINED` if one does, and `UNDECIDED` once the links of `most`
+    cells are found.
+    """
+    classes, translations, cells = moves.shape[0], moves.shape[1], points.shape[0]
+    ends, columns, across = classes * translations, cells // rows, (rows + TILE - 1) // TILE
+    landing, link_cost = np.empty(ends, dtype=np.int32), np.empty(ends, dtype=np.int16)
+    is_known = np.zeros((columns + TILE - 1) // TILE * across, dtype=np.bool_)
+    heads = np.zeros(cells * classes, dtype=np.int32)  # 1 + the last link found into each (cell, class), 0 for none
+    room = (most + TILE * TILE) * ends + 1
+    sources, others = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
+    marks = np.zeros(cells * headings, dtype=np.int8)
+    queue = np.empty(cells * headings, dtype=np.int32)
+    count, found, taken = 0, 0, 0
+    for state in wanted:
+        marks[state] = 1
+    for state in seeds:
+        if allowed[state // headings]:
+            count = _visit(marks, queue, count, state)
+            if count < 0:
+                return JOINED
+    while taken < count:
+        state = np.int64(queue[taken])
+        taken += 1
+        cell = state // headings
+        heading, i, j = state - cell * headings, cell // rows, cell % rows
+        for a in range(max(i - far, 0) // TILE, min(i + far, columns - 1) // TILE + 1):
+            for b in range(max(j - far, 0) // TILE, min(j + far, rows - 1) // TILE + 1):
+                if is_known[a * across + b]:
+                    continue
+                is_known[a * across + b] = True
+                for near_i in range(a * TILE, min((a + 1) * TILE, columns)):
+                    for near_j in range(b * TILE, min((b + 1) * TILE, rows)):
+                        before, known = near_i * rows + near_j, found
+                        landing[:] = -1
+                        _land(scene, points, fits, turns, rows, low, size, moves, 1, before, 0, landing, link_cost)
+                        for k in range(ends):
+                            if landing[k] >= 0:
+                                found += 1
+                                to = landing[k] * classes + k // translations
+                                sources[found], others[found] = before, heads[to]
+                                heads[to] = found
+                        most -= found > known
+                if most < 0:
+                    return UNDECIDED
+        for turn in turn_steps:
+            before = cell * headings + (heading - turn + headings) % headings
+            if marks[before] != 2 and (
+                    can_turn.shape[0] == 0 or _is_turn_free(can_turn, cell * classes, classes, heading, turn)):
+                count = _visit(marks, queue, count, before)
+                if count < 0:
+                    return JOINED
+        link = heads[cell * classes + heading % classes]
+        while link > 0:
+            before = np.int64(sources[link]) * headings + heading
+            if marks[before] != 2 and allowed[sources[link]]:
+                count = _visit(marks, queue, count, before)
+                if count < 0:
+                    return JOINED
+            link = others[link]
+    return CUT_OFF
+
+
+@kernel
+def grow_on(scene, points, fits, turns, rows, low, size, moves, turn_steps, can_turn, headings, allowed, seeds, wanted,
+            most):
+    """Grow the states to which the wanted ones lead; arguments and result as of `grow_back`."""
+    classes, translations, cells = moves.shape[0], moves.shape[1], points.shape[0]
+    marks = np.zeros(cells * headings, dtype=np.int8)
+    queue = np.empty(cells * headings, dtype=np.int32)
+    is_known, ends = np.zeros(cells, dtype=np.bool_), classes * translations
+    landing, link_cost = np.empty(cells * ends, dtype=np.int32), np.empty(cells * ends, dtype=np.int16)
+    count, taken = 0, 0
+    for state in seeds:
+        if allowed[state // headings]:
+            marks[state] = 1
+    for state in wanted:
+        count = _visit(marks, queue, count, state)
+        if count < 0:
+            return JOINED
+    while taken < count:
+        state = np.int64(queue[taken])
+        taken += 1
+        cell = state // headings
+        heading = state - cell * headings
+        first = cell * ends
+        if not is_known[cell]:
+            is_known[cell] = True
+            most -= 1
+            if most < 0:
+                return UNDECIDED
+            landing[first : first + ends] = -1
+            _land(scene, points, fits, turns, rows, low, size, moves, 1, cell, first, landing, link_cost)
+        first += heading % classes * translations
+        for k in range(turn_steps.shape[0] + translations):
+            after = np.int64(-1)
+            if k >= turn_steps.shape[0]:
+                best = np.int64(landing[first + k - turn_steps.shape[0]])
+                if best >= 0 and allowed[cell]:
+                    after = best * headings + heading
+            else:
+                to = (heading + turn_steps[k] + headings) % headings
+                if can_turn.shape[0] == 0 or _is_turn_free(can_turn, cell * classes, classes, to, turn_steps[k]):
+                    after = cell * headings + to
+            if after >= 0:
+                count = _visit(marks, queue, count, after)
+                if count < 0:
+                    return JOINED
+    return CUT_OFF

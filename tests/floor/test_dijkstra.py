@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from functools import lru_cache
 
@@ -17,7 +18,7 @@ from hrl_escape.env.geometry import Solid, compute_distance, compute_distance_ma
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.floor import dijkstra
+from hrl_escape.floor import cost_to_go, dijkstra
 from hrl_escape.floor.cost_to_go import FieldMaker
 from hrl_escape.floor.sweeps import is_clear_of_all, measure_clearance, sweep_body
 from hrl_escape.kernels import kernel
@@ -321,15 +322,65 @@ def test_cells_are_a_quarter_of_a_stride_and_at_most_a_quarter_of_a_metre(step, 
     assert stack_footprints(list(maker.collision.footprints)).shape == maker.collision.solids.shape
 
 
+# --- what is cut off ------------------------------------------------------------------------------
+
+
+def make_pockets(robot: RobotConfig) -> tuple[Kinematics, FieldMaker]:
+    """A room with a closed corner, one whose gap is a little too narrow, and one that is open."""
+    rules, _ = make_maker(robot)
+    walls = [Solid(x=x, y=y, half_x=half_x, half_y=half_y) for x, y, half_x, half_y in (
+        (-2.2, 1.0, 1.2, 0.1), (-1.1, 1.8, 0.1, 0.7), (2.2, 0.9, 1.2, 0.1), (1.1, 2.35, 0.1, 0.15),
+        (2.2, -1.0, 0.9, 0.1))]
+    room = dataclasses.replace(rules.instance, solids=(*rules.instance.solids, *walls))
+    rules = Kinematics(room)
+    return rules, FieldMaker(room, rules, door_shut=True)
+
+
+@pytest.mark.in_turn_for("box-the goal's", "disc-the goal's", "box-the start's")
+@pytest.mark.parametrize("side", ["the goal's", "the start's"])
+@pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
+def test_what_is_cut_off_is_exactly_what_no_field_reaches(robot, side, monkeypatch):
+    rules, maker = make_pockets(robot)
+    monkeypatch.setattr(cost_to_go, "EXPLORED", 1)
+    if side == "the start's":
+        monkeypatch.setattr(dijkstra, "grow_back", lambda *_: dijkstra.UNDECIDED)
+    rng, begin, found = np.random.default_rng(0), rules.make_state(rules.instance.starts[0]), []
+    for number in range(40):
+        x, y = maker.points[rng.choice(np.flatnonzero(maker.standing))].tolist()
+        facing = rng.random(rules.headings) < 0.3 if number % 2 else None
+        seeds = maker.find_seeds(make_footprint(x, y, 0.0, 0.0, 0.0, True), 0.1, facing)
+        allowed = rng.random(len(maker.points)) < 0.9 if number % 3 == 0 else None
+        field = maker.make_field(seeds, allowed)
+        for x, y in rng.uniform((-3.6, -2.6), (3.6, 2.6), (20, 2)).tolist():
+            state = begin._replace(x=x, y=y, heading_steps=int(rng.integers(rules.headings)),
+                                   heading_offset=float(rng.uniform(-0.3, 0.3)))
+            found.append(maker.is_cut_off(state, seeds, allowed))
+            assert found[-1] == (maker.get_cost(field, state) < 0)
+    assert 0.1 < np.mean(found) < 0.9
+
+
+@pytest.mark.parametrize(("explored", "decides"), [(3, True), (1000, False)])
+def test_one_side_is_enough_to_explore_and_what_stays_undecided_is_not_cut_off(explored, decides, monkeypatch):
+    monkeypatch.setattr(cost_to_go, "EXPLORED", explored)
+    rules, maker = make_pockets(DISC)
+    begin = rules.make_state(rules.instance.starts[0])
+    places = {"closed": (-2.5, 1.8), "middle": (0.0, 0.0), "open": (2.5, -1.8)}
+    states = {name: begin._replace(x=x, y=y) for name, (x, y) in places.items()}
+    seeds = {name: maker.find_seeds(make_footprint(x, y, 0.0, 0.0, 0.0, True), 0.1) for name, (x, y) in places.items()}
+    assert all(len(each.states) for each in seeds.values())
+    cut_off = {(a, b) for a, b in itertools.permutations(places, 2) if maker.is_cut_off(states[a], seeds[b])}
+    assert cut_off == {(a, b) for a, b in itertools.permutations(places, 2) if decides and "closed" in (a, b)}
+    assert maker._known_links is None, "no field has needed them"
+
+
 def test_a_field_without_seeds_needs_no_links_and_one_that_ran_out_of_time_is_made_later():
-    rules, _ = make_maker()
-    maker = FieldMaker(rules.instance, rules, door_shut=True)
+    rules, maker = make_pockets(DISC)
     nowhere = maker.find_seeds(make_footprint(0.0, 0.0, 0.0, 0.0, 0.0, True), 0.1, np.zeros(rules.headings, dtype=bool))
     assert (maker.make_field(nowhere) == -1).all() and maker._known_links is None
     seeds = maker.find_seeds(*compute_goal_area(PressGoal(0), rules.instance))
     with pytest.raises(OutOfTime):
         maker.make_field(seeds, clock=Clock(0.0))
-    assert np.array_equal(maker.make_field(seeds), FieldMaker(rules.instance, rules, door_shut=True).make_field(seeds))
+    assert np.array_equal(maker.make_field(seeds), make_pockets(DISC)[1].make_field(seeds))
 
 
 def test_an_edit_before_any_field_leaves_what_is_made_anew():

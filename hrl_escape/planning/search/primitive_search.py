@@ -330,10 +330,13 @@ def _compute_reaches(instance: RoomInstance, hand_z: float) -> NDArray[np.float6
 
 
 class _Variant(NamedTuple):
-    """Variant of the search for one problem: grid, field, whether other targets are avoided, and method."""
+    """Variant of the search for one problem: grid, field, whether other targets are avoided, and method.
+
+    The field is None if it is known to be -1 at the start.
+    """
 
     maker: FieldMaker
-    field: Field
+    field: Field | None
     avoiding: bool
     method: str
 
@@ -507,13 +510,13 @@ class PrimitiveSearch:
             if problem.clock.is_up():
                 reason = problem.clock.reason
                 break
-            is_hopeless = maker.get_cost(field, problem.state) < 0
+            is_hopeless = field is None or maker.get_cost(field, problem.state) < 0
             if not has_sought_proof and (is_hopeless or problem.table is not None):
                 has_sought_proof, proof = True, self._find_proof(problem, maker)
                 if proof is not None:
                     reason = proof
                     break
-            if is_hopeless:
+            if field is None or is_hopeless:
                 continue
             run = SearchRun(problem, self.kinematics, maker, field, avoiding=avoiding,
                             motions=self.motions if offset == 0.0 else make_motions(self.kinematics, offset),
@@ -608,12 +611,15 @@ class PrimitiveSearch:
         if method == "corridor":
             for maker in self._iterate_corridors(problem, door_shut, planner):
                 yield _Variant(maker, self._make_field(problem, maker, None), avoid, planner)
+        is_cut_off = False  # on the grid before: then a finer one is explored before its field is made
         for refinement, avoiding in ((0, True), (1, True), (0, False), (1, False), (2, False), (3, False)):
             states = self.get_maker(door_shut, 0, problem.clock).states * 4**refinement
             is_coarse = refinement == 0 or (refine and states <= MOST_REFINED_STATES)
             if (avoid or not avoiding) and is_coarse:
                 maker = self.get_maker(door_shut, refinement, problem.clock)
-                yield _Variant(maker, self._find_field(problem, maker), avoiding, "fields")
+                field = self._find_field(problem, maker, is_cut_off and refinement > 0)
+                is_cut_off = field is None or maker.get_cost(field, state) < 0
+                yield _Variant(maker, field, avoiding, "fields")
 
     def _iterate_corridors(self, problem: SearchProblem, door_shut: bool, planner: str) -> Iterator[FieldMaker]:
         """Grids of corridors round the path of a path planner, from narrow to wide."""
@@ -632,12 +638,23 @@ class PrimitiveSearch:
 
     # --- fields --------------------------------------------------------------------------
 
-    def _find_field(self, problem: SearchProblem, maker: FieldMaker) -> Field:
-        """Field of a problem: that of its goal, or one of its own round the footprints to keep out of."""
-        if not problem.keep_out:
-            return self._get_field(problem, maker)
-        away = compute_distance_many(maker.points, stack_footprints(problem.keep_out))
-        return self._make_field(problem, maker, away > maker.collision.radius - maker.size)
+    def _find_field(self, problem: SearchProblem, maker: FieldMaker, explore: bool) -> Field | None:
+        """Field of a problem: that of its goal, or one of its own round the footprints to keep out of.
+
+        None where exploring the grid first shows that it would be -1 at the start.
+        """
+        allowed = None
+        if problem.keep_out:
+            away = compute_distance_many(maker.points, stack_footprints(problem.keep_out))
+            allowed = away > maker.collision.radius - maker.size
+        is_kept = allowed is None and maker.has_field(self._make_key(problem))
+        if is_kept or not explore:
+            return self._get_field(problem, maker) if allowed is None else self._make_field(problem, maker, allowed)
+        seeds = self._find_seeds(problem, maker)
+        if maker.is_cut_off(problem.state, seeds, allowed, problem.clock):
+            return None
+        return (maker.get_field(self._make_key(problem), lambda _: seeds, problem.clock) if allowed is None else
+                maker.make_field(seeds, allowed, problem.clock))
 
     def _get_field(self, problem: SearchProblem, maker: FieldMaker) -> Field:
         return maker.get_field(self._make_key(problem), partial(self._find_seeds, problem), problem.clock)

@@ -398,7 +398,7 @@ def test_a_gap_that_only_a_fine_grid_shows_is_gone_through_and_a_narrower_one_is
         assert result.status is PlanningReason.UNREACHABLE_AT_RESOLUTION and result.expansions == 0
 
 
-def test_a_pocket_behind_too_narrow_a_gap_is_out_of_reach_from_either_side():
+def test_a_pocket_behind_too_narrow_a_gap_takes_no_fine_grid_s_links_from_either_side():
     walls = [Solid(x=3.9, y=1.4, half_x=1.1, half_y=0.1), Solid(x=2.9, y=1.9, half_x=0.1, half_y=0.6),
              Solid(x=2.9, y=4.251, half_x=0.1, half_y=0.749)]  # 2 mm narrower than the body and what it keeps away
     search = PrimitiveSearch(make_room(*walls))
@@ -408,6 +408,7 @@ def test_a_pocket_behind_too_narrow_a_gap_is_out_of_reach_from_either_side():
         assert search.get_collision(True).find_proof(state.x, state.y, there, 0.3) is None
         result = search.search(state, PoseGoal(other.x, other.y, tolerance=0.3))
         assert result.status is PlanningReason.UNREACHABLE_AT_RESOLUTION and result.expansions == 0
+    assert {refinement for (_, refinement), maker in search._makers.items() if maker._known_links} == {0}
 
 
 @pytest.mark.in_turn
