@@ -37,7 +37,7 @@ class McpArgs(RoomChoice):
     episode_seed: int = 0
     """Episode seed: fixes the start and the noise."""
     record: Path | None = None
-    """File for the game, written anew after every call, in JSON Lines."""
+    """File for the game, written at its start and anew after every call, in JSON Lines."""
 
     def make_instance(self) -> RoomInstance:
         """The room, of a rung or as the other options say."""
@@ -64,9 +64,14 @@ def run(args: McpArgs) -> None:
     env = OptionsEnv(EscapeRoomEnv(instance=args.make_instance()), include_primitives=not args.options_only)
     session = RoomSession(env, args.told)
     session.reset(seed=args.episode_seed)
-    path = args.record
+
+    def save() -> None:
+        if args.record is not None:
+            save_games(args.record, [record_game(session)])
+
+    save()  # a file that cannot be written is refused before the game
     try:
-        serve(make_server(session, lambda: path and save_games(path, [record_game(session)])))
+        serve(make_server(session, save))
     finally:
         print(session.score(), file=sys.stderr)
         env.close()

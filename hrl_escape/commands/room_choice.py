@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,14 @@ def _read_urdf(fields: dict[str, Any], folder: Path) -> None:
     urdf = robot.get("urdf") if isinstance(robot, dict) else None
     if isinstance(robot, dict) and isinstance(urdf, str) and not urdf.lstrip().startswith("<"):
         robot["urdf"] = load_urdf(folder / urdf)
+
+
+def refuse_options(args: Any, names: Collection[str], why: str) -> None:
+    """Refuse the first of these options, fields of a dataclass, that was given: it would say nothing."""
+    defaults = {field.name: field.default for field in dataclasses.fields(args)}
+    for name in names:
+        if getattr(args, name) != defaults[name]:
+            raise UnsupportedError(f"--{name.replace('_', '-')} {why}")
 
 
 def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:

@@ -19,7 +19,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,7 +33,7 @@ from hrl_escape.agents.training.callbacks import TensorBoard
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
 from hrl_escape.commands.agent_choice import AgentChoice
-from hrl_escape.commands.room_choice import RoomChoice
+from hrl_escape.commands.room_choice import RoomChoice, refuse_options
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.runs import make_env, make_player
@@ -125,11 +124,11 @@ def run(args: TrainArgs) -> None:
         _print_settings(args, resolved)
         return
     if args.data is not None:
-        _refuse(args, OF_ROOMS, f"does not go with --data, whose rooms and options are those of {args.data}")
+        refuse_options(args, OF_ROOMS, f"does not go with --data, whose rooms and options are those of {args.data}")
         _train_offline(args, resolved)
         return
     if not spec.chooses_options:
-        _refuse(args, OF_OPTIONS, f"is for agents that choose options, such as smdp-{spec.algorithm}")
+        refuse_options(args, OF_OPTIONS, f"is for agents that choose options, such as smdp-{spec.algorithm}")
     if args.leaves is None and spec.algorithm in list_given_agents():
         acts = "options" if spec.chooses_options else "primitives"
         print(f"{spec.name} is given no hierarchy: it learns over {acts}, as one task. --leaves planned or --leaves "
@@ -139,8 +138,8 @@ def run(args: TrainArgs) -> None:
     out = args.out or Path("runs") / f"{name}-{{key}}"
     player: Agent | None = None
     if args.batch is None:
-        _refuse(args, ("compile", "device"), "is for many copies of the room: give --batch N too; one room is stepped "
-                "by Bullet, on the CPU")
+        refuse_options(args, ("compile", "device"), "is for many copies of the room: give --batch N too; one room is "
+                       "stepped by Bullet, on the CPU")
         env, recorder = make_env(spec, instance, args.observation)
         player = make_player(spec, env, recorder) if spec.name == TOOLS else None
     else:
@@ -152,14 +151,6 @@ def run(args: TrainArgs) -> None:
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
         env.close()
     _tell(args, result, best_known_return(instance))
-
-
-def _refuse(args: TrainArgs, names: Collection[str], why: str) -> None:
-    """Refuse the first of these options that was given: it would say nothing."""
-    defaults = {field.name: field.default for field in dataclasses.fields(args)}
-    for name in names:
-        if getattr(args, name) != defaults[name]:
-            raise UnsupportedError(f"--{name.replace('_', '-')} {why}")
 
 
 def _train_offline(args: TrainArgs, settings: dict[str, Any]) -> None:

@@ -60,6 +60,18 @@ def test_the_command_serves_a_rung_on_standard_input_and_records_the_game(tmp_pa
     assert game.room == get_room("pair", 3) and game.told == "names" and game.score.escaped
 
 
+@pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
+def test_a_record_that_cannot_be_written_is_refused_before_the_game(monkeypatch, capsys, tmp_path: Path):
+    began = []
+    monkeypatch.setattr("hrl_escape.text.mcp_server.serve", began.append)
+    (tmp_path / "file").write_text("no folder")
+    assert main(["mcp", "--record", str(tmp_path / "file" / "game.jsonl")]) == 2
+    assert "cannot write" in capsys.readouterr().err and not began
+    assert main(["mcp", "--record", str(tmp_path / "game.jsonl")]) == 0 and began
+    (game,) = verify_games(tmp_path / "game.jsonl")
+    assert len(game.turns) == 1
+
+
 @pytest.mark.skipif(HAS_MCP, reason="the extra mcp is installed")
 def test_without_the_extra_one_line_names_it(capsys: pytest.CaptureFixture[str]):
     assert main(["mcp"]) == 2

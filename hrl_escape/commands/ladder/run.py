@@ -29,6 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.commands.compare import LaunchArgs
+from hrl_escape.commands.room_choice import refuse_options
 from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.protocols import (
@@ -50,9 +51,13 @@ from hrl_escape.errors import FileReadError
 from hrl_escape.figures import save_figure
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from hrl_escape.ladder.manifest import load_references
+from hrl_escape.names import join_words
 
 FROM = {"word": "from"}
 """Word on the command line of a field whose name Python reserves."""
+PROTOCOLS_OF = {"train_sizes": ("generalise", "transfer", "few-shot", "tower"), "trials": ("few-shot",),
+                "floors": ("tower",)}
+"""Options that some protocols alone have, and these protocols."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +86,10 @@ class RunArgs(LadderSettings, LaunchArgs):
 def run(args: RunArgs) -> int:
     """Run rung by rung; the exit code is 1 if runs failed."""
     bench = load_benchmark(args.benchmark)
+    for name, protocols in PROTOCOLS_OF.items():
+        if args.protocol not in protocols:
+            refuse_options(args, (name,), f"does nothing with --protocol {args.protocol}; it is for "
+                           f"{join_words(protocols, 'or')}")
     agents = tuple(map(AgentSpec.parse, args.agents))
     console, failed = Console(soft_wrap=True, highlight=False), 0
     rungs = args.rung or tuple(rung.name for rung in bench)

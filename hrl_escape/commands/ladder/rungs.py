@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.commands.room_choice import refuse_options
 from hrl_escape.env.presets import describe_schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.ladder.benchmark import load_benchmark
@@ -88,7 +89,7 @@ class ShowArgs:
     """Options of `hrl-escape ladder show`."""
 
     rung: Annotated[str, tyro.conf.Positional]
-    """Name of the rung."""
+    """Name of the rung, the benchmark's before it where it is another: marks-1/told."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
     role: Role = "train"
@@ -108,9 +109,13 @@ def run_show(args: ShowArgs) -> None:
 
     Examples:
         hrl-escape ladder show lattice
+        hrl-escape ladder show marks-1/told
         hrl-escape ladder show clutter --role test --index 3 --draw room.svg --save room.json
     """
-    rung = load_benchmark(args.benchmark)[args.rung]
+    benchmark, _, name = args.rung.rpartition("/")
+    if benchmark:
+        refuse_options(args, ("benchmark",), f"does not go with {args.rung}, which names its benchmark")
+    rung = load_benchmark(benchmark or args.benchmark)[name]
     report = _describe(rung)
     if args.draw or args.save:
         report["files"] = _write_room(rung, args)

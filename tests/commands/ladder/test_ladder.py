@@ -36,6 +36,22 @@ def test_a_rung_is_shown_with_a_room_of_it(capsys, tmp_path):
     assert RoomInstance.load(tmp_path / "room.json").digest == rung.test[2].digest
 
 
+def test_a_rung_is_known_by_the_name_that_other_commands_give_it(capsys):
+    code, out, _ = call(capsys, "show", "marks-1/told")
+    assert code == 0 and load_benchmark("marks-1")["told"].record.test.root in out
+    code, _, err = call(capsys, "show", "marks-1/told", "--benchmark", "marks-2")
+    assert code == 2 and "--benchmark does not go with marks-1/told" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("protocol", "option", "value", "suits"), [
+    ("per-instance", "--train-sizes", "4", "generalise, transfer, few-shot or tower"),
+    ("generalise", "--trials", "3", "few-shot"), ("few-shot", "--floors", "2", "tower")])
+def test_an_option_of_other_protocols_is_refused(capsys, protocol, option, value, suits):
+    code, _, err = call(capsys, "run", "planner", "--rung", "pair", "--protocol", protocol, option, value, "--dry-run")
+    assert code == 2 and err.count("\n") == 1
+    assert f"{option} does nothing with --protocol {protocol}; it is for {suits}" in err
+
+
 def test_mistakes_are_one_line(capsys):
     code, _, err = call(capsys, "show", "latice")
     assert code == 2 and err.count("\n") == 1 and "did you mean 'lattice'" in err
