@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numba import float64, uint64
+from numba.typed import Dict
 from numpy.typing import NDArray
 
 from hrl_escape.agents.factored.structure import StructureLearner
@@ -195,7 +197,6 @@ def find_relevant(models: Sequence[ActionModel], wide: int, with_gaps: bool) -> 
 # --- search -----------------------------------------------------------------------------
 
 MOST_ACTIONS = 250
-_EMPTY = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 class SearchTables(NamedTuple):
@@ -275,31 +276,13 @@ def _matches_any(patterns, start, stop, state):
 
 
 @kernel
-def _find_slot(keys, key):
-    """Slot of a key in an open-addressing table, or the free slot where it belongs."""
-    mask = np.uint64(len(keys) - 1)
-    slot = (key * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(20) & mask
-    while keys[slot] != _EMPTY and keys[slot] != key:
-        slot = (slot + np.uint64(1)) & mask
-    return slot
-
-
-@kernel
 def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, repeatable, relevant, durations, places,
             rate, gamma, bonus, seek_gaps, most_nodes):  # fmt: skip
     actions = len(legal)
-    size = 1024
-    while size < 4 * most_nodes:
-        size *= 2
-    keys = np.full(size, _EMPTY, np.uint64)
-    lows = np.empty(size)
     worst = min(rate, 0.0) / (1.0 - gamma) if gamma < 1.0 else -1e12
-    room = 4096
-    state_of, place_of = np.empty(room, np.uint64), np.empty(room, np.int64)
-    gain_of, discount_of = np.empty(room), np.empty(room)
-    parent_of, action_of = np.empty(room, np.int64), np.empty(room, np.int64)
-    state_of[0], place_of[0], gain_of[0], discount_of[0], parent_of[0], action_of[0] = root, actions, 0.0, 1.0, -1, -1
-    nodes, expanded, goal = 1, 0, -1
+    lows = Dict.empty(uint64, float64)  # of each expanded state and place, the value if nothing but waiting follows
+    goal = -1
+    state_of, place_of, gain_of, discount_of, parent_of, action_of = [root], [actions], [0.0], [1.0], [-1], [-1]
     heap = [(-bonus, 0)]
     while len(heap) > 0:
         _, node = heapq.heappop(heap)
@@ -308,14 +291,12 @@ def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, re
             goal = node
             break
         key = state << np.uint64(8) | np.uint64(place)
-        slot = _find_slot(keys, key)
         low = gain + discount * worst
-        if keys[slot] == key and low <= lows[slot] + 1e-9:
+        if key in lows and low <= lows[key] + 1e-9:
             continue
-        if expanded >= most_nodes:
+        if len(lows) >= most_nodes:
             break
-        expanded += keys[slot] != key
-        keys[slot], lows[slot] = key, low
+        lows[key] = low
         for action in range(actions):
             if not relevant[action] or (node == 0 and not legal[action]):
                 continue
@@ -338,21 +319,16 @@ def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, re
             paid = rate * ((1.0 - factor) / (1.0 - gamma) if gamma < 1.0 else k)
             if not seek_gaps and not is_open:
                 paid += factor / gamma * earned if gamma > 0.0 else (earned if k <= 1.0 else 0.0)
-            if nodes == room:
-                room *= 2
-                state_of, place_of = _grow(state_of, room), _grow(place_of, room)
-                gain_of, discount_of = _grow(gain_of, room), _grow(discount_of, room)
-                parent_of, action_of = _grow(parent_of, room), _grow(action_of, room)
-            state_of[nodes], gain_of[nodes], discount_of[nodes] = after, gain + discount * paid, discount * factor
-            parent_of[nodes], action_of[nodes] = node, action
-            value = gain_of[nodes]
-            if over or is_open:
-                place_of[nodes] = -1
-            else:
-                place_of[nodes] = places[action]
-                value += discount_of[nodes] * bonus
-            heapq.heappush(heap, (-value, nodes))
-            nodes += 1
+            value, is_end = gain + discount * paid, over or is_open
+            state_of.append(after)
+            gain_of.append(value)
+            discount_of.append(discount * factor)
+            parent_of.append(node)
+            action_of.append(action)
+            place_of.append(-1 if is_end else places[action])
+            if not is_end:
+                value += discount * factor * bonus
+            heapq.heappush(heap, (-value, len(state_of) - 1))
     length, node = 0, goal
     while node > 0:
         length, node = length + 1, parent_of[node]
@@ -363,10 +339,3 @@ def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, re
         plan[length], states[length] = action_of[node], state_of[parent_of[node]]
         node = parent_of[node]
     return goal >= 0, plan, states, gain_of[goal] if goal >= 0 else 0.0
-
-
-@kernel
-def _grow(array, room):
-    grown = np.empty(room, array.dtype)
-    grown[: len(array)] = array
-    return grown
