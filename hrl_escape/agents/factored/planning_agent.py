@@ -143,25 +143,23 @@ class Belief:
     def __init__(self, choose: ChooseHypotheses, visits: int) -> None:
         self.choose, self.visits = choose, visits
         self.models: list[ActionModel] = []
-        self._stale: set[int] = set()
+        self._compiled: dict[int, ActionModel] = {}
 
     def forget(self, action: int | None = None) -> None:
         """Mark an action, or (None) every action, for compilation."""
-        if action is None:
-            self.models = []
-        self._stale.add(-1 if action is None else action)
+        for each in list(self._compiled) if action is None else [action]:
+            self._compiled.pop(each, None)
 
     def update(self, model: FactoredModel) -> None:
         """Compile the marked actions."""
-        if not self._stale and self.models:
+        actions, packing = range(model.learner.actions), model.packing
+        if len(self._compiled) == len(actions):
             return
-        packing, bonuses = model.packing, model.bonuses
-        for action in range(model.learner.actions):
-            if action >= len(self.models):
-                self.models.append(model.compile(model.learner, packing, action, self.choose, bonuses, self.visits))
-            elif action in self._stale:
-                self.models[action] = model.compile(model.learner, packing, action, self.choose, bonuses, self.visits)
-        self._stale.clear()
+        for action in actions:
+            if action not in self._compiled:
+                self._compiled[action] = model.compile(model.learner, packing, action, self.choose, model.bonuses,
+                                                       self.visits)
+        self.models = [self._compiled[action] for action in actions]
         self.tables = make_tables(self.models)
         self.bonus = max([rule.bonus for each in self.models for rule in each.rules], default=0.0)
         self.relevant = find_relevant(self.models, packing.wide, with_gaps=False)
@@ -243,8 +241,6 @@ class FactoredModel:
         self.rate = rate
         self._levels: dict[float, int] = {0.0: 0}
         self._durations: DurationModel | None = None
-        self._history: DurationHistory | None = None  # of the decisions before `_told`
-        self._told = 0
         self.repeatable = np.ones(self._actions, dtype=np.bool_)
         self._tried: set[int] = set()
         self._done: set[int] = set()  # and masked ever since
@@ -361,22 +357,15 @@ class FactoredModel:
     def estimate_durations(self, observation: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Primitives of each action after each, in the last row from here, (actions + 1, actions); row after each."""
         if self._durations is None:
-            self._durations = fit_durations(self._extend_history(), self._actions)
+            self._durations = fit_durations(self.list_durations(), self._actions)
         pose = self._reader.read_pose(self._reader.flatten(observation))
         return self._durations.compute_durations(pose), self._durations.places
 
-    def _extend_history(self) -> DurationHistory:
-        """The last decisions, as far as durations are concerned; those told of before are not read again."""
-        first = max(self._told, len(self._rows) - REMEMBERED_DECISIONS)
-        rows, self._told = self._rows[first:], len(self._rows)
-        told = pack_columns(rows, ("before", "action", "after", "duration", "previous"))
+    def list_durations(self) -> DurationHistory:
+        """The last decisions, as far as durations are concerned."""
+        told = pack_columns(self._rows[-REMEMBERED_DECISIONS:], ("before", "action", "after", "duration", "previous"))
         starts, ends = (np.ascontiguousarray(self._reader.read_pose(told[name])) for name in ("before", "after"))
-        new = DurationHistory(starts, told["action"], ends, told["duration"].astype(np.float64), told["previous"])
-        if self._history is not None and len(self._history.actions):
-            new = DurationHistory._make(np.concatenate(both)[-REMEMBERED_DECISIONS:]
-                                        for both in zip(self._history, new, strict=True))
-        self._history = new
-        return new
+        return DurationHistory(starts, told["action"], ends, told["duration"].astype(np.float64), told["previous"])
 
     def find_graph(self, choose: ChooseHypotheses) -> frozenset[tuple[int, int]]:
         """Edges (parent, child): some action puts the child up, and the parent is one of those that decide it.

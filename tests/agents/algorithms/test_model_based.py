@@ -266,23 +266,6 @@ def test_what_a_cut_ended_inside_is_no_evidence():
     assert not model.is_empty
 
 
-def test_durations_heard_one_by_one_are_those_of_the_last_decisions_read_at_once(monkeypatch):
-    monkeypatch.setattr("hrl_escape.agents.factored.planning_agent.REMEMBERED_DECISIONS", 40)
-    rng, mask = np.random.default_rng(0), np.ones(3, np.bool_)
-    model, again = (FactoredModel(spaces.Box(-9, 9, (2,), np.float64), 3, 0.9, 1, "all-on", "test") for _ in range(2))
-    homes, here = rng.uniform(-9, 9, (3, 2)), np.zeros(2)
-    for number in range(100):
-        action = int(rng.integers(3))
-        there, duration = homes[action] + rng.normal(0, 0.01, 2), int(rng.integers(1, 9))
-        model.record(SMDPTransition(here, action, mask, -duration, -duration, duration, 0.9**duration, there, mask,
-                                    False, False))
-        here = there
-        if number % 7 == 0 or number == 99:
-            again.load_state_dict(model.state_dict())
-            for ours, theirs in zip(model.estimate_durations(here), again.estimate_durations(here), strict=True):
-                assert np.array_equal(ours, theirs)
-
-
 def test_an_action_masked_since_it_was_done_is_no_sample():
     """Action 0 is done and masked from then on, for its place was reached; action 1 is masked wherever one looks."""
     model = FactoredModel(spaces.MultiBinary(1), 3, 0.9, 1, "all-on", "test")
@@ -305,7 +288,7 @@ def test_old_durations_are_forgotten(monkeypatch):
         before, after = np.array([place, 0.0]), np.array([place, 1.0])
         for _ in range(3):
             model.record(SMDPTransition(before, 0, mask, -5.0, -5.0, duration, 0.5, after, mask, False, False))
-    history = model._extend_history()
+    history = model.list_durations()
     assert history.durations.tolist() == [5, 5, 5] and history.actions.tolist() == [0, 0, 0]
     assert history.previous.tolist() == [0, 0, 0]
     assert history.starts.tolist() == history.ends.tolist() == [[2.0]] * 3, "numbers that are no factors"
