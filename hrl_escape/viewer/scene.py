@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -153,6 +153,8 @@ def to_quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, 
 
 
 OTHER_TILE, SHADE, OUTSIDE = "#e4dfd2", "#cfc9bc", "#8fa0b8"
+SCRAPS = 160
+"""Number of scraps of confetti."""
 CLEAR, HAZY = 0.12, 0.5
 """Opacity of outer walls seen from outside, and of walls within the room."""
 
@@ -200,6 +202,14 @@ def is_hidden_by(solid: Solid, eye: tuple[float, float, float], point: tuple[flo
     low = zs < solid.height
     return any(compute_distance(x, y, solid.footprint) <= 0.0
                for x, y in zip(xs[low].tolist(), ys[low].tolist(), strict=True))
+
+
+def make_confetti(centre: tuple[float, float], share: float) -> NDArray[np.float32]:
+    """Places (n, 3) of the scraps that fly up over a place and come down again, m; `share` goes from 0 to 1."""
+    rng = np.random.default_rng(0)
+    side, up = rng.normal(0.0, 1.6, (SCRAPS, 2)), rng.uniform(2.0, 6.0, SCRAPS)
+    height = np.maximum(4.0 * up * share * (1.0 - share), meshes.LAYER)
+    return np.column_stack([centre + side * share, height]).astype(np.float32)
 
 
 def _make_faces(wall: Solid, floors: tuple[Rectangle, ...]) -> list[tuple[meshes.Mesh, str]]:
@@ -288,6 +298,8 @@ def _mix_prop(one: PropPose, mixed: PropPose, other: PropPose) -> PropPose:
 
 ROOT = "/room"
 PLAN = "#d55e00"
+FUTURES = {"plan": (PLAN, 12), "preview": ("#cc79a7", 16)}
+"""Colour of each way that is foreseen, and its height over the floor, layers."""
 GLASS = 0.25
 """Opacity of an obstacle that hides the robot."""
 LONGEST_TRAIL = 600
@@ -332,8 +344,9 @@ class RoomScene:
             self._inner_doors = [self._add_inner_door(i) for i in range(len(instance.inner_doors))]
             self._props = [self._add_prop(i) for i in range(len(instance.props))]
             self._robot = _RobotModel(self._scene, f"{ROOT}/robot", self.rules.robot, instance.robot)
-            self._ghost: _RobotModel | None = None
+            self._ghosts: dict[str, _RobotModel] = {}
             self._goals: dict[_Point, tuple[str, viser.LabelHandle]] = {}
+            self._confetti: viser.PointCloudHandle | None = None
         self._lit: Any = None
         camera = server.initial_camera  # it shows the whole room, from the south and well above
         camera.position, camera.look_at = compute_overview(instance)
@@ -393,16 +406,18 @@ class RoomScene:
         """Draw the way that the robot has come, on the floor."""
         self._draw_line("trail", [(s.x, s.y) for s in states[-LONGEST_TRAIL:]], palette.TRAIL, 8 * meshes.LAYER)
 
-    def draw_plan(self, states: Sequence[RoomState]) -> None:
-        """Draw the way of the running option, and its final posture."""
-        self._draw_line("plan", [(s.x, s.y) for s in states], PLAN, 12 * meshes.LAYER)
+    def draw_future(self, name: Literal["plan", "preview"], states: Sequence[RoomState]) -> None:
+        """Draw the way of the running option (`plan`) or of another (`preview`), and its final posture."""
+        colour, layers = FUTURES[name]
+        self._draw_line(name, [(s.x, s.y) for s in states], colour, layers * meshes.LAYER)
+        ghost = self._ghosts.get(name)
         if len(states) > 1:
-            if self._ghost is None:
-                self._ghost = _RobotModel(self._scene, f"{ROOT}/ghost", self.rules.robot, self.instance.robot, PLAN,
-                                          0.35)
-            self._ghost.place(make_pose(self.rules, states[-1]))
-        if self._ghost is not None:
-            self._ghost.frame.visible = len(states) > 1
+            if ghost is None:
+                ghost = self._ghosts[name] = _RobotModel(self._scene, f"{ROOT}/ghost-{name}", self.rules.robot,
+                                                         self.instance.robot, colour, 0.35)
+            ghost.place(make_pose(self.rules, states[-1]))
+        if ghost is not None:
+            ghost.frame.visible = len(states) > 1
 
     def draw_path(self, points: Sequence[tuple[float, float]]) -> None:
         """Draw a path planner's path for the body's axis."""
@@ -411,6 +426,15 @@ class RoomScene:
     def draw_hand_path(self, points: Sequence[_Point]) -> None:
         """Draw the way of the hand, in the air."""
         self._draw_segments("hand-path", np.array(points, dtype=np.float32).reshape(-1, 3), PLAN)
+
+    def draw_confetti(self, share: float) -> None:
+        """Scraps over the exit: flying at a share from 0 to 1, none outside."""
+        places = make_confetti(self.instance.exit.centre, min(max(share, 0.0), 1.0))
+        if self._confetti is None:
+            colours = np.resize(np.array([_to_bytes(line) for line in palette.LINES], dtype=np.uint8), (SCRAPS, 3))
+            self._confetti = self._scene.add_point_cloud(f"{ROOT}/confetti", places, colours, point_size=0.14,
+                                                         point_shape="square", point_shading="flat")
+        self._confetti.points, self._confetti.visible = places, 0.0 <= share < 1.0
 
     def draw_goals(self, goals: Sequence[tuple[str, float, float]]) -> None:
         """Label the places (name, x, y) of running calls' goals; calls with one place share a label."""

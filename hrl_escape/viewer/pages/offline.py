@@ -80,6 +80,8 @@ REPLAY_STRIDE = 0.2
 """Duration of one primitive, s."""
 FRAMES = 5
 """Frames of one primitive."""
+CONFETTI = 24
+"""Frames of the confetti after an escape."""
 PHONE = 0.55
 """Width over height of what upright screens show of the room."""
 LONGEST = 2_000
@@ -99,6 +101,7 @@ def make_replay(recording: Recording) -> str:
         scene.show(recording.states[0])
         scene.uncover([overview[0]], poses[0])
         scene.draw_trail([])
+        scene.draw_confetti(1.0)
         serializer = server.get_scene_serializer()
         frames = FRAMES if len(recording.rewards) <= LONGEST else 1
         for number, (before, after) in enumerate(zip(poses, poses[1:], strict=False), 1):
@@ -109,7 +112,12 @@ def make_replay(recording: Recording) -> str:
             scene.show(recording.states[number])
             scene.uncover([overview[0]], after)
             scene.draw_trail(recording.states[: number + 1])
-        serializer.insert_sleep(PAUSE)
+        flying = CONFETTI if recording.end is EpisodeEnd.ESCAPED else 0
+        for frame in range(flying):
+            scene.draw_confetti(frame / flying)
+            serializer.insert_sleep(PAUSE / flying / 2)
+        scene.draw_confetti(1.0)
+        serializer.insert_sleep(PAUSE / 2)
         page = serializer.as_html()
     title = f"{name_room(recording.instance)}: {recording.driver}"
     title = title.encode("utf-8", "replace").decode()  # JSON has half characters too

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hrl_escape.comparison.episodes import PrimitiveStep
+from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.errors import EscapeError
 from hrl_escape.viewer.pages.panels import make_facts, make_keys
 from hrl_escape.viewer.pages.room import RoomPage, name_room
@@ -163,7 +164,7 @@ class PlayPage:
         elif command.verb == "next":
             self._note = "Making the next room"
         self._show_facts()
-        room = self.episode.instance.id
+        room, was_over = self.episode.instance.id, self.episode.is_over
         try:
             self._note = carry_out(command, self.episode, self._folder, self.page.best)
         except EscapeError as error:
@@ -175,6 +176,8 @@ class PlayPage:
             self.page.show(self.episode.state)
             self.page.scene.draw_trail(self.episode.states)
         self._show_facts()
+        if command.verb == "act" and was_over != self.episode.is_over and self.episode.end is EpisodeEnd.ESCAPED:
+            self.page.celebrate(lambda: self._waiting.qsize() > 0)
         return command.verb != "quit"
 
     def _show_step(self, step: PrimitiveStep) -> None:

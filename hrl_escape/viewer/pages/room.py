@@ -24,6 +24,7 @@ from hrl_escape.viewer.server import Server
 
 VIEWS = ("orbit", "follow", "robot's eye")
 FRAME_SECONDS = 1 / 30
+CONFETTI_FRAMES = 50
 _Point = tuple[float, float, float]
 _OWN_KEYS = ("<img alt='' style='display:none' src='data:,' onerror=\"if(!window.hrlKeys){window.hrlKeys=1;"
              "document.documentElement.addEventListener('keydown',e=>e.stopPropagation())}\">")
@@ -120,6 +121,15 @@ class RoomPage:
             best = best_known_return(instance)
             if instance is self.scene.instance:
                 self.best = best
+
+    def celebrate(self, is_cancelled: Callable[[], bool]) -> None:
+        """Throw confetti over the exit for a moment."""
+        for frame in range(CONFETTI_FRAMES):
+            if is_cancelled():
+                break
+            self.scene.draw_confetti(frame / CONFETTI_FRAMES)
+            time.sleep(FRAME_SECONDS)
+        self.scene.draw_confetti(1.0)
 
     # --- cameras -------------------------------------------------------------------------------
 

@@ -34,8 +34,6 @@ from hrl_escape.viewer.watch.watch import Preview, Watch
 FASTEST = 60.0
 REFRESH = 0.1
 """Minimum time between two updates of the panel while the driver runs, s."""
-REST = 1.5
-"""Time for which an escape is told before the next episode, s."""
 GAMMA_K = "\N{GREEK SMALL LETTER GAMMA}\N{MODIFIER LETTER SMALL K}"
 SMDP_NOTE = f"k: primitives that ran; R: their discounted reward; {GAMMA_K}: discount of the next state's value"
 NESTED = 3 * "\N{NO-BREAK SPACE}"
@@ -55,7 +53,8 @@ class WatchPage:
         self.problem = ""
         self.finished = threading.Event()
         self._refreshed = 0.0
-        self._escape = ""  # what is said of an escape before the next episode
+        self._escape = ""  # what is said of an escape while it is celebrated
+        self._previewing = threading.Lock()
         self._planned: tuple[Preview | None] | None = None  # the plan that is drawn
         room = watch.driver.room
         self._navigator = Navigator(room.instance)
@@ -104,9 +103,17 @@ class WatchPage:
             self._table = gui.add_html("")
         with tabs.add_tab("Log"):
             self._log = gui.add_html("")
+        with tabs.add_tab("What if"):
+            names = tuple(self.watch.previewer.options)
+            self._choice = gui.add_dropdown("option", names)
+            self._ask = gui.add_button("What if it took this option?")
+            self._clear = gui.add_button("Clear")
+            self._answer = gui.add_html(make_lines(["A path and a posture in pink show where the option would lead"]))
         self._buttons.on_click(lambda event: self._turn(event.target.value))
         self._speed.on_update(lambda _: self._set_pace())
         self._fast.on_update(lambda _: self._set_pace())
+        self._ask.on_click(lambda _: self._show_preview())
+        self._clear.on_click(lambda _: self.page.scene.draw_future("preview", []))
         keys: tuple[tuple[Any, str, str], ...] = (("space", "Pause or run", "toggle"),
                                                   ("P", "One primitive", "1 primitive"),
                                                   ("D", "One decision", "1 decision"))
@@ -126,6 +133,27 @@ class WatchPage:
     def _set_pace(self) -> None:
         self.watch.gate.pace = None if self._fast.value else float(self._speed.value)
 
+    def _show_preview(self) -> None:
+        """Show the course of the chosen option from the present state; runs in the client's thread, one at a time."""
+        if not self.watch.states or not self._previewing.acquire(blocking=False):
+            return
+        try:
+            preview = self.watch.previewer.preview(self._choice.value, self.watch.states[-1])
+        finally:
+            self._previewing.release()
+        self.page.scene.draw_future("preview", preview.states)
+        lines = [f"{preview.name}: {len(preview.states) - 1} primitives"]
+        if preview.problem:
+            lines.append(preview.problem)
+        if preview.pressed:
+            lines.append(f"presses {', '.join(preview.pressed)}")
+        if preview.escapes:
+            lines.append("and escapes")
+        if not preview.problem:
+            at = preview.states[-1]
+            lines.append(f"ends at ({at.x:.2f}, {at.y:.2f}) m")
+        self._answer.content = make_lines(lines, "preview")
+
     # --- following the driver ----------------------------------------------------------------------
 
     def _show_change(self, step: PrimitiveStep | None) -> None:
@@ -139,14 +167,14 @@ class WatchPage:
         if is_due:
             self._refresh()
         if step is not None and step.end is EpisodeEnd.ESCAPED and pace is not None:
-            self._tell_escape()
+            self._celebrate()
 
-    def _tell_escape(self) -> None:
-        """Say how far the escape is from the best known one, which is looked for at the first."""
+    def _celebrate(self) -> None:
+        """Show the escape beside the best known one, which is looked for at the first."""
         self.page.find_best()
         self._escape = praise(self.watch.total, self.page.best)
         self._refresh()
-        time.sleep(REST)
+        self.page.celebrate(lambda: self.watch.gate.is_stopped or self.watch.gate.pace is None)
         self._escape = ""
 
     def _show_wait(self) -> None:
@@ -173,7 +201,7 @@ class WatchPage:
     def _show_plan(self) -> None:
         """Draw the predicted course of the running option, its final posture, and OMPL's path for the base."""
         plan, scene = self.watch.plan, self.page.scene
-        scene.draw_plan(plan.states[self.watch.in_decision :] if plan is not None else [])
+        scene.draw_future("plan", plan.states[self.watch.in_decision :] if plan is not None else [])
         path: list[tuple[float, float]] = []
         if plan is not None and not plan.problem:
             option = self.watch.previewer.options[plan.name]

@@ -39,6 +39,8 @@ class Preview(NamedTuple):
 
     name: str  # name of the option
     states: tuple[RoomState, ...]  # all states, the first one included
+    pressed: tuple[str, ...] = ()  # names of the targets pressed on the way
+    escapes: bool = False  # the episode would end in the exit
     problem: str = ""  # reason why the option fails, else empty
 
 
@@ -57,18 +59,20 @@ class Previewer:
             state = state._replace(physics=None)
         if not option.initiation(state):
             return Preview(name, (state,), problem="it cannot start here")
-        states, rng = [state], np.random.default_rng(0)
+        states, pressed, rng = [state], [], np.random.default_rng(0)
         try:
             run = OptionExecution(0, option, state, rng)
             while len(states) <= MOST:
                 step = rules.step(states[-1], run.choose(states[-1]))
                 states.append(step.state)
+                pressed += [self._instance.targets[i].name for i in step.pressed]
                 if step.terminated or run.ends_at(step.state):
-                    is_failed = step.terminated and not rules.has_escaped(step.state)
-                    return Preview(name, tuple(states), "the puzzle is failed" if is_failed else "")
+                    escapes = rules.has_escaped(step.state)
+                    problem = "the puzzle is failed" if step.terminated and not escapes else ""
+                    return Preview(name, tuple(states), tuple(pressed), escapes, problem)
         except EscapeError as error:
-            return Preview(name, tuple(states), str(error))
-        return Preview(name, tuple(states), f"no end within {MOST} primitives")
+            return Preview(name, tuple(states), tuple(pressed), problem=str(error))
+        return Preview(name, tuple(states), tuple(pressed), problem=f"no end within {MOST} primitives")
 
 
 class Stopped(Exception):

@@ -136,10 +136,14 @@ def test_watch_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: S
     try:
         page.click("1 decision")
         page.wait("document.querySelector('#facts').dataset.decisions === '1'")
+        page.click("What if")
+        page.click("What if it took this option?")
+        page.wait("document.querySelector('#preview')?.innerText.includes('presses') || "
+                  "document.querySelector('#preview')?.innerText.includes('cannot')")
         page.click("Log")
         page.wait("document.querySelector('#log')?.innerText.includes('pressed')")
         assert page.run(SAFE)
-        assert page.run("document.querySelectorAll('#facts img, #log img').length") == 0
+        assert page.run("document.querySelectorAll('#facts img, #log img, #preview img').length") == 0
     finally:
         page.close()
         gate.stop()

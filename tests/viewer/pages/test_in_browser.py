@@ -191,6 +191,12 @@ def test_watch_pauses_steps_and_shows_the_agents_own_option_values(watched, two_
     row = json.dumps([name, str(step.duration), f"{step.reward:.2f}", f"{step.discount:.4f}"])
     page.wait("JSON.stringify([...(document.querySelector('#smdp tbody tr')?.children ?? [])].slice(0, 4)"
               f".map(c => c.innerText)) === JSON.stringify({row})")
+    page.click("What if")
+    page.click("What if it took this option?")
+    page.wait("document.querySelector('#preview')?.innerText.includes('primitives')")
+    told = page.run("document.querySelector('#preview').innerText")
+    preview = view.watch.previewer.preview("meta-01", view.watch.states[-1])
+    assert f"meta-01: {len(preview.states) - 1} primitives" in told
     page.click("Run")
     page.wait(f"{FACTS}?.state === 'running'")
     page.click("Pause")

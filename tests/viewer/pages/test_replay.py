@@ -17,7 +17,7 @@ from PIL import Image
 
 from hrl_escape.cli import main
 from hrl_escape.env.kinematics import EpisodeEnd
-from hrl_escape.viewer.pages.offline import make_replay
+from hrl_escape.viewer.pages.offline import CONFETTI, make_replay
 from hrl_escape.viewer.play.episode import Episode, load_episode, save_episode
 from hrl_escape.viewer.recording import record_driver, record_saved
 from hrl_escape.viewer.watch.drivers import open_driver
@@ -106,12 +106,18 @@ def test_a_page_is_named_after_its_room_and_fades_in_no_environment(two_buttons)
 
 
 @pytest.mark.in_turn
-def test_an_escape_is_told_beside_the_best_known(two_buttons):
+def test_an_escape_is_told_beside_the_best_known_and_celebrated(two_buttons):
     recording = record_driver(open_driver("planner", two_buttons))
     page = make_replay(recording)
     assert f"Escaped with a return of {sum(recording.rewards):g}: the best known!" in page
     assert '"initialCameraPosition": "0.000,' in page, "upright screens have a camera of their own"
-    assert "best known!" not in make_replay(dataclasses.replace(recording, end=EpisodeEnd.TRUNCATED))
+    content, _ = read_recorded(page)
+    scraps = [message for _, message in content["messages"] if "confetti" in str(message.get("name"))]
+    assert len(scraps) > CONFETTI
+    stopped = make_replay(dataclasses.replace(recording, end=EpisodeEnd.TRUNCATED))
+    content, _ = read_recorded(stopped)
+    assert "best known!" not in stopped
+    assert len([1 for _, message in content["messages"] if "confetti" in str(message.get("name"))]) < CONFETTI
 
 
 def test_a_page_draws_the_whole_way_from_its_first_point(one_button):

@@ -27,6 +27,7 @@ from hrl_escape.viewer.scene import (
     is_hidden_by,
     make_arm_shapes,
     make_base_shapes,
+    make_confetti,
     make_fixtures,
     make_pose,
     to_quaternion,
@@ -196,3 +197,10 @@ def test_an_obstacle_between_camera_and_robot_turns_to_glass_and_back(server, cl
     scene.uncover([(*beside, 0.3)], behind._replace(x=beside[0], y=solid.y + 2.0))
     assert node.opacity is None
     assert not is_hidden_by(solid, (*beside, 40.0), (*beside, 0.3)), "from right above it sees over"
+
+
+def test_confetti_begins_at_the_exit_rises_and_comes_down(clutter):
+    centre = clutter.exit.centre
+    begin, middle, end = (make_confetti(centre, share) for share in (0.0, 0.5, 1.0))
+    np.testing.assert_allclose(begin[:, :2], np.broadcast_to(centre, begin[:, :2].shape), atol=1e-6)
+    assert middle[:, 2].min() > 1.0 and end[:, 2].max() < 0.1
