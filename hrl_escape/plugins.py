@@ -1,4 +1,4 @@
-"""Entry points of other packages, loaded in one way.
+"""Entry points of other packages, loaded in one way, and functions that training calls without knowing them.
 
 What cannot be loaded is an error only for who asks for it by name; to everybody else it is a warning.
 """
@@ -14,6 +14,10 @@ from hrl_escape.errors import PluginError
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
+RUN_OBSERVERS: list[str] = []
+"""Functions, `module:name`, that `train` calls at its end as `observer(env, seeds, evaluations, source)`: the
+evaluation environment, the seeds of an evaluation's episodes, the evaluations, agent and seed in words. They are
+imported when a run has ended, so that layers above training can add one without being loaded."""
 
 
 def load_entry_points(group: str, what: str, shape: str, take: Callable[[Any], object], wanted: object = None) -> None:

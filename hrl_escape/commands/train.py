@@ -30,17 +30,20 @@ from rich.table import Table
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.registry import get_recipe, list_given_agents
 from hrl_escape.agents.training.callbacks import TensorBoard
+from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
 from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.room_choice import RoomChoice, refuse_options
+from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.places import RunPlace
-from hrl_escape.comparison.runs import make_env, make_player
+from hrl_escape.comparison.records import record_returns
+from hrl_escape.comparison.runs import find_starts, make_env, make_player
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text, make_file_name
-from hrl_escape.planning.best_known import best_known_return
+from hrl_escape.planning.best_known import best_known_return, find_best_known
 from hrl_escape.settings import read_field_documents
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.text.settings import TOOLS, ToolsSettings
@@ -136,6 +139,7 @@ def run(args: TrainArgs) -> None:
     instance = args.make_instance()
     name = make_file_name(f"{spec.label}-{RunPlace.of_room(instance).name}-{args.training_seed}")
     out = args.out or Path("runs") / f"{name}-{{key}}"
+    recorder: StateRecorder | None = None
     player: Agent | None = None
     if args.batch is None:
         refuse_options(args, ("compile", "device"), "is for many copies of the room: give --batch N too; one room is "
@@ -147,7 +151,9 @@ def run(args: TrainArgs) -> None:
     result = train(player or args.agent, env, primitives=PRIMITIVES if args.primitives is None else args.primitives,
                    seed=args.training_seed, settings=None if player else resolved, eval_every=args.eval_every,
                    eval_episodes=args.eval_episodes, out=out, callbacks=[TensorBoard()] if args.tensorboard else [],
-                   threads=args.threads)
+                   threads=args.threads, observed=recorder is None)
+    if isinstance(env, gymnasium.Env) and recorder is not None:
+        _record(env, recorder, result, f"{spec.label}, seed {args.training_seed}")
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
         env.close()
     _tell(args, result, best_known_return(instance))
@@ -163,6 +169,13 @@ def _train_offline(args: TrainArgs, settings: dict[str, Any]) -> None:
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
                    callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads)
     _tell(args, result, data.tape.about["scores"].get("best_known"))
+
+
+def _record(env: gymnasium.Env, recorder: StateRecorder, result: TrainResult, source: str) -> None:
+    """Raise the best known returns that an evaluation has beaten."""
+    episodes = len(result.evaluations[0].returns) if result.evaluations else 0
+    starts = find_starts(env, recorder, [compute_episode_seed(0, "evaluation", n) for n in range(episodes)])
+    record_returns(starts, [find_best_known(*start).value for start in starts], result.evaluations, source)
 
 
 def _print_settings(args: TrainArgs, resolved: dict[str, Any]) -> None:

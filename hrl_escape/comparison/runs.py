@@ -24,6 +24,7 @@ from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.grid import AgentSpec, GridRun
 from hrl_escape.comparison.places import RoomSchedule, RunPlace, Split
 from hrl_escape.comparison.recording import record_episode
+from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.score_range import ScoreRange, compute_score_range
 from hrl_escape.comparison.solved_probe import Solution, SolvedProbe
@@ -212,6 +213,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
             player, value = _train(run, out, env, env, place, score_range, checkpoint_seconds)
         else:
             player, value = _train_in_set(run, out, env, place, common, score_range, checkpoint_seconds)
+        record_returns(starts, score_range.best, value.evaluations, run.source)
         if grid.trials > 1 and place.split is not None:
             value = _try_several_times(run, out, player, place.split, common, order, value)
         drawn = seeds if place.split is None else seeds[:: len(place.split.test)]  # those in the room in pictures
@@ -235,6 +237,7 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPl
         starts = find_starts(again, again_recorder, seeds)
         seen_range = compute_score_range(starts, run.agent, out / "references", floors)
         seen = evaluate(agent, again, len(seeds), run.eval_seed, value.primitives, value.decisions, trials=floors)
+        record_returns(starts, seen_range.best, [seen], run.source)
     finally:
         env.close()
         again.close()
@@ -257,6 +260,8 @@ def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, com
         env.close()
     tried = list(zip(*starts, strict=True))
     ranges = tuple(compute_score_range(trial, run.agent, out / "references") for trial in tried)
+    for trial, score_range, evaluation in zip(tried, ranges, found, strict=True):
+        record_returns(trial, score_range.best, [evaluation], run.source)
     return dataclasses.replace(value, trials=found, trial_ranges=ranges)
 
 
@@ -271,7 +276,7 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
         settings=run.settings, eval_env=eval_env, eval_every=run.grid.evaluation_step,
         eval_episodes=run.grid.eval_episodes, eval_seed=run.eval_seed, out=get_training_folder(out, run),
         checkpoint_seconds=checkpoint_seconds, progress=False, probe=probe,
-        eval_trials=1 if place.split is None else len(list_sets(place.split.test)),
+        eval_trials=1 if place.split is None else len(list_sets(place.split.test)), observed=False,
     )
     assert result.agent is not None, "a run that this process finished or loaded has its agent"
     solution = None if probe is None else probe.solution

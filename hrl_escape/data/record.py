@@ -274,7 +274,7 @@ def train_medium(rooms: InstanceSet, folder: Path) -> Agent:
     try:
         result = train("smdp-dqn", env, primitives=MEDIUM_PRIMITIVES, seed=0, eval_episodes=0, probe=HalfWay(fewest),
                        settings={"network": "objects", "epsilon_start": RANDOM_SHARE, "epsilon_end": RANDOM_SHARE},
-                       out=folder)
+                       out=folder, observed=False)
         assert result.agent is not None
         return result.agent
     finally:

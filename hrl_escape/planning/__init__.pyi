@@ -1,6 +1,6 @@
 from .arm.arm_planner import ArmPlanner
 from .arm.reacher import Reacher
-from .best_known import BestKnown, best_known_return, find_best_known
+from .best_known import BestKnown, best_known_return, find_best_known, record_return
 from .goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
 from .motion.limits import MotionLimits
 from .motion.sampled import MotionSampler
@@ -54,6 +54,7 @@ __all__ = [
     "make_trajectory",
     "track",
     "parse_goal",
+    "record_return",
     "register_planner",
     "save_pddl",
 ]

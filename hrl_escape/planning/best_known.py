@@ -1,6 +1,6 @@
 """Best known return of a room, the reference by which scores are normalised.
 
-It is the return of the best plan of primitives that the planners find. That of given options
+It is the return of the best plan of primitives that the planners find, until an agent beats it. That of given options
 is computed in `hrl_escape.options.best_with_options`, so that a result's distance from the best splits into an option
 gap and a learning gap. Where moves err or slip, `compute_expected_escape` says what the planner can expect.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import threading
+import warnings
 from collections import OrderedDict
 from collections.abc import Hashable
 from typing import NamedTuple
@@ -39,10 +40,10 @@ class BestKnown(NamedTuple):
 
     Attributes:
         value: undiscounted return.
-        source: its origin: `planner` or `options`.
+        source: its origin: `planner`, `options`, or the source given to `record_return`.
         upper_bound: bound by geometry alone that no return exceeds.
         primitives: length of the episode with this return; None if no escape is known.
-        plan: the plan with this return; None if no escape is known.
+        plan: the plan with this return; None if no escape is known, or an agent reached the return.
     """
 
     value: float
@@ -106,6 +107,39 @@ def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnow
     if found.value > known.value:
         with _LOCK:
             _remember(instance, state, found._replace(upper_bound=known.upper_bound))
+
+
+def record_return(instance: RoomInstance, state: RoomState, value: float, source: str) -> bool:
+    """Record a return that beats the best known one, in this process, and warn.
+
+    Rooms with noise, slip, physics or a random puzzle keep their value: a lucky episode is no reference.
+
+    Args:
+        instance: the room.
+        state: first state of the episode.
+        value: its undiscounted return.
+        source: its origin, such as `dqn, seed 3`.
+
+    Returns:
+        True if it was better; it is kept while the state is among the last `MOST_REMEMBERED`.
+    """
+    dynamics = instance.dynamics
+    if dynamics.is_random or dynamics.kind == "physics" or instance.puzzle.is_random:
+        return False
+    known = find_best_known(instance, state)
+    if value <= known.value + 1e-9:
+        return False
+    step = instance.reward.step
+    is_told = step and not instance.puzzle.has_reward  # without noise an episode's length follows from its return
+    primitives = 1 + round((value - compute_escape_return(instance, 1)) / step) if is_told else None
+    with _LOCK:
+        _remember(instance, state, BestKnown(value, source, known.upper_bound, primitives))
+    warnings.warn(
+        f"{source} reached a return of {value:g} in room {instance.id} from ({state.x:.2f}, {state.y:.2f}), where "
+        f"{known.value:g} was the best known (by {known.source}). Scores of this room are normalised anew",
+        stacklevel=2,
+    )
+    return True
 
 
 MOST_REMEMBERED = 512

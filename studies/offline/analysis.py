@@ -140,7 +140,8 @@ def run_once(agent: str, kind: str, rung: str, run: int, episodes: int) -> Offli
                                               observation="features")
     try:
         result = train(name, env, data=load_data(tape, observation="features"), seed=run, eval_episodes=episodes,
-                       settings={"values": "table", "passes": 400} | given, eval_every=2**40, progress=False)
+                       settings={"values": "table", "passes": 400} | given, eval_every=2**40, progress=False,
+                       observed=False)
     finally:
         env.close()
     return OfflineResult(agent, kind, run, score(result.evaluations[-1], fewest))

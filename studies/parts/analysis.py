@@ -173,7 +173,7 @@ def _search(reference: str, config: RoomConfig, seed: int, budget: int) -> int |
     env, recorder = make_env(spec, InstanceSet(reference, config, [seed]), "features")
     try:
         return train(make_reference(spec.name, env, recorder), env, primitives=budget, seed=seed, eval_episodes=0,
-                     probe=FirstEscape(), progress=False).first_escape
+                     probe=FirstEscape(), progress=False, observed=False).first_escape
     finally:
         env.close()
 

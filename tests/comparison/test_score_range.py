@@ -5,17 +5,29 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import shutil
+import warnings
+from collections import OrderedDict
+from collections.abc import Sequence
 
+import gymnasium
 import pytest
+from gymnasium.wrappers import TransformReward
 
+from hrl_escape.agents import Agent, train
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.references.registry import INDEX_ORDER
+from hrl_escape.comparison.runs import execute_run, make_env
 from hrl_escape.comparison.score_range import CEILING, PLANNER, compute_score_range
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.planning.planner import RoomPlanner
-from tests.comparison.small import SCHEMATIC
+from hrl_escape.planning import best_known
+from hrl_escape.planning.best_known import best_known_return, find_best_known, find_by_plan
+from hrl_escape.planning.planner import RoomPlanner, get_planner
+from hrl_escape.planning.route import get_pose
+from tests.comparison.small import SCHEMATIC, change, run_quietly
 
 ROOM = generate(SCHEMATIC, 0)
 STATES = [Kinematics(ROOM).make_state(start) for start in ROOM.starts[:3]]
@@ -86,3 +98,61 @@ def test_what_planners_found_is_kept_for_other_runs_and_a_damaged_file_is_made_a
     for damaged in ("{", "[1]", "{}", '{"ends": [1]}', '{"ends": {}}', '{"ends": [1, 2, 3, "x"]}'):
         files[0].write_text(damaged)
         assert compute_score_range(STARTS, AgentSpec("dqn"), tmp_path) == found, damaged
+
+
+def test_a_run_that_beats_the_best_known_return_raises_it(tmp_path, monkeypatch):
+    (finished, result), = run_quietly(change(agents=(INDEX_ORDER,), runs=1, primitives=200), tmp_path).runs
+    instance, = (RoomInstance.load(path) for path in (tmp_path / "rooms").glob("*.json"))
+    states = [Kinematics(instance).make_state(start) for start in instance.starts]
+    poor = {(instance.id, get_pose(state), state.puzzle): find_best_known(instance, state)._replace(value=-70.0)
+            for state in states}
+    monkeypatch.setattr(best_known, "_KNOWN", OrderedDict(poor))
+    shutil.rmtree(tmp_path / "references")
+    with pytest.warns(UserWarning, match=f"{INDEX_ORDER}, seed 0 reached a return of"):
+        execute_run(finished, tmp_path, 60.0)
+    reached = max(result.evaluations[0].returns)
+    assert max(best_known_return(instance, state=state) for state in states) == reached > -70
+
+
+class Follower(Agent):
+    """A plan, followed by what is seen on its way."""
+
+    Settings = AgentSpec
+    gamma = 1.0
+    observe = load_state_dict = lambda self, _: {}
+
+    def __init__(self, env: gymnasium.Env, primitives: Sequence[int]) -> None:
+        self.settings, self._actions = AgentSpec("follower"), {}
+        seen, _ = env.reset(seed=0)
+        for action in primitives:
+            self._actions[seen.tobytes()] = action
+            seen, *_ = env.step(action)
+
+    def act(self, observation, action_mask):
+        return self._actions[observation.tobytes()]
+
+    def act_greedy(self, observation, action_mask, rng):
+        return self.act(observation, action_mask)
+
+    def state_dict(self):
+        return {}
+
+
+@pytest.mark.parametrize("wrap", [lambda env: env, lambda env: TransformReward(env, lambda reward: reward + 1)])
+def test_training_raises_what_its_agent_has_beaten_but_believes_no_wrappers_reward(monkeypatch, wrap):
+    """The plan leg by leg, 64, stands in for all that is known; the agent goes the shorter joint way, 66."""
+    env = gymnasium.make("hrl_escape/PaperTwoButton-v1")
+    room = env.unwrapped.instance
+    state = Kinematics(room).make_state(room.starts[0])
+    best, legs = find_best_known(room, state), find_by_plan(get_planner(room), state, jointly=False)
+    monkeypatch.setattr(best_known, "_KNOWN", OrderedDict({(room.id, get_pose(state), state.puzzle): legs}))
+    agent, wrapped = Follower(env, best.plan.primitives), wrap(env)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        result = train(agent, wrapped, primitives=50, eval_episodes=1)
+    raised = best_known_return(room, state=state)
+    if wrapped is env:
+        assert raised == result.evaluations[0].returns[0] == best.value > legs.value
+        assert any("Follower, seed 0 reached a return of 66 " in str(warning.message) for warning in told)
+    else:
+        assert result.evaluations[0].returns[0] > best.value and raised == legs.value

@@ -62,6 +62,27 @@ MUTATIONS = [
         "comparison/test_ladder_score.py",
     ),
     Mutation(
+        "training tells nobody of its evaluations",
+        "agents/training/train.py",
+        "if observed and result.evaluations",
+        "if not observed and result.evaluations",
+        "comparison/test_score_range.py::test_training_raises_what_its_agent_has_beaten_but_believes_no_wrappers_reward",
+    ),
+    Mutation(
+        "a wrapper's reward is taken for the room's",
+        "comparison/records.py",
+        "if math.isclose(value, compute_escape_return(instance, length))",
+        "if value",
+        "comparison/test_score_range.py::test_training_raises_what_its_agent_has_beaten_but_believes_no_wrappers_reward",
+    ),
+    Mutation(
+        "an agent that beats the best known return leaves it as it was",
+        "comparison/records.py",
+        "if length and value > known + 1e-9:",
+        "if length and value > known + 1e9:",
+        "comparison/test_score_range.py::test_a_run_that_beats_the_best_known_return_raises_it",
+    ),
+    Mutation(
         "a searcher remembers what failed under other lights",
         "comparison/references/by_lights.py",
         """            self._tried.clear()

@@ -88,6 +88,20 @@ MUTATIONS = [
         "planning/search/test_joint_search.py",
     ),
     Mutation(
+        "luck is recorded",
+        "planning/best_known.py",
+        'if dynamics.is_random or dynamics.kind == "physics" or',
+        'if dynamics.kind == "physics" or',
+        "planning/test_best_known.py::test_luck_is_no_record",
+    ),
+    Mutation(
+        "a return as good as the best known counts as better",
+        "planning/best_known.py",
+        "if value <= known.value + 1e-9:",
+        "if value < known.value - 1e-9:",
+        "planning/test_best_known.py::test_a_better_return_is_taken_over_and_said",
+    ),
+    Mutation(
         "an escape by the last primitive does not count",
         "planning/best_known.py",
         "if primitives > instance.horizon:",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from collections import OrderedDict
 
 import numpy as np
@@ -22,7 +23,7 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.options.best_with_options import best_return_with_options, find_best_with_options
 from hrl_escape.options.option import ScriptedOption
 from hrl_escape.planning import best_known
-from hrl_escape.planning.best_known import best_known_return, find_best_known
+from hrl_escape.planning.best_known import best_known_return, find_best_known, record_return
 from hrl_escape.planning.planner import RoomPlanner
 from tests.covering import thin
 
@@ -228,6 +229,23 @@ def test_what_no_one_can_do_is_worth_the_horizon():
         assert best_known_return(dataclasses.replace(instance, horizon=horizon)) == value
 
 
+def test_a_better_return_is_taken_over_and_said():
+    instance = generate(get_preset("paper-two-button"), 0)
+    start = make_start(instance)
+    before = best_known_return(instance)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not record_return(instance, start, before, "dqn"), "as good is not better"
+    with pytest.warns(UserWarning, match=r"dqn, seed 3 reached a return of"):
+        assert record_return(instance, start, before + 2, "dqn, seed 3")
+    assert best_known_return(instance) == before + 2
+    known, fewest = find_best_known(instance, start), RoomPlanner(instance).solve(start).cost
+    assert known.source == "dqn, seed 3" and known.primitives is not None and known.primitives < fewest
+    assert best_return_with_options(instance, "press") <= before
+    best_known._KNOWN.clear()
+    assert best_known_return(instance) == before, "another process"
+
+
 def test_the_state_asked_for_least_recently_is_forgotten_first(monkeypatch):
     monkeypatch.setattr(best_known, "MOST_REMEMBERED", 2)
     names = ("paper-one-button", "paper-two-button", "bit-flip")
@@ -235,3 +253,13 @@ def test_the_state_asked_for_least_recently_is_forgotten_first(monkeypatch):
     values = [best_known_return(room) for room in (first, second, first, third)]
     assert [room for room, *_ in best_known._KNOWN] == [first.id, third.id]
     assert best_known_return(second) == values[1], "planned anew, to the same return"
+
+
+def test_luck_is_no_record():
+    config = get_preset("paper-one-button")
+    noisy = generate(dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, noise=0.1)), 0)
+    assert not record_return(noisy, make_start(noisy), 99.0, "luck")
+    moved = generate(dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, kind="physics")), 0)
+    assert not record_return(moved, make_start(moved), 99.0, "luck")
+
+

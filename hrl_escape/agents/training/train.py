@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -29,6 +30,7 @@ from hrl_escape.agents.training.env_description import (
     load_part,
     make_described_env,
 )
+from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.run import (
     Probe,
@@ -41,6 +43,7 @@ from hrl_escape.agents.training.run import (
 )
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
 from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, UnknownNameError, describe_damage
+from hrl_escape.plugins import RUN_OBSERVERS
 from hrl_escape.settings import replace_settings
 
 if TYPE_CHECKING:
@@ -69,6 +72,7 @@ def train(
     threads: int = 1,
     until_return: float | None = None,
     eval_trials: int = 1,
+    observed: bool = True,
 ) -> TrainResult:
     """Train an agent on an environment, flat or with options, or from a data set.
 
@@ -106,6 +110,8 @@ def train(
         until_return: end before the budget, after two evaluations in a row whose mean return is at least this; None
             trains for all of it.
         eval_trials: parts of an evaluation episode that count as episodes of their own; see `evaluate`.
+        observed: call `plugins.RUN_OBSERVERS` at the end. This package's raises the best known return of a room, with a
+            warning, where an evaluation has beaten it. Not called where `eval_trials` is above 1.
 
     Returns:
         Curves, episodes, totals and the trained agent.
@@ -183,6 +189,10 @@ def train(
                 result = run.finish(checkpoint_seconds, report)
         finally:
             run.close()
+        if observed and result.evaluations and eval_trials == 1:
+            seeds = [compute_episode_seed(eval_seed, "evaluation", n) for n in range(eval_episodes)]
+            for observer in RUN_OBSERVERS:
+                resolve_name(observer)(eval_env or single, seeds, result.evaluations, f"{name}, seed {seed}")
         return result
 
 

@@ -41,6 +41,7 @@ def train_once(out: Path) -> Path:
     """A training run of a few episodes in the rung's rooms."""
     view = RoomView("features", options=OptionsView(include_primitives=False))
     env, _ = make_view_env(view, get_rung().train)
-    train("smdp-q-learning", env, primitives=300, eval_every=150, eval_episodes=1, out=out, progress=False)
+    train("smdp-q-learning", env, primitives=300, eval_every=150, eval_episodes=1, out=out, progress=False,
+          observed=False)
     env.close()
     return out
