@@ -13,6 +13,7 @@ from gymnasium import spaces
 from hrl_escape.agents.algorithms.dqn import DQNSettings
 from hrl_escape.agents.algorithms.ppo import PPOSettings
 from hrl_escape.agents.components.networks import (
+    MOST_KNOWN,
     ObservationEncoder,
     make_action_network,
     make_generator,
@@ -115,3 +116,36 @@ def test_a_copy_computes_by_its_own_weights_and_a_network_is_freed_with_its_last
         assert gone() is None
     finally:
         gc.enable()
+
+
+@pytest.mark.in_turn
+def test_outputs_that_are_remembered_are_those_of_the_weights_now_and_nobody_else_s():
+    rng = np.random.default_rng(2)
+    settings = PPOSettings(network="objects", hidden=(12, 12))
+    network = make_action_network(ObservationEncoder(make_space(), True), PointingDiscrete(len(ABOUT), ABOUT), settings,
+                                  make_generator(rng))
+    forward, calls = network.compute, []
+    network.register_forward_hook(lambda *_: calls.append(1))
+    rows, context = make_observation(rng)
+    seen = [row.numpy().copy() for row in flatten(rows, context)]
+
+    def compute(observation):
+        with torch.no_grad():
+            return network(torch.from_numpy(observation)[None])[0].numpy()
+
+    first = [forward(each) for each in seen]
+    first[0][:] = 0.0  # the caller's own array
+    count = len(calls)
+    assert all(np.array_equal(forward(each), compute(each)) for each in seen)
+    assert len(calls) == count + len(seen), "of each pair only one is computed"
+    for change in (lambda: network.weights.mul_(1.5), lambda: network.weights.copy_(torch.zeros_like(network.weights))):
+        change()
+        assert all(np.array_equal(forward(each), compute(each)) for each in seen)
+    network.weights.add_(1.0)
+    calls.clear()
+    for number in range(MOST_KNOWN + 1):
+        forward(seen[0] + np.float32(number))
+    forward(seen[0] + np.float32(number))
+    assert len(calls) == MOST_KNOWN + 1
+    forward(seen[0])
+    assert len(calls) == MOST_KNOWN + 2, "only so many are kept"
