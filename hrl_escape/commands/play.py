@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from hrl_escape.commands.room_choice import RoomChoice
+from hrl_escape.commands.room_choice import RoomChoice, refuse_options
 from hrl_escape.names import make_console_text
 from hrl_escape.viewer import HOST, PORT
 from hrl_escape.viewer.play.episode import Episode, SavedEpisode, load_episode
@@ -69,6 +69,8 @@ class PlayArgs(PageAddress, RoomChoice):
     def make_episode(self, saved: SavedEpisode | None = None) -> Episode:
         """Episode in the room that is asked for, or in that of a saved one."""
         if saved is not None:
+            refuse_options(self, ("preset", "arguments", "config", "set", "seed", "load", "episode_seed"),
+                           "chooses what to play, and --replay has room and start: give one of them")
             return Episode(saved.instance, None, saved.seed, self.hidden)
         config = None if self.load else self.make_config()
         return Episode(self.make_instance(), config, self.episode_seed, self.hidden)

@@ -43,9 +43,9 @@ class RoomChoice:
         if self.config is None:
             arguments = dict(split_assignment(text, "--arguments", "size=3") for text in self.arguments)
             config = get_preset(self.preset, **arguments)
-        elif self.arguments:
-            raise UnsupportedError("--arguments belong to a preset: with --config use --set")
         else:
+            refuse_options(self, ("preset", "arguments"), "is about presets, and --config is a schematic of its own: "
+                           "change its fields by --set")
             read = read_toml if self.config.suffix.lower() == ".toml" else read_json
             content = read(self.config, "schematic")
             if not isinstance(content, dict):
@@ -66,8 +66,8 @@ class RoomChoice:
         """Load the instance, or generate it."""
         if self.load is None:
             return generate(self.make_config(), self.seed)
-        if self.config or self.set or self.arguments:
-            raise UnsupportedError("--load takes a finished room: leave out --config, --set and --arguments")
+        refuse_options(self, ("preset", "arguments", "config", "set", "seed"),
+                       "chooses a room to make, and --load takes a finished one: give one of them")
         return RoomInstance.load(self.load)
 
 

@@ -157,6 +157,10 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     (["--draw", "room.png", "--camera", "chasse"], "did you mean 'chase'"),
     (["--save", "/proc/nowhere/room.json"], "cannot write"),
     (["--set", "obstacles.count=200", "obstacles.size_min=8", "obstacles.size_max=9"], "no solvable room"),
+    (["--load", "nowhere.json", "--preset", "clutter"], "--preset chooses a room to make, and --load"),
+    (["--load", "nowhere.json", "--seed", "3"], "--seed chooses a room to make"),
+    (["--config", "nowhere.toml", "--preset", "clutter"], "--preset is about presets, and --config"),
+    (["--config", "nowhere.toml", "--arguments", "size=4"], "--arguments is about presets"),
 ])
 def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)

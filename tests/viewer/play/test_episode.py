@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hrl_escape.commands.play import PlayArgs
 from hrl_escape.env.config import DynamicsConfig
 from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.presets import get_preset
@@ -83,6 +84,9 @@ def test_a_saved_episode_replays_to_the_same_state_and_can_be_undone(two_buttons
     assert [move.name for move in again.moves] == ["forward", "meta-01", "meta-02", "meta-exit"]
     again.undo()
     assert again.state == episode.moves[-1].steps[0].before
+    assert PlayArgs(hidden=True).make_episode(saved).instance == saved.instance
+    with pytest.raises(UnsupportedError, match="--preset chooses what to play, and --replay"):
+        PlayArgs(preset="clutter").make_episode(saved)
 
 
 def test_the_next_room_is_the_schematics_next_instance():
