@@ -25,6 +25,7 @@ from hrl_escape.comparison.inference import ALPHA
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
+from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
@@ -71,6 +72,7 @@ class EscapeRun:
     Attributes:
         agent: name with traits.
         buttons: number of buttons.
+        width: of the room, m.
         run: seed of room, agent and episodes.
         budget: most primitives; the last decision may go beyond.
         first_escape: primitives at the end of the first episode that escaped; None if none did.
@@ -78,14 +80,15 @@ class EscapeRun:
 
     agent: str
     buttons: int
+    width: float
     run: int
     budget: int
     first_escape: int | None
 
     @property
-    def place(self) -> tuple[str, int, int]:
+    def place(self) -> tuple[str, int, float, int]:
         """Subject of the line."""
-        return self.agent, self.buttons, self.run
+        return self.agent, self.buttons, self.width, self.run
 
 
 LINES = (EscapeRun,)
@@ -121,10 +124,10 @@ class FirstEscape:
 # --- runs ------------------------------------------------------------------------------------
 
 
-def run_once(agent: str, graph: str, rule: str, buttons: int, seed: int, budget: int) -> EscapeRun:
+def run_once(agent: str, room: RoomConfig, buttons: int, seed: int, budget: int) -> EscapeRun:
     """Run an agent in a room of its own until its first escape, or to the end of the budget."""
-    room = generate(make_room(RoomKind(graph, buttons, rule)), seed)
-    return EscapeRun(agent, buttons, seed, budget, find_first_escape(agent, room, seed, budget))
+    first = find_first_escape(agent, generate(room, seed), seed, budget)
+    return EscapeRun(agent, buttons, room.room.width, seed, budget, first)
 
 
 def find_first_escape(agent: str, room: RoomInstance, seed: int, budget: int) -> int | None:
@@ -148,11 +151,13 @@ def measure(study: Study, args: Args, store: Store) -> None:
         for agent in args.agents or data["agents"]:
             for size in data["sizes"]:
                 known = {run.place: run for run in store.load()}
-                jobs = [pool.submit(run_once, agent, data["graph"], data["rule"], size, seed, data["budget"])
-                        for seed in seeds if (agent, size, seed) not in known]
+                room = make_room(RoomKind(data["graph"], size, data["rule"]), data["width"])
+                jobs = [pool.submit(run_once, agent, room, size, seed, data["budget"])
+                        for seed in seeds if (agent, size, data["width"], seed) not in known]
                 for job in as_completed(jobs):
                     store.add([job.result()])
-                ends = [run.first_escape for run in store.load() if (run.agent, run.buttons) == (agent, size)]
+                ends = [run.first_escape for run in store.load()
+                        if (run.agent, run.buttons, run.width) == (agent, size, data["width"])]
                 escaped = sum(end is not None for end in ends)
                 console.print(f"{agent}, {size} buttons: {escaped} of {len(ends)} runs escaped", markup=False)
                 if not escaped:
@@ -224,35 +229,25 @@ def _fit_lines(x: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDA
     return slope, start, (np.where(kept, start[:, None] + slope[:, None] * x - y, 0.0) ** 2).sum(axis=1)
 
 
-def tell_reach(largest: Mapping[str, int | None], words: Mapping[str, str], widths: Mapping[int, float]) -> str:
+def tell_reach(largest: Mapping[str, int | None], words: Mapping[str, str], most: int) -> str:
     """One sentence: who still escapes with the most buttons, and beyond how many the others do in few runs.
 
     Args:
         largest: agent -> most buttons with which at least half of the runs escape; None for none.
         words: agent -> what it stands for.
-        widths: number of buttons -> width of the rooms, m.
+        most: buttons in the largest rooms.
     """
-    most = max(widths)
     arrived = [words[agent] for agent, reach in largest.items() if reach == most]
     stops: dict[int, list[str]] = {}
     for agent, reach in largest.items():
         if reach != most:
             stops.setdefault(reach or 0, []).append(words[agent])
     there = f"{join_words(arrived) or 'nobody'} still escape{'' if len(arrived) > 1 else 's'} with {most} buttons"
-    rest = [f"of {join_words(names)} {'' if number else 'escape '}{_tell_stop(reach, widths)}"
+    rest = [f"of {join_words(names)} {'' if number else 'escape '}"
+            + (f"beyond {reach} buttons" if reach else "with any number of buttons")
             for number, (reach, names) in enumerate(sorted(stops.items())[::-1])]
-    return (there[0].upper() + there[1:]) + ("; fewer than half of the runs " + ", and ".join(rest) if rest else
+    return (there[0].upper() + there[1:]) + ("; fewer than half of the runs " + join_words(rest) if rest else
                                              "") + "."
-
-
-def _tell_stop(reach: int, widths: Mapping[int, float]) -> str:
-    """Words on where an agent comes no further, and whether rooms grow there too."""
-    if not reach:
-        return "with any number of buttons"
-    after = min(size for size in widths if size > reach)
-    grown = (f", where rooms also grow from {widths[reach]:g} m to {widths[after]:g} m"
-             if widths[after] > widths[reach] else "")
-    return f"beyond {reach} buttons{grown}"
 
 
 def tell_growth(growths: Mapping[str, Growth | None], largest: Mapping[str, int | None], words: Mapping[str, str],
@@ -338,27 +333,24 @@ def analyse(study: Study, lines: Sequence[EscapeRun]) -> Page:
     Raises:
         ComparisonError: there are no runs.
     """
+    lines = [run for run in lines if run.width == study.data["width"]]
     if not lines:
         raise ComparisonError("there are no runs to tell of")
     words: Mapping[str, str] = study.data["agents"]
     of = {agent: own for agent in words if (own := [run for run in lines if run.agent == agent])}
     sizes = study.data["sizes"]
-    rooms = {size: make_room(RoomKind(study.data["graph"], size, study.data["rule"])) for size in sizes}
-    widths = {size: room.room.width for size, room in rooms.items()}
-    alike = [size for size, width in widths.items() if width == widths[sizes[0]]]
-    growths = {agent: fit_growth([run for run in own if run.buttons in alike], np.random.default_rng(0))
-               for agent, own in of.items()}
+    room = make_room(RoomKind(study.data["graph"], sizes[0], study.data["rule"]), study.data["width"])
+    growths = {agent: fit_growth(own, np.random.default_rng(0)) for agent, own in of.items()}
     largest = {agent: max(list_times(own), default=None) for agent, own in of.items()}
     rows = [[f"{words[agent]} (`{agent}`)", *(_describe([run for run in own if run.buttons == size])
                                               for size in sizes)] for agent, own in of.items()]
     ratios = compare_searchers(of, largest, max(sizes))
     sentences = [*tell_growth(growths, largest, words, max(sizes)), *tell_searchers(ratios, words, max(sizes))]
-    headline = tell_reach(largest, words, widths)
+    headline = tell_reach(largest, words, max(sizes))
     return Page({"headline": headline, "advice": advise(ratios, words, max(sizes)),
                  "sentences": sentences, "table": make_table(["agent", *map(str, sizes)], rows),
                  "runs": max(sum(run.buttons == sizes[0] for run in own) for own in of.values()),
-                 "widths": [(width, [size for size in sizes if widths[size] == width])
-                            for width in dict.fromkeys(widths.values())], "horizon": rooms[sizes[0]].horizon,
+                 "width": study.data["width"], "horizon": room.horizon,
                  "budget": study.data["budget"], "graph": study.data["graph"], "rule": study.data["rule"]},
                 {"buttons": draw(of, growths, words)}, [headline, *sentences])
 
@@ -373,7 +365,7 @@ def _describe(runs: Sequence[EscapeRun]) -> str:
 
 def draw(of: Mapping[str, Sequence[EscapeRun]], growths: Mapping[str, Growth | None], words: Mapping[str, str]
          ) -> Figure:
-    """Medians and runs against buttons, both logarithmic, with the fits."""
+    """Medians and runs against buttons, both logarithmic, with the fits that no exponential surpasses."""
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(7.6, 4.2), facecolor=palette.BACKGROUND, layout="constrained")
         axes = figure.add_subplot()
@@ -383,6 +375,8 @@ def draw(of: Mapping[str, Sequence[EscapeRun]], growths: Mapping[str, Growth | N
             dots = [(run.buttons, run.first_escape) for run in own if run.first_escape is not None]
             axes.scatter(*zip(*dots, strict=True) if dots else ([], []), s=9, alpha=0.35, color=colour, linewidths=0)
             times, growth = list_times(own), growths[agent]
+            if growth is not None and growth.power <= 1 - SURE:
+                growth = None
             label = words[agent] if growth is None else (
                 f"{words[agent]}\n$n^{{{growth.exponent:.1f}}}$  ({growth.low:.1f} to {growth.high:.1f})")
             axes.plot(list(times), [np.median(values) for values in times.values()], "o-", color=colour, markersize=5,

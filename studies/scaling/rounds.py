@@ -100,9 +100,9 @@ class Round:
         return {task: spec.make_instance() for task, spec in zip(self.tasks, self._specs, strict=True)}
 
 
-def make_room(task: RoomKind) -> RoomConfig:
-    """Room of a task: small buttons anywhere on the walls; 30 m wide from 11 buttons on."""
-    size = 20.0 if task.buttons <= 10 else 30.0
+def make_room(task: RoomKind, width: float | None = None) -> RoomConfig:
+    """Room of a task: small buttons anywhere on the walls; by default 20 m wide, and 30 m from 11 buttons on."""
+    size = width or (20.0 if task.buttons <= 10 else 30.0)
     rule = task.rule.removesuffix(NOISE)
     graph = {"kind": task.graph, "max_parents": MAX_PARENTS}
     puzzle = ButtonsConfig.from_dict(
