@@ -114,10 +114,6 @@ def test_the_figure_shows_a_power_law_only_where_no_exponential_fits_better():
     assert steep == "a learner" and "n^{1.5}" in law
 
 
-def give_to(runs: list[EscapeRun], agent: str) -> list[EscapeRun]:
-    return [dataclasses.replace(run, agent=agent) for run in runs]
-
-
 @pytest.mark.parametrize(("largest", "sentence"), [
     ({LEARNER: 20, SEARCHER: 20}, "A learner and a searcher still escape with 20 buttons."),
     ({LEARNER: 4, SEARCHER: 20}, "A searcher still escapes with 20 buttons; fewer than half of the runs of a learner "
