@@ -21,6 +21,7 @@ from hrl_escape.agents.hierarchy.runner import CallRunner, StackAgent, make_task
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Hierarchy
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, maxq
 from hrl_escape.agents.registry import get_agent_class, list_given_agents
+from hrl_escape.checks import check_hierarchy
 from hrl_escape.errors import ContractError
 from tests.agents.algorithms.given.test_feudal_rl import find_place
 from tests.agents.algorithms.given.test_h_uct import TwoDoors, make_chain_tasks, make_door_tasks
@@ -28,7 +29,6 @@ from tests.agents.hierarchy.four_rooms_tasks import HOME, make_walks
 from tests.agents.hierarchy.taxi_tasks import GRAPH, SEE, UNTIL, make_taxi_tasks
 from tests.agents.hierarchy.wall_macros import make_wall_macros
 from tests.agents.small_envs import ButtonGrid
-from tests.checks.hierarchy_check import check_hierarchy
 from tests.classic.barrier_maze import BarrierMaze
 from tests.classic.chain import Chain
 from tests.classic.empty_room import EDGE, EmptyRoom
