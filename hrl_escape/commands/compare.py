@@ -44,7 +44,7 @@ from hrl_escape.comparison.reporting.report import format_first_escape, write_re
 from hrl_escape.comparison.summary import Summary
 from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.errors import ConfigError, UnknownNameError
-from hrl_escape.names import make_console_text, make_file_name
+from hrl_escape.names import make_console_text, make_file_name, tell_seconds
 
 DEFAULT = "quickstart"
 PIPED_WIDTH = 110
@@ -105,8 +105,8 @@ class LaunchArgs:
         words = f"{runs:,} runs, {missing:,} to be made in {out}"
         if seconds is None:
             return f"{words}; {describe_cost(grid, grid.make_places())}"
-        return (f"{words}; {seconds:.3g} s of training each in the median of {runs - missing:,}, so about "
-                f"{missing * seconds / 3600:.2g} core hours")
+        return (f"{words}; {tell_seconds(seconds)} of training each in the median of {runs - missing:,}, so about "
+                f"{tell_seconds(missing * seconds)} of training on one core")
 
 
 @dataclasses.dataclass(frozen=True)

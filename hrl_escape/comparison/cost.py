@@ -19,7 +19,7 @@ from hrl_escape.comparison.places import RunPlace
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.generation import sample_puzzle
 from hrl_escape.ladder.room_sets import list_sets
-from hrl_escape.names import make_console_text
+from hrl_escape.names import make_console_text, tell_seconds
 
 Rates = Mapping[str, Mapping[int, float]]
 """Seconds of one core for a thousand primitives, by agent and number of buttons."""
@@ -60,13 +60,13 @@ def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterab
 
 
 def describe_cost(grid: Grid, places: Iterable[RunPlace]) -> str:
-    """Words, for a console, on the core hours that training in all places of a grid takes."""
+    """Words, for a console, on the time of a core that training in all places of a grid takes."""
     if not any(agent.learns for agent in grid.agents):
         return "nothing learns, so nothing is trained"
     hours, unknown = estimate_hours(grid.agents, grid.primitives, map(_count_at, places), grid.runs, load_rates())
     names = ", ".join(map(make_console_text, unknown))
-    return (f"about {hours:.2g} core hours of training by published rates"
-            + (f", and those of {names}, of which no rate is published" if unknown else ""))
+    return (f"about {tell_seconds(3600 * hours)} of training on one core by published rates"
+            + (f", and that of {names}, of which no rate is published" if unknown else ""))
 
 
 def _count_at(place: RunPlace) -> float:

@@ -51,7 +51,7 @@ def test_work_is_told_before_made_in_parts_and_reported_from_the_folder(capsys, 
     code, out, _ = call(capsys, *words, "--shard", "1/2")
     assert code == 0 and "part 1/2: 1 runs finished" in out and not (tmp_path / "report.html").exists()
     code, out, _ = call(capsys, *words, "--dry-run")
-    assert "2 runs, 1 to be made" in out and "core hours" in out
+    assert "2 runs, 1 to be made" in out and " s of training on one core" in out
     code, out, _ = call(capsys, *words, "--report")
     assert code == 0 and (tmp_path / "report.html").exists() and len(list((tmp_path / "runs").iterdir())) == 1
 

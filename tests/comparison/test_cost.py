@@ -1,6 +1,8 @@
 """Cost before a run: the published rates are those of the studies' lines, and hours are counted as by hand."""
 
+import dataclasses
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -45,7 +47,10 @@ def test_buttons_of_a_schematic_are_counted_for_every_puzzle():
 def test_words_on_a_grid_and_the_list_of_rungs_tell_the_cost(capsys):
     grid = Grid(agents=(AgentSpec("smdp-q-learning"), AgentSpec("dac")), runs=2, primitives=50)
     told = describe_cost(grid, grid.make_places())
-    assert told.startswith("about ") and told.endswith("and those of dac, of which no rate is published")
+    assert re.fullmatch(r"about 0\.\d s of training on one core by published rates, and that of dac, of which no rate "
+                        "is published", told)
+    hours = describe_cost(dataclasses.replace(grid, runs=200, primitives=200_000), grid.make_places())
+    assert re.match(r"about \d+ h \d+ min of training", hours), hours
     assert main(["ladder", "list", "--json"]) == 0
     rows = {row["rung"]: row for row in json.loads(capsys.readouterr().out)["rungs"]}
     by_hand = 10 * 10 * 20 * estimate_rate("smdp-dqn", 2, load_rates()) / 3600
