@@ -71,6 +71,16 @@ def test_a_button_comes_on_once_all_of_its_parents_are(on_violation):
         assert puzzle.is_solved(puzzle.update(puzzle.update(one, Contacts((second,))), Contacts((2,))))
 
 
+@pytest.mark.parametrize("on_violation", VIOLATION_RULES)
+def test_a_press_before_its_parent_does_what_the_rule_says(on_violation):
+    puzzle = ButtonsPuzzle(4, ((0, 1), (1, 2), (2, 3)), 3, on_violation)
+    state = puzzle.update(puzzle.update(puzzle.make_state(), Contacts((0,))), Contacts((1,)))
+    after = puzzle.update(state, Contacts((3,)))
+    assert puzzle.is_failed(after) == (on_violation == "fail")
+    if on_violation != "fail":
+        assert puzzle.get_lit(after) == ((False,) * 4 if on_violation == "reset" else (True, True, False, False))
+
+
 @given(dags(7))
 def test_reachable_sets_of_lit_buttons_are_the_down_sets_of_the_dag(dag):
     """Order theory: from all off, pressing reaches exactly the sets that hold the parents of each member."""
