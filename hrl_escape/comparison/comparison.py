@@ -72,7 +72,7 @@ class Monitor:
         self.failures.append(failure)
         self._say(failure.run, f"failed: {failure.message}", "red")
 
-    def tick(self, progress: Mapping[str, int], workers: int) -> None:
+    def tick(self, progress: Mapping[str, int]) -> None:
         """Move the bar to the runs that have ended and the shares that running ones have trained for."""
         if self._bar is not None:
             ended = len(self.results) + len(self.failures) - self._kept

@@ -89,7 +89,7 @@ class RayLauncher:
                 cores = max(1, int(ray.cluster_resources().get("CPU", 1)))  # a cluster may grow
                 oldest = itertools.islice(pending.values(), cores)  # those behind them are queued
                 progress = {run.folder: read_progress(out, run) for run in oldest}
-                listener.tick({folder: primitives for folder, primitives in progress.items() if primitives}, cores)
+                listener.tick({folder: primitives for folder, primitives in progress.items() if primitives})
                 looked = time.monotonic()
 
 
@@ -155,7 +155,7 @@ class SlurmLauncher:
                     errors = _get_errors(job, done, out)
                     for run in done:
                         report_outcome(out, run, None, errors.get(run.folder), listener)
-                listener.tick({}, len(pending) * asked["cpus_per_task"])
+                listener.tick({})
                 time.sleep(TICK_SECONDS)
         finally:
             for job in pending:
@@ -195,7 +195,7 @@ class _Listener:
         """Note the message and traceback under the run's folder."""
         self.errors[failure.run.folder] = {"message": failure.message, "traceback": failure.traceback}
 
-    def tick(self, progress: Mapping[str, int], workers: int) -> None:
+    def tick(self, progress: Mapping[str, int]) -> None:
         """Show nothing: a job on a cluster has no terminal."""
 
 

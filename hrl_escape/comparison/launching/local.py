@@ -50,8 +50,8 @@ class Listener(Protocol):
         """Take note of a failed run."""
         ...
 
-    def tick(self, progress: Mapping[str, int], workers: int) -> None:
-        """Called periodically with each run's primitives by folder, and the number of runs that can run at once."""
+    def tick(self, progress: Mapping[str, int]) -> None:
+        """Called periodically with the primitives of each run under way, by folder."""
         ...
 
 
@@ -90,7 +90,7 @@ class LocalLauncher:
                     process, run, answer = active.pop(sentinel)  # pyright: ignore[reportArgumentType]
                     process.join()
                     report_outcome(out, run, process.exitcode, _receive(answer), listener)
-                listener.tick({run.folder: read_progress(out, run) for _, run, _ in active.values()}, workers)
+                listener.tick({run.folder: read_progress(out, run) for _, run, _ in active.values()})
         finally:
             for process, _, _ in active.values():
                 process.kill()

@@ -18,7 +18,7 @@ def test_the_bar_counts_what_has_ended_and_the_shares_of_what_runs():
     with monitor.watch():
         monitor.finish(*runs[1])
         monitor.fail(Failure(runs[2][0], "lost"))
-        monitor.tick({runs[3][0].folder: runs[3][0].grid.primitives // 2}, workers=3)
+        monitor.tick({runs[3][0].folder: runs[3][0].grid.primitives // 2})
         assert monitor._bar is not None
         (task,) = monitor._bar.tasks
         assert (task.completed, task.total) == (2.5, 5)
