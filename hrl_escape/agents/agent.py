@@ -400,6 +400,8 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
     - `rewards`: the k primitive rewards in order. From these R = sum gamma^i r_i is computed, at any gamma.
     - `discounted_reward` and `discount`: R and gamma^k already computed, for environments that do not give
       `rewards`; the gamma must then be the agent's. One of the two ways is needed where k > 1.
+    - `summed_reward`: sum of the k primitive rewards, for environments that give no `rewards` and whose `reward` is
+      another number; absent means `reward`.
     - `action_mask`: see `read_action_mask`; at the state reached.
     - `option`: a mapping whose `ended` is `episode-over` where the episode's end stopped the option, so that a
       truncation cut it; without it, every truncated action of several primitives is taken for cut.
@@ -467,7 +469,7 @@ def _compute_rewards(reward: float, duration: int, info: Mapping[str, Any], gamm
         )
     if abs(float(info["discount"]) - gamma**duration) > 1e-9:
         raise DiscountMismatchError(gamma, float(info["discount"]), duration)
-    return float(info["discounted_reward"]), reward
+    return float(info["discounted_reward"]), float(info.get("summed_reward", reward))
 
 
 def compute_backup(transition: SMDPTransition, settings: LearningSettings) -> tuple[float, float]:
@@ -507,6 +509,37 @@ def check_actions(agent: Agent, action_space: gymnasium.Space) -> int:
         raise UnsupportedSpaceError(f"this {name} was made for {agent.made_for} actions, and the environment has "
                                     f"{actions}: give the environment of its training, with options where it had them")
     return actions
+
+
+def check_same_observations(trained: gymnasium.Space, evaluated: gymnasium.Space) -> None:
+    """Check that observations of the evaluation environment have the form of those in training; bounds may differ.
+
+    Raises:
+        UnsupportedSpaceError: they have not.
+    """
+    if describe_form(trained) != describe_form(evaluated):
+        raise UnsupportedSpaceError(
+            f"`eval_env` has observations {show_form(evaluated)}, but the agent is trained on observations "
+            f"{show_form(trained)}. Make both with the same `observation=`; `gymnasium.make` and `make_vec` both use "
+            "`state` by default")
+
+
+def describe_form(space: gymnasium.Space) -> Any:
+    """Kind, shape and kind of numbers of a space, and of all its parts, as a value to compare."""
+    if isinstance(space, gymnasium.spaces.Dict):
+        return {name: describe_form(part) for name, part in space.spaces.items()}
+    if isinstance(space, gymnasium.spaces.Tuple):
+        return tuple(describe_form(part) for part in space.spaces)
+    if isinstance(space, gymnasium.spaces.Discrete):
+        return "Discrete", int(space.n), int(space.start)
+    if isinstance(space, gymnasium.spaces.Box):
+        return "Box", space.shape, np.dtype(space.dtype).kind
+    return repr(space)
+
+
+def show_form(space: gymnasium.Space) -> str:
+    """A space in words: its shape if it is a Box, else its text."""
+    return f"of shape {space.shape}, {space.dtype}," if isinstance(space, gymnasium.spaces.Box) else f"in {space}"
 
 
 def count_steps(transition: SMDPTransition, settings: LearningSettings) -> int:

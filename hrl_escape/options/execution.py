@@ -172,19 +172,24 @@ class RunningDecision:
         """Step the wrapped environment once; returns the rewards of the primitives that ran."""
         before = self.state
         self.observation, reward, self.terminated, self.truncated, self.info = self._env.step(action)
-        rewards = _read_rewards(reward, self.info)
+        rewards = _read_rewards(reward, self.info, self._env)
         self.rewards.extend(rewards)
         self.state = self._domain.get_state(self.observation)
         self.steps.append(DomainStep(action, before, self.state, self.observation, rewards, self.info))
         return rewards
 
 
-def _read_rewards(reward: Any, info: Mapping[str, Any]) -> tuple[float, ...]:
-    """Rewards of a step of the environment below, one a primitive. Raises `StepContractError` where it gives none."""
+def _read_rewards(reward: Any, info: Mapping[str, Any], env: gymnasium.Env) -> tuple[float, ...]:
+    """Rewards of a step of the environment below, one a primitive. Raises `StepContractError` where it gives none.
+
+    They are in `info["rewards"]`, else in the attribute `last_rewards` of the environment or a wrapper around it.
+    """
     duration = info.get("duration", 1)
     if duration == 1:
         return (float(reward),)
-    rewards = info.get("rewards", ())
+    rewards = info.get("rewards")
+    if rewards is None:
+        rewards = env.get_wrapper_attr("last_rewards") if env.has_wrapper_attr("last_rewards") else ()
     if len(rewards) != duration:
         raise StepContractError(f"a step of the environment below OptionsEnv ran {duration} primitives and "
                                 f"info['rewards'] has {len(rewards)} entries; it must have one a primitive")

@@ -165,8 +165,8 @@ MUTATIONS = [
     Mutation(
         "the cache's hit rate is that of the last decision",
         "options/options_env.py",
-        "self._hits += decision.report.cache_hits",
-        "self._hits = decision.report.cache_hits",
+        "self.planning_total += self.planning_report",
+        "self.planning_total = self.planning_report",
         "options/test_options_env.py::test_the_caches_hit_rate_is_over_all_calls_of_the_environment",
     ),
     Mutation(

@@ -55,7 +55,7 @@ MUTATIONS = [
     Mutation(
         "6 planner calls not counted",
         "agents/training/run.py",
-        'self.planner_calls += option.get("planner_calls", 0)',
+        "self.planner_calls += calls_now - calls",
         "self.planner_calls += 0",
         "agents/training/test_train.py::test_trap_6_planner_calls_are_counted",
     ),

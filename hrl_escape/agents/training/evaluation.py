@@ -70,6 +70,32 @@ def compute_episode_seed(seed: int, purpose: str, episode: int) -> int:
     return int(np.random.SeedSequence([seed, *purpose.encode(), episode]).generate_state(1)[0])
 
 
+def list_layers(env: gymnasium.Env) -> Iterator[Any]:
+    """Yield an environment and everything that it wraps, outermost first; of a `SequenceEnv`, every floor."""
+    while isinstance(env, gymnasium.Wrapper):
+        yield env
+        for floor in getattr(env, "floors", (env.env,))[1:]:
+            yield from list_layers(floor)
+        env = env.env
+    yield env
+
+
+def set_discount(env: gymnasium.Env, gamma: float) -> None:
+    """Let every environment of options in `env` discount by an agent's gamma, by its method `set_discount`."""
+    for layer in list_layers(env):
+        if hasattr(layer, "set_discount"):
+            layer.set_discount(gamma)
+
+
+def count_planning(env: gymnasium.Env) -> tuple[int, float]:
+    """Planner calls, and seconds in planners, of all environments of options in `env` since they were made.
+
+    They are in the attribute `planning_total` of an `OptionsEnv`.
+    """
+    totals = [layer.planning_total for layer in list_layers(env) if hasattr(layer, "planning_total")]
+    return sum(total.planner_calls for total in totals), sum(total.planner_seconds for total in totals)
+
+
 def play_episode(agent: Agent, env: gymnasium.Env, seed: int, max_primitives: int = LONGEST_EPISODE
                  ) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Play one greedy episode from `reset(seed=seed)`, yielding each transition with its `info`.
@@ -94,8 +120,10 @@ def walk_episode(env: gymnasium.Env, seed: int, actions: int, gamma: float,
                  choose: Callable[[Any, NDArray[np.bool_]], int]) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Step through one episode from `reset(seed=seed)`, yielding each transition at this gamma with its `info`.
 
-    `choose` is asked for each action, (observation, action mask) -> action, once the decision before it was dealt with.
+    Every `OptionsEnv` in `env` gets this gamma. `choose` is asked for each action, (observation, action mask) ->
+    action, once the decision before it was dealt with.
     """
+    set_discount(env, gamma)
     observation, info = env.reset(seed=seed)
     check_observation(observation, "at the episode's start")
     mask = read_action_mask(info, actions)
