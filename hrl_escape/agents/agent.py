@@ -472,6 +472,19 @@ def _compute_rewards(reward: float, duration: int, info: Mapping[str, Any], gamm
     return float(info["discounted_reward"]), float(info.get("summed_reward", reward))
 
 
+def set_option_discount(env: Any, gamma: float) -> None:
+    """Set the discount of every `OptionsEnv` in an environment, so that its `discounted_reward` is at this gamma.
+
+    Environments without options stay as they are. `train` and `evaluate` call it with the agent's gamma.
+
+    Args:
+        env: an environment.
+        gamma: discount per primitive, in [0, 1].
+    """
+    if env.has_wrapper_attr("set_option_discount"):
+        env.get_wrapper_attr("set_option_discount")(gamma)
+
+
 def compute_backup(transition: SMDPTransition, settings: LearningSettings) -> tuple[float, float]:
     """R and b of the backup R + b V(s'), which hold all that a learner needs to know of durations and ends.
 

@@ -22,7 +22,7 @@ from torch import Tensor
 from typing_extensions import Unpack
 
 from hrl_escape.env.batched.cameras import BatchedCamera, Pictures
-from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_seed, make_keys
+from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_seed, make_room_keys
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import INSTEAD
@@ -101,7 +101,7 @@ class BatchVectorEnv(VectorEnv):
         if len(seeds) != self.num_envs:
             raise ConfigError("seed", seed, f"a whole number of at least 0, or {self.num_envs} of them")
         self._is_seeded = True
-        return make_keys(seeds, self.device)
+        return make_room_keys(seeds, self.device)
 
     def _limit(self, env: gymnasium.Env) -> gymnasium.Env:
         """Give one of the rooms the same limit of steps."""

@@ -172,18 +172,21 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             self.observation_space = self._extend_space(env.observation_space)
 
     @staticmethod
-    def _check_discount(discount: float) -> None:
+    def _check(discount: float, max_duration: int | None, observation: str) -> None:
         if isinstance(discount, bool) or not isinstance(discount, numbers.Real) or not 0.0 <= discount <= 1.0:
             raise ConfigError("OptionsEnv.discount", discount, "a number from 0 to 1")
-
-    @classmethod
-    def _check(cls, discount: float, max_duration: int | None, observation: str) -> None:
-        cls._check_discount(discount)
         is_whole = isinstance(max_duration, numbers.Integral) and not isinstance(max_duration, bool)
         if max_duration is not None and not (is_whole and max_duration >= 1):
             raise ConfigError("OptionsEnv.max_duration", max_duration, "at least 1, or None for no limit")
         if observation not in ("pass", "options"):
             raise ConfigError("OptionsEnv.observation", observation, "'pass' or 'options'")
+
+    def set_option_discount(self, gamma: float) -> None:
+        """Set the discount per primitive, in [0, 1], here and at all levels below."""
+        self._check(gamma, None, "pass")
+        self.gamma = float(gamma)
+        if self.env.has_wrapper_attr("set_option_discount"):
+            self.env.get_wrapper_attr("set_option_discount")(gamma)
 
     def _extend_space(self, inner: spaces.Space) -> spaces.Box:
         if not isinstance(inner, spaces.Box) or len(inner.shape) != 1:
@@ -361,18 +364,6 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     def last_rewards(self) -> tuple[float, ...]:
         """Rewards of the primitives of the latest decision, in order."""
         return tuple(reward for step in self.last_steps for reward in step.rewards)
-
-    def set_discount(self, gamma: float) -> None:
-        """Change the discount per primitive, from the next decision on. `train` sets its agent's.
-
-        Args:
-            gamma: from 0 to 1.
-
-        Raises:
-            ConfigError: it is not.
-        """
-        self._check_discount(gamma)
-        self.gamma = float(gamma)
 
     # --- legal actions and observations ---------------------------------------------------
 

@@ -34,7 +34,7 @@ def test_a_seed_of_any_size_begins_the_same_episode_alone_and_in_a_batch(name, s
 def test_large_seeds_differ_and_small_ones_are_their_own_keys():
     env = gymnasium.make("hrl_escape/EscapeRoom-v1", **STARTS)
     keys = []
-    for seed in (*LARGE, 5):
+    for seed in (*LARGE, 0, 1, 5):
         env.reset(seed=seed)
         keys.append(env.unwrapped.get_state().noise_key)
     assert len(set(keys)) == len(keys)

@@ -181,8 +181,8 @@ MUTATIONS = [
     Mutation(
         "2 the wrapper's discount is that of one primitive",
         "options/options_env.py",
-        '"discount": self.gamma ** len(decision.rewards)',
-        '"discount": self.gamma',
+        '"discount": np.float64(self.gamma ** len(decision.rewards))',
+        '"discount": np.float64(self.gamma)',
         "options/test_options_env.py::test_trap_2_cutting_an_option_into_halves_does_not_change_the_value",
     ),
     Mutation(

@@ -24,6 +24,7 @@ from hrl_escape.agents.agent import (
     make_transition,
     read_action_mask,
     read_success,
+    set_option_discount,
 )
 
 LONGEST_EPISODE = 100_000
@@ -80,13 +81,6 @@ def list_layers(env: gymnasium.Env) -> Iterator[Any]:
     yield env
 
 
-def set_discount(env: gymnasium.Env, gamma: float) -> None:
-    """Let every environment of options in `env` discount by an agent's gamma, by its method `set_discount`."""
-    for layer in list_layers(env):
-        if hasattr(layer, "set_discount"):
-            layer.set_discount(gamma)
-
-
 def count_planning(env: gymnasium.Env) -> tuple[int, float]:
     """Planner calls, and seconds in planners, of all environments of options in `env` since they were made.
 
@@ -120,10 +114,9 @@ def walk_episode(env: gymnasium.Env, seed: int, actions: int, gamma: float,
                  choose: Callable[[Any, NDArray[np.bool_]], int]) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Step through one episode from `reset(seed=seed)`, yielding each transition at this gamma with its `info`.
 
-    Every `OptionsEnv` in `env` gets this gamma. `choose` is asked for each action, (observation, action mask) ->
-    action, once the decision before it was dealt with.
+    `choose` is asked for each action, (observation, action mask) -> action, once the decision before it was dealt with.
     """
-    set_discount(env, gamma)
+    set_option_discount(env, gamma)
     observation, info = env.reset(seed=seed)
     check_observation(observation, "at the episode's start")
     mask = read_action_mask(info, actions)

@@ -368,7 +368,7 @@ def draw_seed() -> int:
     return secrets.randbits(62)
 
 
-def make_keys(seeds: Sequence[int], device: torch.device) -> Tensor:
+def make_room_keys(seeds: Sequence[int], device: torch.device) -> Tensor:
     """Keys of rooms' random numbers, int64 (rooms,), of their seeds, which may be of any size; see `fold_seed`."""
     return torch.from_numpy(np.array([fold_seed(seed) for seed in seeds], dtype=np.uint64).view(np.int64)).to(device)
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from typing_extensions import Unpack
 
 from hrl_escape.env.batched.compilation import CompiledStep, check_compiler
-from hrl_escape.env.batched.engine import TensorRoom, list_shapes, make_keys
+from hrl_escape.env.batched.engine import TensorRoom, list_shapes, make_room_keys
 from hrl_escape.env.batched.observations import load_observation
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
@@ -347,7 +347,7 @@ class BatchedOptionsEnv:
             BatchError: another shape, dtype or device.
         """
         if isinstance(seeds, int):
-            seeds = make_keys(range(check_seed(seeds), seeds + self.count), self.device)
+            seeds = make_room_keys(range(check_seed(seeds), seeds + self.count), self.device)
         self.room.reset(seeds, where)
         with torch.no_grad():
             self._view = make_view(self.room.layout, self.room.tables, self._fields.aims, self.room.state,
