@@ -202,7 +202,7 @@ def test_every_floor_counts_as_an_episode_and_one_not_come_to_as_a_failure():
     env = make_tower(*FLOORS)
     env.reset(seed=compute_episode_seed(0, "evaluation", 0))
     durations = [env.step(action)[4]["duration"] for action in Script(env, WAY)._actions]
-    below, above = sum(durations[:3]), sum(durations[3:])
+    below, above = int(sum(durations[:3])), int(sum(durations[3:]))
     found = evaluate(Script(env, WAY), env, 1, trials=2)
     assert found.lengths == (below, above) and found.successes == (True, True) and found.decision_counts == (3, 2)
     assert found.returns == (100.0 - below, 100.0 - above)
