@@ -19,7 +19,7 @@ from hrl_escape.options import OptionsTorchRLEnv, SMDPTransform
 logging.getLogger("torchrl").setLevel(logging.WARNING)
 torch.manual_seed(0)
 GAMMA, ROOMS = 0.99, 16
-env = OptionsTorchRLEnv(ROOMS, "paper-two-button", discount=GAMMA, include_primitives=False)
+env = OptionsTorchRLEnv(ROOMS, "paper-two-button", observation="features", discount=GAMMA, include_primitives=False)
 env.set_seed(0)
 env.rooms.get_streams().rooms.instances[0]
 
