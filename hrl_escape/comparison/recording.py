@@ -17,6 +17,7 @@ from hrl_escape.env.drawing.moving_map import embed_moving_map, make_frames, mak
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import UnknownNameError, UnsupportedError
+from hrl_escape.step_info import read_option
 
 
 @dataclass(frozen=True, repr=False)
@@ -98,7 +99,7 @@ def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> Rec
         player = make_reference(agent, recorded, recorder) if isinstance(agent, str) else agent
         for transition, info in play_episode(player, recorded, seed):
             total += transition.summed_reward
-            option = info.get("option") or {"name": room.instance.robot.actions.names[transition.action],
+            option = read_option(info) or {"name": room.instance.robot.actions.names[transition.action],
                                             "ended": "reached"}
             decisions.append((option["name"], transition.duration, option["ended"]))
             success = read_success(info, transition.terminated)

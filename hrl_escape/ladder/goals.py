@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.step_info import is_decision
 
 _TRIES = 100
 
@@ -97,9 +98,11 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         earned = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info))
         is_success = bool(self.compute_terminated(seen["achieved_goal"], seen["desired_goal"], info))
         info = {**info, "room_reward": reward, "is_success": is_success}
-        if (duration := info.get("duration", 1)) > 1:
+        if is_decision(info):
+            duration = info["duration"]
             discounted = self.env.get_wrapper_attr("gamma") ** (duration - 1) * earned
-            info |= {"rewards": (*(0.0,) * (duration - 1), earned), "discounted_reward": discounted}
+            info |= {"rewards": (*(0.0,) * (duration - 1), earned), "discounted_reward": discounted,
+                     "summed_reward": earned}
         return seen, earned, terminated or is_success, truncated and not is_success, info
 
     def compute_reward(self, achieved_goal: NDArray[np.float32], desired_goal: NDArray[np.float32], info: Any

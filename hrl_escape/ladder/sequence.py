@@ -14,6 +14,7 @@ import gymnasium
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
+from hrl_escape.agents.agent import read_success, set_option_discount
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.errors import ConfigError, UnsupportedError
 
@@ -82,7 +83,7 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
         observation, reward, terminated, truncated, info = self._present.step(action)
         info = {**info, "trial": self._trial, "trial_ended": terminated or truncated}
         if terminated or truncated:
-            escaped = bool(info.get("is_success", info.get("success", terminated)))
+            escaped = read_success(info, terminated)
             info["is_success"] = escaped
             if self._trial + 1 < self._count and (escaped or len(self.floors) == 1):
                 self._trial += 1
@@ -90,6 +91,11 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
                 info |= {name: begun[name] for name in ("action_mask",) if name in begun}
                 terminated = truncated = False
         return observation, reward, terminated, truncated, info
+
+    def set_option_discount(self, gamma: float) -> None:
+        """Set the discount of the options on all floors; see `OptionsEnv`."""
+        for floor in self.floors:
+            set_option_discount(floor, gamma)
 
     def close(self) -> None:
         """Close the environments of all floors that were built."""

@@ -24,7 +24,7 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import ActionError, ConfigError, OptionError, PlanningFailed, ResetNeededError, UnsupportedError
 from hrl_escape.options.domain import DomainStep, OptionDomain, OptionsSource, make_option_domain, make_options
-from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice
+from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice, read_termination
 from hrl_escape.options.option import Option
 from hrl_escape.spaces import PointingDiscrete
 
@@ -50,12 +50,21 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     | `discount` | gamma^k |
     | `rewards` | the k primitive rewards, in order |
     | `discounted_reward` | sum over i < k of gamma^i r_i, whatever `reward` is |
+    | `summed_reward` | sum over i < k of r_i, whatever `reward` is |
     | `pressed` | in a room: 1 for each target pressed by any of the k primitives, int8 (targets,) |
     | `action_mask` | int8 (n,), the legal actions at the state reached; for `action_space.sample(mask)` |
     | `option` | the option that ran and how it ended, see below |
     | `instance` | in a room: its number among those seen here, from 0, in place of its content hash |
     | `trace` | tuple of `TraceStep`, one a step of the wrapped environment, with `trace=True` |
     | `calls` | tuple of `OptionCall`, the runs of options that ended, nested ones first, with `trace=True` |
+
+    These keys replace keys of the same names that the environment below gives. `trace` and `calls` of a level below are
+    left out.
+
+    Put reward wrappers below: `OptionsEnv(ClipReward(env))`, also in each copy of a vector environment. There they act
+    on every primitive. Above, or between two levels, they reach `reward` alone and not the rewards that agents learn
+    from. `train`, `evaluate` and a level above compare `reward` with `summed_reward` and `discounted_reward`, and raise
+    `StepContractError` at the first decision where it is neither. `train` and `evaluate` set `gamma` to the agent's.
 
     `reset` gives the same keys, of a decision in which nothing ran: duration 0, discount 1, an option without a name
     and with the index -1. The backup is `discounted_reward` + `discount` (1 - terminated) max over legal o' of
@@ -93,7 +102,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             environment by its observation.
 
     Attributes:
-        gamma: discount per primitive.
+        gamma: discount per primitive; see `set_option_discount`.
         options: the options, in the order of their actions.
         action_names: names of all actions.
         primitive_count: actions that are primitives; they come first.
@@ -163,6 +172,13 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             raise ConfigError("OptionsEnv.max_duration", max_duration, "at least 1, or None for no limit")
         if observation not in ("pass", "options"):
             raise ConfigError("OptionsEnv.observation", observation, "'pass' or 'options'")
+
+    def set_option_discount(self, gamma: float) -> None:
+        """Set the discount per primitive, in [0, 1], here and at all levels below."""
+        self._check(gamma, None, "pass")
+        self.gamma = float(gamma)
+        if self.env.has_wrapper_attr("set_option_discount"):
+            self.env.get_wrapper_attr("set_option_discount")(gamma)
 
     def _extend_space(self, inner: spaces.Space) -> spaces.Box:
         if not isinstance(inner, spaces.Box) or len(inner.shape) != 1:
@@ -257,7 +273,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._lower_mask = self._domain.get_mask(decision.info)
         mask = self._compute_mask(decision.state, self._lower_mask)
         info = self._inform(index, decision, mask)
-        reward = info["discounted_reward"] if self._discounted else float(sum(decision.rewards))
+        reward = info["discounted_reward" if self._discounted else "summed_reward"]
         return self._show(decision.observation, mask), reward, decision.terminated, decision.truncated, info
 
     def _run_option(self, index: int, decision: RunningDecision) -> None:
@@ -265,13 +281,15 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         option = self.options[index - self.primitive_count]
         run = self._run if self._run is not None and self._run.index == index else None
         self._run = None
-        if run is None and not option.initiation(decision.state):
-            self._stand(decision, "the option was masked: it cannot start here")
-            return
-        ended = ""
         assert self._rng is not None
+        if run is None:
+            if not option.initiation(decision.state):
+                self._stand(decision, "the option was masked: it cannot start here")
+                return
+            run = OptionExecution(index, option, self._rng)
+        ended = ""
         try:
-            run = run or OptionExecution(index, option, decision.state, self._rng)
+            run.start(decision.state)
             while not ended:
                 run.rewards += decision.do(run.choose(decision.state, self._domain))
                 if run.ends_at(decision.state):
@@ -285,13 +303,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         except PlanningFailed as failure:
             ended, decision.reason = "planning-failed", str(failure)
             if not decision.rewards:
-                rewards = decision.do(self._domain.get_idle_action(self._lower_mask))
-                if run is not None:
-                    run.rewards += rewards
+                run.rewards += decision.do(self._domain.get_idle_action(self._lower_mask))
         decision.ended = ended
-        if run is None:
-            decision.report = option.report
-            return
         if self._run is None:
             run.stop(decision.state, ended)
         decision.report, decision.calls = run.take_report(), run.collect()
@@ -303,11 +316,12 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._calls += decision.report.planner_calls
         self._hits += decision.report.cache_hits
         info = {
-            **decision.info,
+            **{name: value for name, value in decision.info.items() if name not in ("trace", "calls")},
             "duration": len(decision.rewards),
             "discount": self.gamma ** len(decision.rewards),
             "rewards": tuple(decision.rewards),
             "discounted_reward": discounted,
+            "summed_reward": float(sum(decision.rewards)),
             "action_mask": mask,
             "option": {"name": self.action_names[index] if index >= 0 else "", "index": index, "ended": decision.ended,
                        **vars(decision.report), "cache_hit_rate": self._hits / max(self._calls, 1),
@@ -367,7 +381,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         found = [(choice, 1.0)] if choice is not None and self.primitive_count else []
         for index, option in enumerate(self.options, self.primitive_count):
             if option.is_markov and option.initiation(step.state) and self._agrees(option, step):
-                found.append((index, option.termination(step.next_state)))
+                found.append((index, read_termination(option, step.next_state)))
         return tuple(found)
 
     def _agrees(self, option: Option, step: DomainStep) -> bool:

@@ -24,6 +24,7 @@ from hrl_escape.agents.agent import (
     make_transition,
     read_action_mask,
     read_success,
+    set_option_discount,
 )
 
 LONGEST_EPISODE = 100_000
@@ -96,6 +97,7 @@ def walk_episode(env: gymnasium.Env, seed: int, actions: int, gamma: float,
 
     `choose` is asked for each action, (observation, action mask) -> action, once the decision before it was dealt with.
     """
+    set_option_discount(env, gamma)
     observation, info = env.reset(seed=seed)
     check_observation(observation, "at the episode's start")
     mask = read_action_mask(info, actions)

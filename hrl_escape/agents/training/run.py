@@ -31,6 +31,7 @@ from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_se
 from hrl_escape.agents.training.results import EpisodeRecord, SegmentRecord, TrainResult, make_evaluation_row, read_row
 from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
+from hrl_escape.step_info import is_decision, read_option
 from hrl_escape.version import __version__, find_versions
 
 NOTICE = b"\ninterrupted: the run is saved once this episode ends; Ctrl-C again stops it at once\n"
@@ -261,7 +262,7 @@ class Run(Stateful):
         agent, words, end = self.agent, self.describe_returns(), "budget"
         seed = compute_episode_seed(self.arguments.seed, "training", len(self.episodes))
         for transition, info in walk_episode(self.env, seed, self.actions, agent.gamma, agent.act):
-            if self.decisions == 0 and "duration" not in info and self.arguments.name.startswith(SMDP_PREFIX):
+            if self.decisions == 0 and not is_decision(info) and self.arguments.name.startswith(SMDP_PREFIX):
                 warnings.warn(NO_OPTIONS.format(name=self.arguments.name), stacklevel=2)
             metrics = agent.observe(transition)
             self.primitives += transition.duration
@@ -440,8 +441,8 @@ class _Tally(Means):
         self._longest_repeat = max(self._longest_repeat, self._repeat)
         if transition.terminated or transition.truncated:
             self.success = read_success(info, transition.terminated)
-        if (option := info.get("option")) is not None:
-            name = option["name"]
+        if (option := read_option(info)) is not None:
+            name = option.get("name", "")
             self._choices[name] = self._choices.get(name, 0) + 1
             self._choice_primitives[name] = self._choice_primitives.get(name, 0) + transition.duration
             self._failures += option.get("ended") == "planning-failed"

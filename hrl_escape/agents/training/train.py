@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import VectorEnv, VectorRewardWrapper, VectorWrapper
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.registry import get_agent_class, list_stream_agents, make_agent, read_structure
@@ -214,17 +214,28 @@ def _using_threads(threads: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+_SAME_TASK = ("NormalizeReward", "RecordEpisodeStatistics", "RecordVideo", "HumanRendering", "ArrayConversion",
+              "JaxToNumpy", "JaxToTorch", "NumpyToTorch")
+"""Wrappers of Gymnasium, besides those of rewards, under which an agent sees and does the same as without them."""
+
+
 def make_single_env(env: VectorEnv | Streams) -> gymnasium.Env:
     """An ordinary environment of the same task as many at once, by which they are evaluated.
 
     Raises:
         AgentSettingsError: it cannot be made; give one.
     """
-    source: Any = env
-    inner: Any = env.unwrapped if isinstance(env, VectorEnv) else env
-    for each in (source, inner):
-        if hasattr(each, "make_single_env"):
-            return each.make_single_env()
+    inner: Any = env
+    while isinstance(inner, VectorWrapper) and not hasattr(inner, "make_single_env"):
+        kind = type(inner)
+        is_harmless = kind.__module__.startswith("gymnasium.") and kind.__name__ in _SAME_TASK
+        if not is_harmless and not isinstance(inner, VectorRewardWrapper):
+            raise AgentSettingsError("eval_env", None, f"an ordinary environment that does what {kind.__name__} "
+                                     "does: the vector environment has this wrapper, and the environment made for "
+                                     "evaluation would lack it")
+        inner = inner.env
+    if hasattr(inner, "make_single_env"):
+        return inner.make_single_env()
     spec = getattr(inner, "spec", None)
     if spec is None:
         raise AgentSettingsError("eval_env", None, "an ordinary environment of the same task: this vector environment "

@@ -35,10 +35,10 @@ _TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives", "su
 class OptionsVectorEnv(BatchVectorEnv):
     """Many rooms in which every step takes one decision of each; see `OptionsEnv` for the task and the actions.
 
-    `infos` holds arrays over rooms: `action_mask` (bool), `duration`, `discount` and `discounted_reward` as
-    `OptionsEnv` gives them, as `pressed`, `ended` (an index into `ENDINGS`), `primitives` (of the episode so far) and
-    `success`; at a reset those of a decision in which nothing ran. The three kinds of automatic reset are those of
-    `EscapeRoomVectorEnv`.
+    `infos` holds arrays over rooms: `action_mask` (bool), `duration`, `discount`, `discounted_reward` and
+    `summed_reward` as `OptionsEnv` gives them, as `pressed`, `ended` (an index into `ENDINGS`), `primitives` (of the
+    episode so far) and `success`; at a reset those of a decision in which nothing ran. The three kinds of automatic
+    reset are those of `EscapeRoomVectorEnv`.
 
     Args:
         num_envs: number of rooms.
@@ -80,7 +80,13 @@ class OptionsVectorEnv(BatchVectorEnv):
     def get_streams(self) -> BatchedOptionsEnv:
         """Make the same rooms, each deciding at its own pace, with automatic reset."""
         arguments: dict[str, Any] = {**self._arguments, "instance": self._batch.rooms.instances}
-        return BatchedOptionsEnv(**arguments)
+        streams = BatchedOptionsEnv(**arguments)
+        streams.set_option_discount(self._batch.gamma)
+        return streams
+
+    def set_option_discount(self, gamma: float) -> None:
+        """Set the discount per primitive, in [0, 1]."""
+        self._batch.set_option_discount(gamma)
 
     def make_single_env(self) -> gymnasium.Env:
         """Make an `OptionsEnv` of the same rooms and options."""
@@ -149,11 +155,11 @@ class OptionsVectorEnv(BatchVectorEnv):
         if done is None:
             none = torch.zeros(self.num_envs, dtype=torch.int32, device=self.device)
             told = {"duration": none, "discount": none.float() + 1, "discounted_reward": none.float(),
-                    "ended": none.to(torch.int8) - 1, "primitives": self._batch.room.state.primitives,
-                    "success": none.bool()}
+                    "summed_reward": none.float(), "ended": none.to(torch.int8) - 1,
+                    "primitives": self._batch.room.state.primitives, "success": none.bool()}
             pressed = none.long()
         else:
-            told, pressed = {name: getattr(done, name) for name in _TOLD}, done.pressed
+            told, pressed = {name: getattr(done, name) for name in _TOLD} | {"summed_reward": done.reward}, done.pressed
         told["pressed"] = unpack_bits(pressed, self._batch.room.layout.targets, torch.int8).T
         infos = {name: self._give(field) for name, field in ({"action_mask": mask} | told).items()}
         every = self._give(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))

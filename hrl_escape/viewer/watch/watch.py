@@ -61,7 +61,8 @@ class Previewer:
             return Preview(name, (state,), problem="it cannot start here")
         states, pressed, rng = [state], [], np.random.default_rng(0)
         try:
-            run = OptionExecution(0, option, state, rng)
+            run = OptionExecution(0, option, rng)
+            run.start(state)
             while len(states) <= MOST:
                 step = rules.step(states[-1], run.choose(states[-1]))
                 states.append(step.state)
