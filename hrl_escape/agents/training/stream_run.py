@@ -172,8 +172,9 @@ class VectorStreams:
         """
         found = self._read(infos, "action_mask")
         if found is None:
-            if infos.get("action_mask") is not None:
-                raise StepContractError(f"infos['action_mask'] is {show_value(infos['action_mask'])}; it must have a "
+            told = infos.get("action_mask")
+            if told is not None and not all(row is None for row in told):
+                raise StepContractError(f"infos['action_mask'] is {show_value(told)}; it must have a "
                                         "number for each action of each environment")
             return torch.ones((self.count, self._actions), dtype=torch.bool, device=self.device)
         given, gives = found
