@@ -77,7 +77,7 @@ def read_duration(info: Mapping[str, Any], where: str = "of a step") -> int:
     Raises:
         StepContractError: it is no whole number of at least 1, or stands alone and is not 1.
     """
-    duration = info.get("duration")
+    duration: Any = info.get("duration")
     is_whole = isinstance(duration, numbers.Integral) and not isinstance(duration, bool)
     if isinstance(duration, np.ndarray) and duration.ndim == 0 and duration.dtype.kind in "iu":
         duration, is_whole = int(duration), True
@@ -185,6 +185,22 @@ def read_trace(info: Mapping[str, Any], duration: int) -> Sequence[Any]:
         return ()
     primitives = sum(len(getattr(step, "rewards", ())) or 1 for step in trace)
     return trace if primitives == duration else ()
+
+
+def read_share(info: Mapping[str, Any], name: str) -> float | None:
+    """Read a number from 0 to 1 of `info`; None where it has none, or something else of this name.
+
+    Raises:
+        StepContractError: it is another number.
+    """
+    value = info.get(name)
+    if not isinstance(value, numbers.Real):
+        return None
+    share = float(value)
+    if not 0.0 <= share <= 1.0:
+        raise StepContractError(f"info[{name!r}] is {value}; it must be a number from 0 to 1. If the environment means "
+                                "something else by the key, rename it in a wrapper")
+    return share
 
 
 def read_flag(info: Mapping[str, Any], name: str) -> bool | None:

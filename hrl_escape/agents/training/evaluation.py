@@ -26,6 +26,7 @@ from hrl_escape.agents.agent import (
     read_success,
     set_option_discount,
 )
+from hrl_escape.step_info import read_share
 
 LONGEST_EPISODE = 100_000
 """Primitives after which an episode ends that has no time limit."""
@@ -154,7 +155,8 @@ class _Sums:
         self.length += transition.duration
         self.count += 1
         self.success = read_success(info, transition.terminated)
-        self.progress = max(self.progress, float(info.get("progress", self.success)))
+        progress = read_share(info, "progress")
+        self.progress = max(self.progress, float(self.success) if progress is None else progress)
 
 
 def _sum_trials(agent: Agent, env: gymnasium.Env, seed: int, episode: int, trials: int,

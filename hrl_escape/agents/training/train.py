@@ -235,7 +235,8 @@ def make_single_env(env: VectorEnv | Streams) -> gymnasium.Env:
                                      "evaluation would lack it")
         inner = inner.env
     if hasattr(inner, "make_single_env"):
-        return inner.make_single_env()
+        maker: Any = inner
+        return maker.make_single_env()
     spec = getattr(inner, "spec", None)
     if spec is None:
         raise AgentSettingsError("eval_env", None, "an ordinary environment of the same task: this vector environment "
