@@ -44,8 +44,8 @@ def measure(name: str, dynamics: dict, runs: int, first: int) -> dict[str, float
             _, _, terminated, truncated, info = env.step(int(rng.choice(legal)))
             option = info["option"]
             ends["reached" if option["ended"] == "reached" or terminated else option["ended"]] += 1
-            primitives, replans = primitives + info["duration"], replans + option["replans"]
-            planning += option["planner_seconds"]
+            primitives, replans = primitives + info["duration"], replans + env.planning_report.replans
+            planning += env.planning_report.planner_seconds
             if option["reason"]:
                 print(f"\n{name}, seed {seed}, {option['name']}: {option['reason']}")
             if terminated or truncated or sum(ends.values()) == runs:

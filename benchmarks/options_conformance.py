@@ -124,7 +124,7 @@ def compare_options(instances: Sequence[RoomInstance], decisions: int, *, seed: 
             found.planned, found.taken = found.planned + info["duration"], found.taken + duration
             own = getattr(single.options[action], "targets", ())
             others = pressed & ~sum(1 << target for target in own) & (2 ** len(instance.targets) - 1)
-            found.side_presses += bool(others) and not info["option"]["also_pressed"]
+            found.side_presses += bool(others) and not info["also_pressed"].any()
         single.close()
     found.seconds.append(time.process_time() - begun)
     return found

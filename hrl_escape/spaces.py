@@ -6,12 +6,16 @@ treat all objects alike (see `agents/components/networks.py`). To everybody else
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
+
+SpaceT = TypeVar("SpaceT", bound=spaces.Space[Any])
 
 
 class ObjectsBox(spaces.Box):
@@ -45,6 +49,34 @@ class PointingDiscrete(spaces.Discrete):
     def __init__(self, n: int, about: Sequence[str | None]) -> None:
         super().__init__(n)
         self.about = tuple(about)
+
+
+def keep_space(new: SpaceT, old: spaces.Space[Any] | None) -> SpaceT:
+    """Return the space of a new room so that samples go on as seeded: the old space itself, if it is an equal one.
+
+    Args:
+        new: space of the new room.
+        old: space of the room before; None if there was none.
+
+    Returns:
+        The old space where the two are equal, else the new one with the random numbers of the old one.
+    """
+    if old is None:
+        return new
+    marks = ("rows", "words", "about")
+    if type(new) is type(old) and new == old and all(getattr(new, m, ()) == getattr(old, m, ()) for m in marks):
+        return old  # type: ignore[return-value]  # of the same type
+    new._np_random = old._np_random  # pyright: ignore[reportPrivateUsage]  # a space has no setter for it
+    return new
+
+
+def bound_episodes(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
+    """Copy of an environment's specification whose `max_episode_steps` is at most the steps that its episodes have."""
+    if spec is None:
+        return None
+    made, given = copy.copy(spec), spec.max_episode_steps
+    made.max_episode_steps = steps if given is None or given < 1 else min(given, steps)
+    return made
 
 
 def make_vector_space(low: NDArray[Any], high: NDArray[Any], rows: Sequence[str], words: Sequence[str]) -> spaces.Box:

@@ -49,7 +49,7 @@ noisy.reset(seed=0)
 replans = 0
 for name in ("meta-01", "meta-02", "meta-exit"):
     _, _, terminated, _, info = noisy.step(noisy.action_names.index(name))
-    replans += info["option"]["replans"]
+    replans += noisy.planning_report.replans
 print(f"with noise 0.2 and slip 0.1: escaped {terminated}, planned again: {replans > 0}")
 
 # Such an episode, recorded: the reference `smdp-index-order` presses 1, then 2, and leaves.

@@ -520,6 +520,37 @@ def check_actions(agent: Agent, action_space: gymnasium.Space) -> int:
     return actions
 
 
+def check_same_observations(trained: gymnasium.Space, evaluated: gymnasium.Space) -> None:
+    """Check that observations of the evaluation environment have the form of those in training; bounds may differ.
+
+    Raises:
+        UnsupportedSpaceError: they have not.
+    """
+    if describe_form(trained) != describe_form(evaluated):
+        raise UnsupportedSpaceError(
+            f"`eval_env` has observations {show_form(evaluated)}, but the agent is trained on observations "
+            f"{show_form(trained)}. Make both with the same `observation=`; `gymnasium.make` and `make_vec` both use "
+            "`state` by default")
+
+
+def describe_form(space: gymnasium.Space) -> Any:
+    """Kind, shape and kind of numbers of a space, and of all its parts, as a value to compare."""
+    if isinstance(space, gymnasium.spaces.Dict):
+        return {name: describe_form(part) for name, part in space.spaces.items()}
+    if isinstance(space, gymnasium.spaces.Tuple):
+        return tuple(describe_form(part) for part in space.spaces)
+    if isinstance(space, gymnasium.spaces.Discrete):
+        return "Discrete", int(space.n), int(space.start)
+    if isinstance(space, gymnasium.spaces.Box):
+        return "Box", space.shape, np.dtype(space.dtype).kind
+    return repr(space)
+
+
+def show_form(space: gymnasium.Space) -> str:
+    """A space in words: its shape if it is a Box, else its text."""
+    return f"of shape {space.shape}, {space.dtype}," if isinstance(space, gymnasium.spaces.Box) else f"in {space}"
+
+
 def count_steps(transition: SMDPTransition, settings: LearningSettings) -> int:
     """Steps by which a decision advances the agent's clock: k with the clock in primitives, else 1."""
     return transition.duration if settings.clock == "primitive" else 1

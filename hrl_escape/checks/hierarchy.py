@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read_action_mask
+from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read_action_mask, set_option_discount
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackAgent, StackSettings
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.checks.claims import Claims, dump_state
@@ -212,6 +212,7 @@ class _HierarchyCheck(Claims):
 
     def _play(self, reverse: bool = False, chain: bool = False) -> _Played:
         book, env = _Book(), self._env
+        set_option_discount(env, GAMMA)
         agent = self._make(book, reverse, chain)
         lengths, greedy = np.random.default_rng(self._seed), np.random.default_rng(self._seed)
         played = _Played(book, [], [], {})

@@ -11,7 +11,6 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import SchematicForm
 from hrl_escape.env.velocities import Velocities
 from hrl_escape.errors import ConfigError
@@ -71,10 +70,12 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
         super().__init__(config, **settings)
         EzPickle.__init__(self, config, **dataclasses.asdict(self.velocities), **settings)
 
-    def _enter(self, instance: RoomInstance) -> None:
-        super()._enter(instance)
-        self._top = np.array(self.velocities.list_bounds(instance.robot))
-        self.action_space = spaces.Box(-self._top.astype(np.float32), self._top.astype(np.float32))  # type: ignore[assignment]
+    def _make_action_space(self) -> spaces.Space[Any]:
+        self._top = np.array(self.velocities.list_bounds(self.instance.robot))
+        return spaces.Box(-self._top.astype(np.float32), self._top.astype(np.float32))
+
+    def _count_steps(self) -> int:
+        return self.velocities.count_steps(self.instance.horizon)
 
     def describe(self) -> dict[str, Any]:
         """As in `EscapeRoomEnv`, and the numbers of this one."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
@@ -14,9 +15,6 @@ from hrl_escape.env.batched.engine import RoomInfo
 from hrl_escape.env.presets import SchematicForm
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.env.velocities import Velocities
-
-if TYPE_CHECKING:
-    from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 
 
 class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
@@ -52,11 +50,12 @@ class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
         top = np.array(self.velocities.list_bounds(self.room.layout.robot), dtype=np.float32)
         return spaces.Box(-top, top)
 
-    def make_single_env(self) -> EscapeRoomContinuousEnv:
+    def make_single_env(self) -> gymnasium.Env:
         """Make an `EscapeRoomContinuousEnv` with the same rooms, observation and velocities."""
         from hrl_escape.env.continuous import EscapeRoomContinuousEnv  # brings Bullet in
 
-        return EscapeRoomContinuousEnv(**self.rooms.list_single_arguments(), **dataclasses.asdict(self.velocities))
+        return self._limit(
+            EscapeRoomContinuousEnv(**self.rooms.list_single_arguments(), **dataclasses.asdict(self.velocities)))
 
     def describe(self) -> dict[str, Any]:
         """As in `EscapeRoomVectorEnv`, and the numbers of this one."""

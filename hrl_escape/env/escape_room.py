@@ -15,6 +15,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
@@ -22,14 +23,15 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.engine import Engine, Renderer, check_camera, check_picture_size, make_engine, make_renderer
 from hrl_escape.env.instance import InstanceForm, RoomInstance, read_instance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.noise import check_seed, draw_episode
+from hrl_escape.env.noise import check_seed, draw_episode, fold_seed
 from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import SchematicForm, read_schematic
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
-from hrl_escape.spaces import make_vector_space
+from hrl_escape.spaces import bound_episodes, keep_space, make_vector_space
 
-_EPISODE = ("_state", "_ended", "_trail", "_stream", "_episode", "_np_random", "_np_random_seed", "action_space")
+_EPISODE = ("_state", "_ended", "_trail", "_stream", "_episode", "_np_random", "_np_random_seed", "action_space",
+            "observation_space")
 """Attributes that a copy of an environment takes over."""
 
 
@@ -98,6 +100,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
@@ -158,10 +161,14 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self.rules = self.room.rules
         self._observer = make_observer(self._kind, self.rules, self._renderer)
         low, high = self._observer.low, self._observer.high
-        self.observation_space = make_vector_space(low, high, self._observer.rows, self._observer.words)
+        seen = make_vector_space(low, high, self._observer.rows, self._observer.words)
+        self.observation_space = keep_space(seen, getattr(self, "observation_space", None))
         self._count = len(self.rules.actions)
-        self.action_space = spaces.Discrete(self._count)
+        self.action_space = keep_space(self._make_action_space(), getattr(self, "action_space", None))
         self._lit: dict[Any, NDArray[np.int8]] = {}
+
+    def _make_action_space(self) -> spaces.Space[Any]:
+        return spaces.Discrete(self._count)
 
     def _enter_index(self, index: Any) -> None:
         count = 0 if self._instances is None else len(self._instances)
@@ -189,6 +196,19 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         return {"instance": instance, "observation": self._kind, "engine": self._engine}
 
     # --- Gymnasium ---------------------------------------------------------------------
+
+    @property
+    def spec(self) -> EnvSpec | None:  # pyright: ignore[reportIncompatibleVariableOverride]  # an attribute there
+        """Specification by which `gymnasium.make` made it; its `max_episode_steps` is the room's horizon."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = bound_episodes(spec, self._count_steps())
+
+    def _count_steps(self) -> int:
+        """Steps until an episode is truncated."""
+        return self.instance.horizon
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[NDArray[Any], dict[str, Any]]:
@@ -225,7 +245,8 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     def _begin_stream(self, seed: int | None) -> None:
         """Count the episode; a seed begins a new stream of starts and noise, as it does in a batch of rooms."""
         if seed is not None or self._stream < 0:
-            self._stream, self._episode = int(self.np_random.integers(2**63)) if seed is None else seed, 0
+            self._stream = int(self.np_random.integers(2**63)) if seed is None else fold_seed(seed)
+            self._episode = 0
         else:
             self._episode += 1
 

@@ -49,10 +49,22 @@ def scale_word(word: Any, count: Any) -> Any:
 
 
 def check_seed(seed: Any) -> int:
-    """The seed of a room or an episode as an int; `ConfigError` where it is none."""
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**63:
+    """The seed of an episode as an int; `ConfigError` where it is none."""
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise ConfigError("seed", seed, "a whole number of at least 0")
+    return int(seed)
+
+
+def check_instance_seed(seed: Any) -> int:
+    """The seed of a room as an int, which files keep in 63 bits; `ConfigError` where it is none."""
+    if check_seed(seed) >= 2**63:
         raise ConfigError("seed", seed, "a whole number from 0 to 2**63 - 1")
     return int(seed)
+
+
+def fold_seed(seed: int) -> int:
+    """64-bit key of a seed of any size: the seed itself if it is below 2**64, else a hash of it."""
+    return seed if seed < 2**64 else int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0])
 
 
 def draw_episode(seed: int, episode: int, starts: int) -> tuple[int, int]:

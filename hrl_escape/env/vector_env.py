@@ -9,27 +9,27 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
+import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 from typing_extensions import Unpack
 
 from hrl_escape.env.batched.cameras import BatchedCamera, Pictures
-from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_seed
+from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_seed, make_room_keys
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import INSTEAD
+from hrl_escape.env.noise import check_seed
 from hrl_escape.env.presets import SchematicForm
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
-from hrl_escape.spaces import make_vector_space
-
-if TYPE_CHECKING:
-    from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.spaces import bound_episodes, make_vector_space
 
 _AUTORESETS: dict[AutoresetMode, Autoreset] = {
     AutoresetMode.NEXT_STEP: "next-step",
@@ -43,9 +43,15 @@ class BatchVectorEnv(VectorEnv):
 
     metadata: dict[str, Any] = {}
     autoreset_mode: AutoresetMode
+    _spec: EnvSpec | None = None
 
-    def __init__(self, num_envs: int, autoreset_mode: str | AutoresetMode, output: str) -> None:
+    def __init__(self, num_envs: int, autoreset_mode: str | AutoresetMode, output: str,
+                 max_episode_steps: int | None) -> None:
         super().__init__()
+        if isinstance(max_episode_steps, bool) or not isinstance(max_episode_steps, int | np.integer | None) \
+                or (max_episode_steps is not None and max_episode_steps != -1 and max_episode_steps < 1):
+            raise ConfigError("max_episode_steps", max_episode_steps, "at least 1, or None for the room's horizon")
+        self._most_steps = None if max_episode_steps is None or max_episode_steps < 0 else int(max_episode_steps)
         if output not in ("numpy", "torch"):
             raise ConfigError("output", output, "'numpy' or 'torch'")
         try:
@@ -60,6 +66,50 @@ class BatchVectorEnv(VectorEnv):
     @abstractmethod
     def device(self) -> torch.device:
         """Device of the rooms."""
+
+    @abstractmethod
+    def _count_steps(self) -> int:
+        """Steps until an episode is truncated."""
+
+    @property
+    def spec(self) -> EnvSpec | None:  # pyright: ignore[reportIncompatibleVariableOverride]  # an attribute there
+        """Specification by which `gymnasium.make_vec` made it; `max_episode_steps` is where episodes are truncated."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = made = bound_episodes(spec, self._count_steps())
+        if made is not None:  # as `make_vec` writes down a registered limit
+            made.kwargs = {**made.kwargs, "max_episode_steps": made.max_episode_steps}
+
+    def _mark(self, infos: dict[str, Any], which: Tensor | None = None) -> dict[str, Any]:
+        """Add Gymnasium's mask `_key` of each key: the rooms in `which`, bool (num_envs,), or all. Each is its own."""
+        shape = len(infos), self.num_envs
+        rows = torch.ones(shape, dtype=torch.bool, device=self.device) if which is None else which.repeat(shape[0], 1)
+        return infos | {f"_{name}": row for name, row in zip(infos, self._give(rows), strict=True)}
+
+    def _make_seeds(self, seed: int | Sequence[int | None] | None) -> Tensor | None:
+        """Keys of all rooms, int64 (num_envs,), of a seed or one a room; None to continue the present streams."""
+        if seed is None and self._is_seeded:
+            return None
+        if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
+            first = draw_seed() if seed is None else check_seed(seed)
+            super().reset(seed=first)
+            seeds = list(range(first, first + self.num_envs))
+        else:
+            seeds = [draw_seed() if one is None else check_seed(one) for one in seed]
+        if len(seeds) != self.num_envs:
+            raise ConfigError("seed", seed, f"a whole number of at least 0, or {self.num_envs} of them")
+        self._is_seeded = True
+        return make_room_keys(seeds, self.device)
+
+    def _limit(self, env: gymnasium.Env) -> gymnasium.Env:
+        """Give one of the rooms the same limit of steps."""
+        return env if self._most_steps is None else gymnasium.wrappers.TimeLimit(env, self._most_steps)
+
+    def _describe_own(self) -> dict[str, Any]:
+        limit = {} if self._most_steps is None else {"max_episode_steps": self._most_steps}
+        return {"autoreset_mode": self.autoreset_mode.value, **limit}
 
     def _check_open(self) -> None:
         if self.closed:
@@ -125,6 +175,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         render_size: width and height of frames in pixels.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device, which cost no copy.
+        max_episode_steps: steps after which an episode is truncated, if that is before the room's horizon.
         rooms: `instance`, `instance_seed`, `num_instances`, `resample_instance`, `device` and `compile`; see `Rooms`.
 
     ## Version history
@@ -145,15 +196,17 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         render_size: tuple[int, int] = (160, 120),
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         output: Literal["numpy", "torch"] = "numpy",
+        max_episode_steps: int | None = None,
         **rooms: Unpack[RoomArguments],
     ) -> None:
-        super().__init__(num_envs, autoreset_mode, output)
+        super().__init__(num_envs, autoreset_mode, output, max_episode_steps)
         if render_mode not in (None, *type(self).metadata["render_modes"]):
             raise UnsupportedError(f"render_mode = {render_mode!r}: the batched engine opens no window; {INSTEAD}")
         if not isinstance(render_size, (tuple, list)) or len(render_size) != 2:
             raise ConfigError("render_size", render_size, "a pair of width and height")
         self.rooms = Rooms(num_envs, config, observation=observation, **rooms)
-        self.room = TensorRoom(self.rooms, autoreset=_AUTORESETS[self.autoreset_mode], velocities=self.velocities)
+        self.room = TensorRoom(self.rooms, autoreset=_AUTORESETS[self.autoreset_mode], velocities=self.velocities,
+                               most_steps=self._most_steps)
         self.instances = self.room.instances
         self.render_mode = render_mode
         self._cameras: dict[tuple[str, int, int], BatchedCamera] = {}
@@ -166,7 +219,6 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ids = np.array([one.id for one in self.instances], dtype=object)
-        self._every: Any = self._give(torch.ones(num_envs, dtype=torch.bool, device=self.room.device))
 
     def _make_action_space(self) -> spaces.Space:
         return spaces.Discrete(self.room.actions)
@@ -192,11 +244,8 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         seen, reward, terminated, truncated, info, final_seen, final_info = self.room.step(self._take(actions))
         infos = self._make_infos(info)
         if final_info is not None and bool((ended := terminated | truncated).any()):
-            which = self._give(ended)
-            infos |= {
-                "final_obs": self._give(final_seen), "_final_obs": which,
-                "final_info": self._make_infos(final_info, which), "_final_info": which,
-            }
+            final = {"final_obs": self._give(final_seen), "final_info": self._make_infos(final_info, ended)}
+            infos |= self._mark(final, ended)
         return self._give(seen), self._give(reward), self._give(terminated), self._give(truncated), infos
 
     def take_pictures(self, camera: str = "robot", width: int = 84, height: int = 84) -> Pictures:
@@ -238,15 +287,18 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         """Device of the rooms."""
         return self.room.device
 
-    def make_single_env(self) -> EscapeRoomEnv:
+    def _count_steps(self) -> int:
+        return int(self.room.tables.horizons.max())
+
+    def make_single_env(self) -> gymnasium.Env:
         """Make an `EscapeRoomEnv` with the same rooms and observation."""
         from hrl_escape.env.escape_room import EscapeRoomEnv  # brings Bullet in
 
-        return EscapeRoomEnv(**self.rooms.list_single_arguments())
+        return self._limit(EscapeRoomEnv(**self.rooms.list_single_arguments()))
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments that decide the numbers, as JSON values; rooms go by their ids."""
-        return self.rooms.describe() | {"autoreset_mode": self.autoreset_mode.value}
+        return self.rooms.describe() | self._describe_own()
 
     def state_dict(self) -> dict[str, Any]:
         """Return the running episodes of all rooms, as arrays."""
@@ -260,7 +312,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
 
     # --- in and out --------------------------------------------------------------------
 
-    def _make_infos(self, info: RoomInfo, which: Any = None) -> dict[str, Any]:
+    def _make_infos(self, info: RoomInfo, which: Tensor | None = None) -> dict[str, Any]:
         """Information of some rooms (all by default), with Gymnasium's masks."""
         values = {**self._tell_time(info), "success": info.success != 0, "pressed": info.pressed,
                   "buttons_on": info.buttons_on, "instance_index": info.instance}
@@ -270,22 +322,8 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
             infos["instance"] = index if len(self.instances) > 1 else self._ids[index]
             for array in infos.values():
                 array.setflags(write=False)  # it may share memory with the rooms
-        return infos | {f"_{name}": self._every if which is None else which for name in infos}
+        return self._mark(infos, which)
 
     def _tell_time(self, info: RoomInfo) -> dict[str, Tensor]:
         """Time that the episodes have taken so far."""
         return {"primitives": info.primitives}
-
-    def _make_seeds(self, seed: int | Sequence[int | None] | None) -> Tensor | None:
-        if seed is None and self._is_seeded:
-            return None
-        if seed is None or isinstance(seed, (int, np.integer)):
-            first = draw_seed() if seed is None else int(seed)
-            super().reset(seed=first)
-            seeds = [first + i for i in range(self.num_envs)]
-        else:
-            seeds = [draw_seed() if one is None else int(one) for one in seed]
-        if len(seeds) != self.num_envs or not all(0 <= one < 2**63 for one in seeds):
-            raise ConfigError("seed", seed, f"a whole number of at least 0, or {self.num_envs} of them")
-        self._is_seeded = True
-        return torch.tensor(seeds, dtype=torch.int64, device=self.room.device)

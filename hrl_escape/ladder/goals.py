@@ -29,7 +29,7 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     differs from what is lit at the start. The exit is one goal more, whatever is lit there. The episode ends when its
     goal is achieved, as it ends at the horizon and wherever the room ends it. The reward of a step is 0 if the goal is
     achieved after it, else -1; `info["is_success"]` says which, and `info["room_reward"]` keeps the room's own reward.
-    In a decision of several primitives that reward is the last one's, and the others have 0.
+    In a decision of several primitives that reward is the last one's, and the others have 0; see `last_rewards`.
 
     Observations are a Dict of the observation, and of `achieved_goal` and `desired_goal`, float32 (targets + 1,): 1 for
     each target that is lit, or is to be, and 0; or, at the exit, 0 for all targets and 1.
@@ -38,6 +38,9 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         env: a room or a set of rooms, or an `OptionsEnv` over one.
         operators: most operators that a pattern is away from the start.
         escapes: share of the episodes that ask for the exit, from 0 to 1; with 1 the goal is the room's own.
+
+    Attributes:
+        last_rewards: rewards of the primitives of the latest step, in order.
 
     Raises:
         ConfigError: no operators at all, or an impossible share.
@@ -52,6 +55,7 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         super().__init__(env)
         self._operators, self._escapes = operators, escapes
         self._desired = self._make_goal((), False)
+        self.last_rewards: tuple[float, ...] = ()
         goal = spaces.Box(0.0, 1.0, self._desired.shape, np.float32)
         self.observation_space = spaces.Dict(
             {"observation": env.observation_space, "achieved_goal": goal, "desired_goal": goal})
@@ -98,11 +102,13 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         earned = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info))
         is_success = bool(self.compute_terminated(seen["achieved_goal"], seen["desired_goal"], info))
         info = {**info, "room_reward": reward, "is_success": is_success}
+        duration = int(info["duration"]) if is_decision(info) else 1
+        self.last_rewards = (*(0.0,) * (duration - 1), earned)
         if is_decision(info):
-            duration = info["duration"]
             discounted = self.env.get_wrapper_attr("gamma") ** (duration - 1) * earned
-            info |= {"rewards": (*(0.0,) * (duration - 1), earned), "discounted_reward": discounted,
-                     "summed_reward": earned}
+            info |= {"summed_reward": np.float64(earned), "discounted_reward": np.float64(discounted)}
+            if "rewards" in info:
+                info["rewards"] = self.last_rewards
         return seen, earned, terminated or is_success, truncated and not is_success, info
 
     def compute_reward(self, achieved_goal: NDArray[np.float32], desired_goal: NDArray[np.float32], info: Any

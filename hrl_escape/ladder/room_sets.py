@@ -22,6 +22,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import gymnasium
+from gymnasium.vector import VectorEnv
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
@@ -77,9 +78,15 @@ def make_ladder_env(benchmark: str = "ladder-1", rung: str = "pair", set: str = 
 
 
 def make_ladder_vec(num_envs: int = 1, benchmark: str = "ladder-1", rung: str = "pair", set: str = "train",
-                    slice: str = "", **arguments: Any) -> Any:
+                    slice: str = "", options: bool | Mapping[str, Any] = False, **arguments: Any) -> VectorEnv:
     """Make a vector environment over a rung's set; every episode draws a room. See `make_ladder_env`."""
-    return _find_ladder(benchmark, rung, set, slice).make_vec(num_envs, **arguments)
+    rooms = _find_ladder(benchmark, rung, set, slice)
+    if not isinstance(options, Mapping) and not options:
+        return rooms.make_vec(num_envs, **arguments)  # type: ignore[return-value]  # without options it is one
+    from hrl_escape.options.batched.vector_env import OptionsVectorEnv  # loads torch
+
+    chosen = dict(options) if isinstance(options, Mapping) else {}
+    return OptionsVectorEnv(num_envs, **{"instance": list(rooms), "resample_instance": True, **arguments, **chosen})
 
 
 def _find_ladder(benchmark: str, rung: str, role: str, part: str) -> InstanceSet:

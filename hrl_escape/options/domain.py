@@ -193,18 +193,20 @@ class OptionDomain:
         """
         return None if seed is None else [seed, TERMINATIONS, *([self.level] if self.level else [])]
 
-    def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
+    def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None,
+               unavoidable: Sequence[str] = ()) -> None:
         """Add the entries of this kind of environment to a decision's `info`; none here.
 
         Args:
             info: of the decision, changed in place.
             steps: those of the decision; none at a reset.
             option: the option that ran, if any.
+            unavoidable: names of the targets that its plan had to press on the way.
         """
 
 
 class RoomDomain(OptionDomain):
-    """Domain of a room: options see its full state and are made for its instance; `info` lists the pressed targets.
+    """Domain of a room: options see its full state and are made for its instance; `info` marks the pressed targets.
 
     Raises:
         UnsupportedError: a wrapper below changed the action space.
@@ -266,26 +268,25 @@ class RoomDomain(OptionDomain):
         state = self.room.get_state()
         return [state.noise_key, state.primitives, TERMINATIONS, *([self.level] if self.level else [])]
 
-    def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
-        """Add `pressed`, and to `option` the names of the targets `pressed`, in order, and those `also_pressed`.
+    def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None,
+               unavoidable: Sequence[str] = ()) -> None:
+        """Add the targets `pressed`, `also_pressed` and `unavoidable`, each int8 (targets,).
 
         `instance` becomes a number, by which no agent can look up the room's graph.
         """
-        targets = self.room.instance.targets
+        names = self.room.instance.frame.target_names
         if "instance" in info:
-            info["instance"] = self._numbers.setdefault(info["instance"], len(self._numbers))
-        pressed = [target for step in steps for target in self._list_pressed(step)]
-        info["pressed"] = np.zeros(len(targets), dtype=np.int8)
-        info["pressed"][pressed] = 1
-        own = range(len(targets)) if option is None or option.targets is None else option.targets
-        info["option"]["pressed"] = tuple(targets[i].name for i in pressed)
-        info["option"]["also_pressed"] = tuple(targets[i].name for i in pressed if i not in own)
-
-    def _list_pressed(self, step: DomainStep) -> Sequence[int]:
-        if self.lower is not None:
-            names = [target.name for target in self.room.instance.targets]
-            return [names.index(name) for name in step.info["option"]["pressed"]]
-        return list_touched(step.next_state.touching & ~step.state.touching)
+            info["instance"] = np.int64(self._numbers.setdefault(info["instance"], len(self._numbers)))
+        pressed = np.zeros(len(names), dtype=np.int8)
+        for step in steps:
+            if self.lower is not None:
+                pressed |= step.info["pressed"]
+            else:
+                pressed[list(list_touched(step.next_state.touching & ~step.state.touching))] = 1
+        also_pressed, forced = pressed.copy(), np.zeros_like(pressed)
+        also_pressed[list(range(len(names)) if option is None or option.targets is None else option.targets)] = 0
+        forced[[names.index(name) for name in unavoidable]] = 1
+        info |= {"pressed": pressed, "also_pressed": also_pressed, "unavoidable": forced}
 
 
 def make_option_domain(env: gymnasium.Env) -> OptionDomain:

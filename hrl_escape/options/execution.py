@@ -203,21 +203,27 @@ class RunningDecision:
         """Step the wrapped environment once; returns the rewards of the primitives that ran."""
         before = self.state
         self.observation, reward, self.terminated, self.truncated, self.info = self._env.step(action)
-        rewards = read_rewards(reward, self.info)
+        rewards = read_rewards(reward, self.info, self._env)
         self.rewards.extend(rewards)
         self.state = self._domain.get_state(self.observation)
         self.steps.append(DomainStep(action, before, self.state, self.observation, rewards, self.info))
         return rewards
 
 
-def read_rewards(reward: Any, info: Mapping[str, Any]) -> tuple[float, ...]:
+def read_rewards(reward: Any, info: Mapping[str, Any], env: gymnasium.Env) -> tuple[float, ...]:
     """Rewards of a step of the environment below, one a primitive.
+
+    They are in `info["rewards"]`, else in the attribute `last_rewards` of the environment or a wrapper around it.
 
     Raises:
         StepContractError: it gives none for its primitives, or `reward` is not their sum.
     """
     paid = read_payment(reward, info, "of a step below OptionsEnv")
-    if paid.rewards is None:
-        raise StepContractError(f"a step below OptionsEnv ran {paid.duration} primitives and info has no 'rewards'; a "
-                                "level above needs the reward of each primitive")
-    return paid.rewards
+    if paid.rewards is not None:
+        return paid.rewards
+    rewards: tuple[float, ...] = env.get_wrapper_attr("last_rewards") if env.has_wrapper_attr("last_rewards") else ()
+    if len(rewards) != paid.duration:
+        raise StepContractError(f"a step below OptionsEnv ran {paid.duration} primitives and gives the rewards of "
+                                f"{len(rewards)}; a level above needs the reward of each primitive, in info['rewards'] "
+                                "or the attribute last_rewards")
+    return rewards

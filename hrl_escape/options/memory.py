@@ -6,6 +6,7 @@ summary of all decisions so far, beside each object's row, is enough for puzzles
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium
@@ -39,7 +40,7 @@ class _Memories:
         if not isinstance(space, ObjectsBox) or not isinstance(actions, PointingDiscrete):
             raise UnsupportedError("a memory of decisions needs rows of objects and actions about them: give it an "
                                    "OptionsEnv over observation='objects'")
-        self._library, self._device = library, device
+        self._module, self._device = library.__name__, device
         self._shape = len(space.rows), len(space.words)
         self._lit, self._present = space.words.index("lit"), space.words.index("present")
         subjects = [space.rows.index(name) if name in space.rows else -1 for name in actions.about]
@@ -54,6 +55,11 @@ class _Memories:
         self._lit_now, self._failed = self._make(rows, "bool"), self._make(rows, "bool")
         self._since, self._ranks = self._make(rows, "float64") + np.inf, self._make(rows, "float64")
         self._most_used = 0  # no episode has used more
+
+    @property
+    def _library(self) -> Any:
+        """`numpy` or `torch`, by its name, so that memories can be pickled."""
+        return sys.modules[self._module]
 
     def _make(self, shape: tuple[int, ...], dtype: str) -> Any:
         return self._library.zeros(shape, dtype=getattr(self._library, dtype), device=self._device)

@@ -42,7 +42,7 @@ class Option(ABC):
         is_markov: true if policy and termination are functions of the state alone.
         instance: the room that the option was made for; None if it suits any.
         targets: indices of the targets it means to press; None if it makes no promise. All other targets that
-            it presses are listed in `info["option"]["also_pressed"]`.
+            it presses are marked in `info["also_pressed"]`.
         about: name of the target or prop that it is about, or `exit`, as in the rows of the observation `objects`;
             None for an option about nothing in particular.
         report: planning done in the present run.

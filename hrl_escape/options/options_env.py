@@ -18,6 +18,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
+from gymnasium.wrappers import RenderCollection
 from numpy.typing import NDArray
 
 from hrl_escape.env.config import RoomConfig
@@ -26,6 +27,7 @@ from hrl_escape.errors import ActionError, ConfigError, OptionError, PlanningFai
 from hrl_escape.options.domain import DomainStep, OptionDomain, OptionsSource, make_option_domain, make_options
 from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice, read_termination
 from hrl_escape.options.option import Option
+from hrl_escape.planning.route import PlanningSummary
 from hrl_escape.spaces import PointingDiscrete
 
 
@@ -46,17 +48,25 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     | key | meaning |
     |---|---|
-    | `duration` | k >= 1, primitives that ran |
-    | `discount` | gamma^k |
-    | `rewards` | the k primitive rewards, in order |
-    | `discounted_reward` | sum over i < k of gamma^i r_i, whatever `reward` is |
-    | `summed_reward` | sum over i < k of r_i, whatever `reward` is |
+    | `duration` | k >= 1, primitives that ran, int64 |
+    | `discount` | gamma^k, float64 |
+    | `summed_reward` | sum over i < k of r_i, float64, whatever `reward` is |
+    | `discounted_reward` | sum over i < k of gamma^i r_i, float64, whatever `reward` is |
     | `pressed` | in a room: 1 for each target pressed by any of the k primitives, int8 (targets,) |
+    | `also_pressed` | in a room: 1 for each of these that the option did not mean to press, int8 (targets,) |
+    | `unavoidable` | in a room: 1 for each target that the plan had to press on its way, int8 (targets,) |
     | `action_mask` | int8 (n,), the legal actions at the state reached; for `action_space.sample(mask)` |
     | `option` | the option that ran and how it ended, see below |
-    | `instance` | in a room: its number among those seen here, from 0, in place of its content hash |
-    | `trace` | tuple of `TraceStep`, one a step of the wrapped environment, with `trace=True` |
-    | `calls` | tuple of `OptionCall`, the runs of options that ended, nested ones first, with `trace=True` |
+    | `instance` | in a room: its number among those seen here, from 0, in place of its content hash, int64 |
+
+    These have the same shapes and dtypes at every step, so that recorders can stack them. `trace=True` adds three of
+    varying length:
+
+    | key | meaning |
+    |---|---|
+    | `rewards` | tuple of the k primitive rewards, in order; see also `last_rewards` |
+    | `trace` | tuple of `TraceStep`, one a step of the wrapped environment |
+    | `calls` | tuple of `OptionCall`, the runs of options that ended, nested ones first |
 
     These keys replace keys of the same names that the environment below gives. `trace` and `calls` of a level below are
     left out.
@@ -70,12 +80,15 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     and with the index -1. The backup is `discounted_reward` + `discount` (1 - terminated) max over legal o' of
     Q(s', o').
 
-    `info["option"]` has `name`, `index` and `ended`: `reached` (its termination fired; always so for a
+    `info["option"]` has `name`, `index` (int64) and `ended`: `reached` (its termination fired; always so for a
     primitive), `interrupted` (see `interruptible`), `timeout` (`max_duration`), `episode-over` (by exit or
-    truncation) or `planning-failed`; then `planner_seconds`, `planner_calls`, `cache_hits`, `replans`,
-    `cache_hit_rate` (of all calls of this environment), `unavoidable` (targets that the plan had to press), `reason`
-    (why planning failed, else empty) and, in a room, `pressed` (names of the targets pressed, in order) and
-    `also_pressed` (those that an option did not mean to press).
+    truncation) or `planning-failed`; and `reason`: why planning failed, else empty.
+
+    `info` holds nothing that depends on a clock or a cache, so two equal runs give equal infos. Planning times and
+    cache hits are in `planning_report` and `planning_total`.
+
+    `render` shows the state at the end of a decision. For a frame of every primitive, record below this wrapper,
+    `OptionsEnv(RecordVideo(env, folder))`, or let `render` return them: `OptionsEnv(RenderCollection(env))`.
 
     A decision for an option that is masked or whose planning fails costs one primitive: in a room the robot turns
     left, elsewhere see `OptionDomain.get_idle_action`.
@@ -93,7 +106,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             Choosing the same option again continues it; choosing another drops it. So the policy over
             options is asked at every primitive and every duration is 1.
         max_duration: primitives after which an option is ended (`timeout`); None for no limit.
-        trace: put every primitive into `info["trace"]`, for intra-option learning.
+        trace: add `rewards`, `trace` and `calls` to `info`, with every primitive, for intra-option learning.
         observation: `pass`, or `options` to append per option two numbers to a flat observation: 1 if it is
             legal, 1 if it is running (see `interruptible`).
         planner: with `options=None`: method of their plans by name, as in `RoomPlanner`: `auto`, `fields`, or a
@@ -108,6 +121,9 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         primitive_count: actions that are primitives; they come first.
         level: environments of options below this one.
         last_steps: steps of the wrapped environment in the latest decision.
+        planning_report: planning behind the latest decision. In a vector environment, `get_attr("planning_report")`
+            gives one a sub-environment, from other processes too.
+        planning_total: planning behind all decisions since construction.
     """
 
     def __init__(
@@ -140,7 +156,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._discounted, self._tracing = discounted_reward, trace
         self._source: OptionsSource = (
             options if options is not None else self._domain.make_default_options(flavour, planner))
-        self._calls = self._hits = 0
+        self.planning_report = self.planning_total = PlanningSummary()
         self.last_steps: tuple[DomainStep, ...] = ()
         self._run: OptionExecution | None = None
         self._observation: Any = None  # of the wrapped environment, at the present state
@@ -198,7 +214,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         observation, info = self.env.reset(seed=seed, options=options)
         mask = self._begin(observation, seed, info)
         nothing = RunningDecision(self.env, self._domain, observation)
-        nothing.info, nothing.ended = info, ""
+        nothing.info, nothing.ended, self.last_steps = info, "", ()
         return self._show(observation, mask), self._inform(-1, nothing, mask)
 
     def resume(self, observation: Any = None, info: Mapping[str, Any] = MappingProxyType({})) -> NDArray[np.int8]:
@@ -273,7 +289,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._lower_mask = self._domain.get_mask(decision.info)
         mask = self._compute_mask(decision.state, self._lower_mask)
         info = self._inform(index, decision, mask)
-        reward = info["discounted_reward" if self._discounted else "summed_reward"]
+        reward = float(info["discounted_reward" if self._discounted else "summed_reward"])
         return self._show(decision.observation, mask), reward, decision.terminated, decision.truncated, info
 
     def _run_option(self, index: int, decision: RunningDecision) -> None:
@@ -313,23 +329,22 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         discounted = 0.0
         for reward in reversed(decision.rewards):
             discounted = reward + self.gamma * discounted
-        self._calls += decision.report.planner_calls
-        self._hits += decision.report.cache_hits
+        self.planning_report = decision.report.summarise()
+        self.planning_total += self.planning_report
         info = {
             **{name: value for name, value in decision.info.items() if name not in ("trace", "calls")},
-            "duration": len(decision.rewards),
-            "discount": self.gamma ** len(decision.rewards),
-            "rewards": tuple(decision.rewards),
-            "discounted_reward": discounted,
-            "summed_reward": float(sum(decision.rewards)),
+            "duration": np.int64(len(decision.rewards)),
+            "discount": np.float64(self.gamma ** len(decision.rewards)),
+            "summed_reward": np.float64(sum(decision.rewards)),
+            "discounted_reward": np.float64(discounted),
             "action_mask": mask,
-            "option": {"name": self.action_names[index] if index >= 0 else "", "index": index, "ended": decision.ended,
-                       **vars(decision.report), "cache_hit_rate": self._hits / max(self._calls, 1),
-                       "reason": decision.reason},
+            "option": {"name": self.action_names[index] if index >= 0 else "", "index": np.int64(index),
+                       "ended": decision.ended, "reason": decision.reason},
         }
         option = self.options[index - self.primitive_count] if index >= self.primitive_count else None
-        self._domain.inform(info, decision.steps, option)
+        self._domain.inform(info, decision.steps, option, decision.report.unavoidable)
         if self._tracing:
+            info["rewards"] = tuple(decision.rewards)
             info["trace"], info["calls"] = self._make_trace(decision, mask), decision.calls
         return info
 
@@ -349,6 +364,11 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
                 step.info.get("trace", ()) if self.level else ()))
             seen = shown
         return tuple(made)
+
+    @property
+    def last_rewards(self) -> tuple[float, ...]:
+        """Rewards of the primitives of the latest decision, in order."""
+        return tuple(reward for step in self.last_steps for reward in step.rewards)
 
     # --- legal actions and observations ---------------------------------------------------
 
@@ -397,8 +417,15 @@ def make_options_env(config: str | RoomConfig | dict[str, Any] = "paper-two-butt
         config: schematic of the room, see `EscapeRoomEnv`.
         option_features: append option features to the observation, as `OptionsEnv(observation="options")` does.
         arguments: those of `OptionsEnv` (but `observation` and `domain`), and all others of `EscapeRoomEnv`, such as
-            `observation="features"`.
+            `observation="features"`. With `render_mode="rgb_array_list"`, `render()` returns the frames of all
+            primitives since the last call or reset, first the one after the reset.
     """
     names = inspect.signature(OptionsEnv).parameters.keys() - {"env", "observation", "domain"}
     own = {name: arguments.pop(name) for name in names & arguments.keys()}
-    return OptionsEnv(EscapeRoomEnv(config, **arguments), observation="options" if option_features else "pass", **own)
+    films_primitives = arguments.get("render_mode") == "rgb_array_list"
+    if films_primitives:
+        arguments["render_mode"] = "rgb_array"
+    env: gymnasium.Env = EscapeRoomEnv(config, **arguments)
+    if films_primitives:
+        env = RenderCollection(env)
+    return OptionsEnv(env, observation="options" if option_features else "pass", **own)

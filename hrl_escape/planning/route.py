@@ -48,6 +48,39 @@ def check_budget(budget: int) -> None:
         raise ConfigError("budget", budget, "a whole number of search nodes, at least 1")
 
 
+@dataclasses.dataclass(frozen=True)
+class PlanningSummary:
+    """Planning behind one or several decisions. Depends on the clock and on what is in the planner's cache.
+
+    Attributes:
+        planner_seconds: wall time spent planning, in seconds.
+        planner_calls: requests for plans, cached or new.
+        cache_hits: requests answered from the cache.
+        replans: plans made after the state had left the last plan.
+    """
+
+    planner_seconds: float = 0.0
+    planner_calls: int = 0
+    cache_hits: int = 0
+    replans: int = 0
+
+    @property
+    def cache_hit_rate(self) -> float:
+        """Share of the requests that were answered from the cache, from 0 to 1; 0 without requests."""
+        return self.cache_hits / max(self.planner_calls, 1)
+
+    def __add__(self, other: PlanningSummary) -> PlanningSummary:
+        """Sum of two summaries."""
+        return PlanningSummary(self.planner_seconds + other.planner_seconds, self.planner_calls + other.planner_calls,
+                               self.cache_hits + other.cache_hits, self.replans + other.replans)
+
+    def __sub__(self, earlier: PlanningSummary) -> PlanningSummary:
+        """Planning since an earlier total."""
+        return PlanningSummary(
+            self.planner_seconds - earlier.planner_seconds, self.planner_calls - earlier.planner_calls,
+            self.cache_hits - earlier.cache_hits, self.replans - earlier.replans)
+
+
 @dataclasses.dataclass
 class PlanningReport:
     """Planning done on behalf of one run of an option, from its start on.
@@ -73,6 +106,10 @@ class PlanningReport:
         self.cache_hits += other.cache_hits
         self.replans += other.replans
         self.unavoidable += other.unavoidable
+
+    def summarise(self) -> PlanningSummary:
+        """Seconds and counts, without the names."""
+        return PlanningSummary(self.planner_seconds, self.planner_calls, self.cache_hits, self.replans)
 
     def count_since(self, earlier: PlanningReport) -> PlanningReport:
         """Counts and seconds since an earlier report of the same run; `unavoidable` stays that of the whole run."""

@@ -249,7 +249,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         transition = make_transition(self._observation, taken, self._mask, step, self.env.gamma)
         self._parts.append(transition)
         self._states += [part.next_state for part in self.env.last_steps]
-        self._rewards += step[4]["rewards"]
+        self._rewards += self.env.last_rewards
         self._observation, self._mask = transition.next_observation, transition.next_action_mask
         self._end = EpisodeEnd.of_step(bool(step[4]["success"]), step[2], step[3])
         self.is_over = self._end.is_over

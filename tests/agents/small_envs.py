@@ -11,6 +11,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from hrl_escape.planning.route import PlanningSummary
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -173,6 +175,7 @@ class ButtonGrid(gymnasium.Env):
 
     def __init__(self, with_options: bool = True, trace: bool = False, horizon: int = 200) -> None:
         self.with_options, self.trace, self.horizon = with_options, trace, horizon
+        self.planning_total = PlanningSummary()
         self.observation_space = spaces.Box(np.array([0, 0, 0, 0]), np.array([12, 12, 1, 1]), dtype=np.float64)
         self.action_space = spaces.Discrete(7 if with_options else 4)
 
@@ -225,16 +228,12 @@ class ButtonGrid(gymnasium.Env):
                     tuple(consistent),
                 )
             )
+        self.planning_total += PlanningSummary(planner_calls=int(action >= 4))
         info: dict[str, Any] = {
             "duration": len(rewards),
             "rewards": rewards,
             "action_mask": self.compute_mask(self.state),
-            "option": {
-                "name": f"action-{action}",
-                "ended": "reached",
-                "planner_calls": int(action >= 4),
-                "planner_seconds": 0.0,
-            },
+            "option": {"name": f"action-{action}", "ended": "reached"},
         }
         if self.trace:
             info["trace"] = trace

@@ -388,4 +388,32 @@ MUTATIONS = [
         "np.minimum(turns.astype(np.int64), self.count - 1)",
         "env/puzzles/test_sections.py",
     ),
+    Mutation(
+        "samples begin anew in a room with other spaces",
+        "spaces.py",
+        "new._np_random = old._np_random",
+        "new._np_random = None",
+        "env/test_gymnasium_manners.py::test_a_room_with_other_spaces_goes_on_with_the_same_random_numbers",
+    ),
+    Mutation(
+        "large seeds wrap around",
+        "env/noise.py",
+        "return seed if seed < 2**64 else int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0])",
+        "return seed % 2**64",
+        "env/test_gymnasium_manners.py::test_large_seeds_differ_and_small_ones_are_their_own_keys",
+    ),
+    Mutation(
+        "the masks of infos share their memory",
+        "env/vector_env.py",
+        "torch.ones(shape, dtype=torch.bool, device=self.device)",
+        "torch.ones(shape[1:], dtype=torch.bool, device=self.device).expand(shape)",
+        "env/test_gymnasium_manners.py::test_the_masks_of_infos_may_be_written_into",
+    ),
+    Mutation(
+        "a limit of steps does not reach a batch",
+        "env/batched/engine.py",
+        "self.tables.horizons.clamp(max=most_steps)",
+        "self.tables.horizons",
+        "env/test_gymnasium_manners.py::test_a_limit_of_steps_means_the_same_for_many_rooms_as_for_one",
+    ),
 ]

@@ -116,8 +116,8 @@ MUTATIONS = [
     Mutation(
         "an option's own target is told as pressed on the way",
         "options/domain.py",
-        "for i in pressed if i not in own)",
-        "for i in pressed)",
+        "also_pressed[list(range(len(names)) if option is None or option.targets is None else option.targets)] = 0",
+        "pass",
         "options/test_options_env.py::test_info_tells_what_ran_and_how_it_ended",
     ),
     Mutation(
@@ -165,8 +165,8 @@ MUTATIONS = [
     Mutation(
         "the cache's hit rate is that of the last decision",
         "options/options_env.py",
-        "self._hits += decision.report.cache_hits",
-        "self._hits = decision.report.cache_hits",
+        "self.planning_total += self.planning_report",
+        "self.planning_total = self.planning_report",
         "options/test_options_env.py::test_the_caches_hit_rate_is_over_all_calls_of_the_environment",
     ),
     Mutation(
@@ -240,5 +240,47 @@ MUTATIONS = [
         "self._tracker.see(state)",
         "pass",
         "options/test_tracked.py",
+    ),
+    Mutation(
+        "a limit of decisions leaves an episode running",
+        "options/batched/vector_env.py",
+        "cut = (self._decisions >= self._most_steps) & ~idle",
+        "cut = (self._decisions > self._most_steps) & ~idle",
+        "env/test_gymnasium_manners.py::test_a_limit_of_steps_means_the_same_for_many_rooms_as_for_one",
+    ),
+    Mutation(
+        "masks of targets are as long as the room has targets",
+        "options/domain.py",
+        "names = self.room.instance.frame.target_names",
+        "names = [target.name for target in self.room.instance.targets]",
+        "options/test_infos.py::test_infos_have_one_form_at_every_reset_and_step_of_rooms_that_differ",
+    ),
+    Mutation(
+        "planning is that of one floor",
+        "agents/training/evaluation.py",
+        "yield from list_layers(floor)",
+        "pass",
+        "options/test_infos.py::test_training_counts_the_planner_calls_of_all_levels_and_floors",
+    ),
+    Mutation(
+        "an evaluation environment may show something else",
+        "agents/agent.py",
+        "if describe_form(trained) != describe_form(evaluated):",
+        "if False:",
+        "env/test_gymnasium_manners.py::test_an_evaluation_environment_with_other_observations_is_refused",
+    ),
+    Mutation(
+        "training leaves the discount of options as it is",
+        "agents/training/evaluation.py",
+        "    set_option_discount(env, gamma)\n",
+        "",
+        "options/test_infos.py::test_training_sets_the_discount_of_options_on_every_floor_to_its_agents",
+    ),
+    Mutation(
+        "one frame a decision",
+        "options/options_env.py",
+        "    if films_primitives:\n        env = RenderCollection(env)\n",
+        "",
+        "options/test_infos.py::test_nine_primitives_give_nine_frames",
     ),
 ]

@@ -55,7 +55,7 @@ MUTATIONS = [
     Mutation(
         "6 planner calls not counted",
         "agents/training/run.py",
-        'self.planner_calls += option.get("planner_calls", 0)',
+        "self.planner_calls += calls_now - calls",
         "self.planner_calls += 0",
         "agents/training/test_train.py::test_trap_6_planner_calls_are_counted",
     ),
@@ -181,8 +181,8 @@ MUTATIONS = [
     Mutation(
         "2 the wrapper's discount is that of one primitive",
         "options/options_env.py",
-        '"discount": self.gamma ** len(decision.rewards)',
-        '"discount": self.gamma',
+        '"discount": np.float64(self.gamma ** len(decision.rewards))',
+        '"discount": np.float64(self.gamma)',
         "options/test_options_env.py::test_trap_2_cutting_an_option_into_halves_does_not_change_the_value",
     ),
     Mutation(

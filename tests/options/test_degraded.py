@@ -21,7 +21,8 @@ def run_often(degradation: OptionDegradation, episodes: int = 200) -> list[dict]
     for seed in range(episodes):
         env.reset(seed=seed)
         info = env.step(0)[4]
-        found.append(info["option"] | {"duration": info["duration"]})
+        seconds = env.planning_report.planner_seconds
+        found.append(info["option"] | {"duration": info["duration"], "planner_seconds": seconds})
     return found
 
 

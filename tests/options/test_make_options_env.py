@@ -28,7 +28,7 @@ def test_every_preset_has_an_id_whose_environment_passes_the_checker(name):
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 warnings.filterwarnings("ignore", message=".*different from the unwrapped version")
-                check_env(env.env, skip_render_check=True)
+                check_env(env, skip_render_check=True)
     finally:
         env.close()
 

@@ -1,5 +1,7 @@
 """Memory of decisions in rows of objects, and what options say they are about, in real rooms."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -99,3 +101,15 @@ def test_what_is_learned_about_few_buttons_holds_for_more_with_deep_sets_and_not
         success[network] = [evaluate(agent, env, 6).success_rate for env in (seen, unseen)]
     assert success["objects"] == [1.0, 1.0]
     assert success["mlp"][0] >= 0.6 and success["mlp"][1] == 0.0
+
+
+def test_a_memory_can_be_pickled_amid_an_episode():
+    env = make_env(make_config())
+    env.reset(seed=0)
+    env.step(1)
+    twin = pickle.loads(pickle.dumps(env))
+    for action in (0, 2, 1):
+        step, other = env.step(action), twin.step(action)
+        np.testing.assert_array_equal(step[0], other[0])
+        assert step[1:4] == other[1:4]
+    assert read(env, step[0])[2].any(), "what was tried is remembered"

@@ -81,7 +81,7 @@ def test_trap_1_a_k_step_option_is_worth_the_discounted_sum_of_its_rewards(lengt
     assert info["duration"] == length
     assert info["discounted_reward"] == pytest.approx(-(1 - GAMMA**length) / (1 - GAMMA))
     assert reward == -length, "the default reward is the paper's undiscounted sum"
-    assert info["rewards"] == (-1.0,) * length
+    assert env.last_rewards == (-1.0,) * length and "rewards" not in info
 
 
 def test_trap_1_discounted_reward_makes_the_reward_the_discounted_sum():
@@ -278,12 +278,12 @@ def test_info_tells_what_ran_and_how_it_ended():
     assert env.action_names[6:] == ("meta-01", "meta-02", "meta-exit")
     *_, info = env.step(6)
     assert info["option"]["name"] == "meta-01" and info["option"]["index"] == 6
-    assert info["option"]["ended"] == "reached" and info["option"]["planner_calls"] == 1
-    assert info["option"]["planner_seconds"] > 0 and info["option"]["also_pressed"] == ()
+    assert info["option"]["ended"] == "reached" and env.planning_report.planner_calls == 1
+    assert env.planning_report.planner_seconds > 0 and info["also_pressed"].tolist() == [0, 0]
     assert info["pressed"].tolist() == [1, 0] and info["buttons_on"].tolist() == [1, 0]
     *_, info = env.step(TURN_LEFT)
     assert info["option"]["name"] == "turn-left" and info["option"]["ended"] == "reached"
-    assert info["option"]["planner_calls"] == 0 and info["duration"] == 1
+    assert env.planning_report.planner_calls == 0 and info["duration"] == 1
 
 
 def test_a_plan_made_before_comes_from_the_cache():
@@ -291,9 +291,10 @@ def test_a_plan_made_before_comes_from_the_cache():
     calls = []
     for _ in range(2):
         begin(env)
-        calls.append(env.step(6)[4]["option"])
-    assert [call["planner_calls"] for call in calls] == [1, 1]
-    assert calls[1]["cache_hits"] == 1 and calls[1]["cache_hit_rate"] >= 0.5
+        env.step(6)
+        calls.append(env.planning_report)
+    assert [call.planner_calls for call in calls] == [1, 1]
+    assert calls[1].cache_hits == 1 and env.planning_total.cache_hit_rate >= 0.5
 
 
 def test_the_observation_after_an_option_is_that_of_the_flat_environment():
@@ -359,10 +360,10 @@ def test_planning_of_a_nested_option_is_told_by_the_option_that_called_it(length
 
     env = OptionsEnv(make_env(horizon=4), [Caller("outer")])
     begin(env)
-    told = env.step(6)[4]["option"]
+    env.step(6)
     calls = 7 if length == 1 else 4
-    assert (told["planner_calls"], told["cache_hits"]) == (calls, calls // 3)
-    assert told["cache_hit_rate"] == (calls // 3) / calls
+    assert (env.planning_report.planner_calls, env.planning_report.cache_hits) == (calls, calls // 3)
+    assert env.planning_report.cache_hit_rate == (calls // 3) / calls
 
 
 class PlansTwice(ScriptedOption):
@@ -382,7 +383,10 @@ def test_the_caches_hit_rate_is_over_all_calls_of_the_environment():
 
     env = OptionsEnv(make_env(), [PlansTwice("known", [TURN_LEFT]), PlansAnew("new", [TURN_LEFT])])
     begin(env)
-    rates = [env.step(action)[4]["option"]["cache_hit_rate"] for action in (6, 7, 7, 6)]
+    rates = []
+    for action in (6, 7, 7, 6):
+        env.step(action)
+        rates.append(env.planning_total.cache_hit_rate)
     assert rates == [1 / 2, 1 / 4, 1 / 6, 2 / 8]
 
 
@@ -396,10 +400,12 @@ def test_planning_of_a_nested_option_is_told_while_it_still_runs():
 
     env = OptionsEnv(make_env(), [Caller("outer")], interruptible=True)
     begin(env)
-    told = [env.step(6)[4]["option"] for _ in range(5)]
-    assert [option["ended"] for option in told] == ["interrupted"] * 5
-    assert [option["planner_calls"] for option in told] == [2, 0, 0, 2, 0], "each plan is told once, when it is made"
-    assert {option["cache_hit_rate"] for option in told} == {0.5}
+    calls = []
+    for _ in range(5):
+        assert env.step(6)[4]["option"]["ended"] == "interrupted"
+        calls.append(env.planning_report.planner_calls)
+        assert env.planning_total.cache_hit_rate == 0.5
+    assert calls == [2, 0, 0, 2, 0], "each plan is reported once, when it is made"
 
 
 def test_endless_nesting_is_an_error():
@@ -676,9 +682,9 @@ def test_a_reset_tells_the_keys_of_a_step_of_a_decision_in_which_nothing_ran(tra
     _, begun = env.reset(seed=0)
     _, _, _, _, stepped = env.step(env.unwrapped.action_space.n)  # the first option
     assert list_keys(begun) == list_keys(stepped)
-    assert (begun["duration"], begun["discount"], begun["rewards"], begun["discounted_reward"]) == (0, 1.0, (), 0.0)
-    option = begun["option"]
-    assert option == option | {"index": -1, "name": "", "ended": "", "pressed": (), "planner_calls": 0}
+    assert [begun[name] for name in ("duration", "discount", "summed_reward", "discounted_reward")] == [0, 1.0, 0, 0]
+    assert begun.get("rewards") == (() if tracing else None)
+    assert begun["option"] == {"index": -1, "name": "", "ended": "", "reason": ""}
     assert not begun["pressed"].any() and begun["pressed"].shape == stepped["pressed"].shape
     assert stepped["option"]["index"] == 6 and stepped["duration"] > 1
 

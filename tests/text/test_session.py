@@ -278,9 +278,9 @@ def test_20_000_malformed_calls_break_nothing_and_none_is_lost():
     say_anything(20_000, 1)
 
 
-@pytest.mark.parametrize("seed", [-1, 1.5, "1", True, 2**63])
+@pytest.mark.parametrize("seed", [-1, 1.5, "1", True])
 def test_an_impossible_seed_is_refused_in_the_package_s_words(seed):
-    with pytest.raises(ConfigError, match="a whole number from 0"):
+    with pytest.raises(ConfigError, match="a whole number of at least 0"):
         make_session(get_room("pair", 3)).reset(seed=seed)
 
 

@@ -30,13 +30,13 @@ import numpy as np
 from gymnasium import wrappers as standard
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorWrapper
-from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, RenderCollection
 
 from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.errors import CheckpointError, TrustError, describe_damage
 from hrl_escape.settings import Settings
 
-PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo)
+PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, RenderCollection)
 """Wrappers that change no number; others say so by the attribute `is_passive`."""
 UNKNOWN = {"unknown": True}
 """Stands for an argument that no attribute keeps."""

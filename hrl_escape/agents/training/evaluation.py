@@ -72,6 +72,25 @@ def compute_episode_seed(seed: int, purpose: str, episode: int) -> int:
     return int(np.random.SeedSequence([seed, *purpose.encode(), episode]).generate_state(1)[0])
 
 
+def list_layers(env: gymnasium.Env) -> Iterator[Any]:
+    """Yield an environment and everything that it wraps, outermost first; of a `SequenceEnv`, every floor."""
+    while isinstance(env, gymnasium.Wrapper):
+        yield env
+        for floor in getattr(env, "floors", (env.env,))[1:]:
+            yield from list_layers(floor)
+        env = env.env
+    yield env
+
+
+def count_planning(env: gymnasium.Env) -> tuple[int, float]:
+    """Planner calls, and seconds in planners, of all environments of options in `env` since they were made.
+
+    They are in the attribute `planning_total` of an `OptionsEnv`.
+    """
+    totals = [layer.planning_total for layer in list_layers(env) if hasattr(layer, "planning_total")]
+    return sum(total.planner_calls for total in totals), sum(total.planner_seconds for total in totals)
+
+
 def play_episode(agent: Agent, env: gymnasium.Env, seed: int, max_primitives: int = LONGEST_EPISODE
                  ) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Play one greedy episode from `reset(seed=seed)`, yielding each transition with its `info`.

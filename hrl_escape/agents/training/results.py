@@ -161,7 +161,8 @@ class TrainResult:
     settings: Mapping[str, Any]  #: of the agent, as a JSON value
     primitives: int  #: trained for; a last option may carry it beyond the budget
     decisions: int  #: trained for
-    planner_calls: int  #: of planners behind options, summed over `info["option"]["planner_calls"]`
+    planner_calls: int
+    """Requests to planners behind options, by `OptionsEnv.planning_total`; 0 where the environment is a vector."""
     evaluations: tuple[Evaluation, ...]  #: the first before training, the last after it
     episodes: tuple[EpisodeRecord, ...]  #: every training episode; none in a run of many streams
     seconds: float = field(compare=False)  #: wall time of training, evaluations excluded

@@ -22,12 +22,18 @@ import gymnasium
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, check_actions, read_success
+from hrl_escape.agents.agent import Agent, SMDPTransition, check_actions, check_same_observations, read_success
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.training.callbacks import Callback, RunDescription
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
-from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate, walk_episode
+from hrl_escape.agents.training.evaluation import (
+    Evaluation,
+    compute_episode_seed,
+    count_planning,
+    evaluate,
+    walk_episode,
+)
 from hrl_escape.agents.training.results import EpisodeRecord, SegmentRecord, TrainResult, make_evaluation_row, read_row
 from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
@@ -111,6 +117,7 @@ class Run(Stateful):
         self.callbacks, self._is_stopped = tuple(callbacks), False
         self.actions = check_actions(agent, env.action_space)
         check_actions(agent, eval_env.action_space)
+        check_same_observations(env.observation_space, eval_env.observation_space)
         self.episodes: list[EpisodeRecord] = []
         self.evaluations: list[Evaluation] = []
         self.primitives = self.decisions = self.planner_calls = 0
@@ -259,6 +266,7 @@ class Run(Stateful):
     def run_unit(self, report: Reporter) -> dict[str, Any]:
         """Train for one episode; returns its row of the log."""
         started, before, tally = time.perf_counter(), self.primitives, _Tally()
+        calls, planning = count_planning(self.env)
         agent, words, end = self.agent, self.describe_returns(), "budget"
         seed = compute_episode_seed(self.arguments.seed, "training", len(self.episodes))
         for transition, info in walk_episode(self.env, seed, self.actions, agent.gamma, agent.act):
@@ -276,8 +284,9 @@ class Run(Stateful):
             if self.is_spent:
                 break
         clock = self.stop_clock(started, before)
-        self.planner_calls += tally.planner_calls
-        self.planner_seconds += tally.planner_seconds
+        calls_now, planning_now = count_planning(self.env)
+        self.planner_calls += calls_now - calls
+        self.planner_seconds += planning_now - planning
         row = {
             "kind": "episode",
             "episode": len(self.episodes),
@@ -422,8 +431,8 @@ class _Tally(Means):
 
     def __init__(self) -> None:
         super().__init__()
-        self.episode_return = self.planner_seconds = 0.0
-        self.length = self.decisions = self.planner_calls = 0
+        self.episode_return = 0.0
+        self.length = self.decisions = 0
         self.success = False
         self._choices: dict[str, int] = {}
         self._choice_primitives: dict[str, int] = {}
@@ -446,8 +455,6 @@ class _Tally(Means):
             self._choices[name] = self._choices.get(name, 0) + 1
             self._choice_primitives[name] = self._choice_primitives.get(name, 0) + transition.duration
             self._failures += option.get("ended") == "planning-failed"
-            self.planner_calls += option.get("planner_calls", 0)
-            self.planner_seconds += option.get("planner_seconds", 0.0)
         self.note(metrics)
 
     def make_row(self) -> dict[str, Any]:

@@ -25,7 +25,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import check_observation, count_actions, set_option_discount
+from hrl_escape.agents.agent import (
+    check_observation,
+    check_same_observations,
+    count_actions,
+    set_option_discount,
+)
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.streams import (
@@ -331,6 +336,7 @@ class StreamRun(Run):
         keep_freed_memory()
         self._source, self._begun = env, 0
         self.streams = streams = make_streams(env, agent.gamma)
+        check_same_observations(streams.observation_space, eval_env.observation_space)
         self._steps = max(SEGMENT_STEPS, SEGMENT_PRIMITIVES // streams.count)
         self._begin()
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Literal, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -31,6 +32,7 @@ from hrl_escape.env.batched.tables import (
     stack_instances,
 )
 from hrl_escape.env.kinematics import RoomState, Rules, check_state
+from hrl_escape.env.noise import fold_seed
 from hrl_escape.env.observations.base import BatchObservation, make_observer
 from hrl_escape.env.tensor_geometry import store
 from hrl_escape.env.velocities import Velocities
@@ -127,8 +129,8 @@ class TensorRoom:
         words: names of the numbers in such a row.
     """
 
-    def __init__(self, rooms: Rooms, *, autoreset: Autoreset = "next-step", velocities: Velocities | None = None
-                 ) -> None:
+    def __init__(self, rooms: Rooms, *, autoreset: Autoreset = "next-step", velocities: Velocities | None = None,
+                 most_steps: int | None = None) -> None:
         """Stack instances and lay out the batch; the first episodes begin with `reset`.
 
         Args:
@@ -136,6 +138,7 @@ class TensorRoom:
                 size of puzzle.
             autoreset: start of the next episode after one ends: in the next step, in the same step, or by `reset` only.
             velocities: what actions mean where they are no primitives.
+            most_steps: steps after which an episode is truncated, if that is before the horizon.
 
         Raises:
             UnsupportedError: these rooms need the Bullet engine, or there is no compiler.
@@ -147,6 +150,8 @@ class TensorRoom:
         self.instances, self.device = rooms.instances, find_device(rooms.device)
         self.layout = make_layout(self.instances, rooms.resample_instance, velocities)
         self.tables = stack_instances(self.instances, self.layout, self.device)
+        if most_steps is not None:
+            self.tables = self.tables._replace(horizons=self.tables.horizons.clamp(max=most_steps))
         self.count = rooms.num_envs
         self.actions = len(velocities.list_bounds(self.layout.robot) if velocities else self.layout.actions)
         self._observation, self.is_compiled = load_observation(rooms.observation), rooms.compile
@@ -361,6 +366,11 @@ class TensorRoom:
 def draw_seed() -> int:
     """Draw a first seed from the system's entropy, for rooms without a given one."""
     return secrets.randbits(62)
+
+
+def make_room_keys(seeds: Sequence[int], device: torch.device) -> Tensor:
+    """Keys of rooms' random numbers, int64 (rooms,), of their seeds, which may be of any size; see `fold_seed`."""
+    return torch.from_numpy(np.array([fold_seed(seed) for seed in seeds], dtype=np.uint64).view(np.int64)).to(device)
 
 
 def list_shapes(tree: object) -> list[tuple[int, ...]]:

@@ -33,7 +33,7 @@ from hrl_escape.env.geometry import (
     stack_footprints,
 )
 from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, SpaceLayout, Start, Target, does_base_fit
-from hrl_escape.env.noise import check_seed
+from hrl_escape.env.noise import check_instance_seed
 from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.maps import GridMap
@@ -76,7 +76,7 @@ def generate(config: RoomConfig, seed: int) -> RoomInstance:
     """
     if not isinstance(config, RoomConfig):
         raise ConfigError("config", config, "a RoomConfig")
-    seed = check_seed(seed)
+    seed = check_instance_seed(seed)
     try:
         hash(config)
     except TypeError:  # a stranger's settings may hold a table

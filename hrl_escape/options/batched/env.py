@@ -21,12 +21,13 @@ from torch import Tensor
 from typing_extensions import Unpack
 
 from hrl_escape.env.batched.compilation import CompiledStep, check_compiler
-from hrl_escape.env.batched.engine import TensorRoom, list_shapes
+from hrl_escape.env.batched.engine import TensorRoom, list_shapes, make_room_keys
 from hrl_escape.env.batched.observations import load_observation
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.noise import check_seed
 from hrl_escape.env.poses import RoomState
 from hrl_escape.env.presets import SchematicForm
 from hrl_escape.errors import (
@@ -252,7 +253,7 @@ class BatchedOptionsEnv:
         num_envs: int = 1,
         config: SchematicForm = "paper-two-button",
         *,
-        observation: str = "features",
+        observation: str = "state",
         options: OptionDegradation | None = None,
         include_primitives: bool = True,
         discount: float = 0.99,
@@ -343,8 +344,8 @@ class BatchedOptionsEnv:
         """Begin new episodes; decisions in progress in these rooms are dropped.
 
         Args:
-            seeds: of each room's random numbers, int64 (rooms,), or a whole number that room i adds i to; None
-                continues the present streams.
+            seeds: keys of the rooms' random numbers, int64 (rooms,), or a whole number of at least 0 that room i adds
+                i to; None continues the present streams.
             where: rooms to reset, bool (rooms,); None resets all.
 
         Returns:
@@ -355,7 +356,7 @@ class BatchedOptionsEnv:
             BatchError: another shape, dtype or device.
         """
         if isinstance(seeds, int):
-            seeds = seeds + torch.arange(self.count, device=self.device)
+            seeds = make_room_keys(range(check_seed(seeds), seeds + self.count), self.device)
         self.room.reset(seeds, where)
         with torch.no_grad():
             self._view = make_view(self.room.layout, self.room.tables, self._fields.aims, self.room.state,

@@ -16,7 +16,6 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from hrl_escape.env.batched.engine import draw_seed
 from hrl_escape.env.batched.puzzles.base import unpack_bits
 from hrl_escape.env.vector_env import BatchVectorEnv
 from hrl_escape.errors import BatchError, UnsupportedError
@@ -35,10 +34,10 @@ _TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives", "su
 class OptionsVectorEnv(BatchVectorEnv):
     """Many rooms in which every step takes one decision of each; see `OptionsEnv` for the task and the actions.
 
-    `infos` holds arrays over rooms: `action_mask` (bool), `duration`, `discount`, `discounted_reward` and
-    `summed_reward` as `OptionsEnv` gives them, as `pressed`, `ended` (an index into `ENDINGS`), `primitives` (of the
-    episode so far) and `success`; at a reset those of a decision in which nothing ran. The three kinds of automatic
-    reset are those of `EscapeRoomVectorEnv`.
+    `infos` holds arrays over rooms: `action_mask` (bool); `duration`, `discount`, `summed_reward`, `discounted_reward`
+    and `pressed`, as `OptionsEnv` gives them; `ended` (an index into `ENDINGS`), `primitives` (of the episode so far)
+    and `success`. At a reset they are those of a decision in which nothing ran. The three kinds of automatic reset are
+    those of `EscapeRoomVectorEnv`.
 
     Args:
         num_envs: number of rooms.
@@ -46,18 +45,22 @@ class OptionsVectorEnv(BatchVectorEnv):
         render_mode: must be None.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device.
+        max_episode_steps: decisions after which an episode is truncated, as `gymnasium.make` counts them; None for the
+            room's horizon alone.
         arguments: all other arguments of `BatchedOptionsEnv`.
 
     Raises:
         UnsupportedError: `render_mode`, or an argument that only `OptionsEnv` has.
+        ConfigError: an impossible argument.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
 
     def __init__(self, num_envs: int = 1, config: Any = "paper-two-button", *, render_mode: str | None = None,
                  autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-                 output: Literal["numpy", "torch"] = "numpy", **arguments: Any) -> None:
-        super().__init__(num_envs, autoreset_mode, output)
+                 output: Literal["numpy", "torch"] = "numpy", max_episode_steps: int | None = None,
+                 **arguments: Any) -> None:
+        super().__init__(num_envs, autoreset_mode, output, max_episode_steps)
         if render_mode is not None:
             raise UnsupportedError(f"render_mode = {render_mode!r}: the batched engine draws nothing; gymnasium.make "
                                    "makes a room that does")
@@ -71,6 +74,9 @@ class OptionsVectorEnv(BatchVectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(gymnasium.spaces.Discrete(batch.actions), num_envs)
         self.action_names = batch.action_names
+        if self._most_steps is not None and self._most_steps >= self._batch.room.tables.horizons.max():
+            self._most_steps = None  # a decision takes a primitive or more, so the horizon comes first
+        self._decisions = torch.zeros(num_envs, dtype=torch.int64, device=self.device)  # of the running episodes
 
     @property
     def device(self) -> torch.device:
@@ -78,7 +84,14 @@ class OptionsVectorEnv(BatchVectorEnv):
         return self._batch.device
 
     def get_streams(self) -> BatchedOptionsEnv:
-        """Make the same rooms, each deciding at its own pace, with automatic reset."""
+        """Make the same rooms, each deciding at its own pace, with automatic reset.
+
+        Raises:
+            UnsupportedError: there is a limit of decisions.
+        """
+        if self._most_steps is not None:
+            raise UnsupportedError(f"max_episode_steps = {self._most_steps} counts decisions, and training in many "
+                                   "rooms at once counts primitives: set the horizon of the rooms' `config` instead")
         arguments: dict[str, Any] = {**self._arguments, "instance": self._batch.rooms.instances}
         streams = BatchedOptionsEnv(**arguments)
         streams.set_option_discount(self._batch.gamma)
@@ -90,26 +103,24 @@ class OptionsVectorEnv(BatchVectorEnv):
 
     def make_single_env(self) -> gymnasium.Env:
         """Make an `OptionsEnv` of the same rooms and options."""
-        return self._batch.make_single_env()
+        return self._limit(self._batch.make_single_env())
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments that decide the numbers, as JSON values."""
-        return self._batch.describe() | {"autoreset_mode": self.autoreset_mode.value}
+        return self._batch.describe() | self._describe_own()
+
+    def _count_steps(self) -> int:
+        horizon = int(self._batch.room.tables.horizons.max())
+        return horizon if self._most_steps is None else self._most_steps
 
     # --- Gymnasium ---------------------------------------------------------------------
 
-    def reset(self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
               ) -> tuple[Any, dict[str, Any]]:
         """Begin new episodes, in all rooms or in those of `options["reset_mask"]`, bool (num_envs,)."""
         self._check_open()
         where = self._read_mask(options)
-        seeds: Tensor | int | None = None
-        if seed is not None and not isinstance(seed, (int, np.integer)):
-            seeds = torch.tensor(list(seed), dtype=torch.int64, device=self.device)
-        elif seed is not None or not self._is_seeded:
-            seeds = draw_seed() if seed is None else int(seed)
-        self._batch.reset(seeds, where)
-        self._is_seeded = True
+        self._begin(self._make_seeds(seed), where)
         return self._give(self._batch.observation), self._inform(None, self._batch.action_mask, {})
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -122,17 +133,31 @@ class OptionsVectorEnv(BatchVectorEnv):
         batch = self._batch
         resets = batch.is_over if self.autoreset_mode == AutoresetMode.NEXT_STEP else torch.zeros_like(batch.is_over)
         if bool(resets.any()):
-            batch.reset(where=resets)
+            self._begin(None, resets)
         done = self._decide(torch.where(resets, -1, self._take(actions)))
         over = done.terminated | done.truncated
         final: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and bool(over.any()):
-            which = self._give(over)
-            final = {"final_obs": self._give(batch.observation), "_final_obs": which,
-                     "final_info": self._inform(done, batch.action_mask, {}), "_final_info": which}
-            batch.reset(where=over)
+            final = self._mark({"final_obs": self._give(batch.observation),
+                                "final_info": self._inform(done, batch.action_mask, {})}, over)
+            self._begin(None, over)
         return (self._give(batch.observation), self._give(done.reward), self._give(done.terminated),
                 self._give(done.truncated), self._inform(done, batch.action_mask, final))
+
+    def _begin(self, seeds: Tensor | None, where: Tensor | None) -> None:
+        self._batch.reset(seeds, where)
+        self._decisions = torch.zeros_like(self._decisions) if where is None else self._decisions.masked_fill(where, 0)
+
+    def _cut(self, done: Transitions, idle: Tensor) -> Transitions:
+        """Truncate the episodes that have had as many decisions as they may."""
+        self._decisions = self._decisions + ~idle
+        if self._most_steps is None:
+            return done
+        cut = (self._decisions >= self._most_steps) & ~idle
+        room = self._batch.room
+        room.state = room.state._replace(has_ended=torch.where(cut, 1, room.state.has_ended).to(
+            room.state.has_ended.dtype))
+        return done._replace(truncated=done.truncated | (cut & ~done.terminated))
 
     def _decide(self, action: Tensor) -> Transitions:
         """Run decisions until the last has ended; rooms with a negative action stand still."""
@@ -145,25 +170,26 @@ class OptionsVectorEnv(BatchVectorEnv):
                                  for new, old in zip(found, done, strict=True)))
             left &= ~found.where
         idle = action < 0
-        return done._replace(reward=torch.where(idle, 0.0, done.reward),
+        done = done._replace(reward=torch.where(idle, 0.0, done.reward),
                              terminated=done.terminated & ~idle, truncated=done.truncated & ~idle,
                              success=done.success & ~idle, duration=torch.where(idle, 0, done.duration))
+        return self._cut(done, idle)
 
     # --- in and out --------------------------------------------------------------------
 
     def _inform(self, done: Transitions | None, mask: Tensor, more: dict[str, Any]) -> dict[str, Any]:
         if done is None:
             none = torch.zeros(self.num_envs, dtype=torch.int32, device=self.device)
-            told = {"duration": none, "discount": none.float() + 1, "discounted_reward": none.float(),
-                    "summed_reward": none.float(), "ended": none.to(torch.int8) - 1,
-                    "primitives": self._batch.room.state.primitives, "success": none.bool()}
+            told = {"duration": none, "discount": none.float() + 1, "summed_reward": none.float(),
+                    "discounted_reward": none.float(),
+                    "ended": none.to(torch.int8) - 1, "primitives": self._batch.room.state.primitives,
+                    "success": none.bool()}
             pressed = none.long()
         else:
-            told, pressed = {name: getattr(done, name) for name in _TOLD} | {"summed_reward": done.reward}, done.pressed
+            told, pressed = {name: getattr(done, name) for name in _TOLD}, done.pressed
+            told["summed_reward"] = done.reward
         told["pressed"] = unpack_bits(pressed, self._batch.room.layout.targets, torch.int8).T
-        infos = {name: self._give(field) for name, field in ({"action_mask": mask} | told).items()}
-        every = self._give(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
-        return infos | {f"_{name}": every for name in infos} | more
+        return self._mark({name: self._give(field) for name, field in ({"action_mask": mask} | told).items()}) | more
 
     def _take(self, actions: Any) -> Tensor:
         taken = super()._take(actions).to(torch.int64)

@@ -16,7 +16,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition
+from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition, set_option_discount
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import PrimitiveStep
@@ -351,6 +351,7 @@ class _WatchedEnv(gymnasium.Wrapper):
 
     def __init__(self, watch: Watch) -> None:
         super().__init__(watch.driver.env)
+        set_option_discount(self.env, watch.driver.agent.gamma)
         self._watch = watch
 
     def step(self, action: Any) -> Any:

@@ -233,8 +233,6 @@ def test_nothing_shows_before_the_first_mistake_what_one_does(observation):
         begun, mask = env.reset(seed=0), env.action_masks()
         pressed = env.step(env.action_names.index(f"meta-{first + 1:02}"))
         told = [{name: value for name, value in info.items() if name != "instance"} for info in (begun[1], pressed[4])]
-        for info in told:
-            info["option"] = info["option"] | {"planner_seconds": None}
         seen.append((begun[0].tolist(), mask.tolist(), pressed[0].tolist(), pressed[1:4], str(told)))
         late = next(button for button in range(3) if room.puzzle.parent_masks[button] & ~(1 << first))
         mistaken = env.step(env.action_names.index(f"meta-{late + 1:02}"))

@@ -59,7 +59,7 @@ def test_smdp_bookkeeping_is_that_of_the_environment(run: Path, two_buttons):
     expected = []
     for choice in choices:
         info = env.step(choice.action)[-1]
-        rewards = info["rewards"]
+        rewards = env.last_rewards
         expected.append((info["option"]["name"], len(rewards), sum(gamma**i * r for i, r in enumerate(rewards)),
                          gamma ** len(rewards)))
     steps = [(done.name, done.transition) for done in watch.decisions]

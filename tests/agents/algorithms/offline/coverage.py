@@ -69,7 +69,7 @@ def cover_room(room: RoomInstance, gamma: float, depth: int) -> Coverage:
             flat.set_state(state)
             env.resume()
             _, _, over, _, info = env.step(int(action))
-            rows.append({"state": numbers[state], "action": int(action), "rewards": info["rewards"], "over": over,
+            rows.append({"state": numbers[state], "action": int(action), "rewards": env.last_rewards, "over": over,
                          "next": find(flat.get_state(), left - 1) if not over else numbers[state]})
     env.close()
     actions = int(env.action_space.n)
