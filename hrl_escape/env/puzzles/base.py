@@ -235,7 +235,10 @@ class Puzzle(_OfKind):
         return (False,) * len(self.target_names)
 
     def describe(self, state: PuzzleState) -> tuple[str, ...]:
-        """Sentences on what `observe` shows beyond the lights; by default its numbers, unless they are the lights."""
+        """Sentences on what `observe` shows beyond the lights; by default its numbers, unless they are the lights.
+
+        They name no places, which are for the room to describe. A puzzle that observes places overrides this.
+        """
         numbers = self.observe(state)
         return () if numbers == self.get_lit(state) else (f"The display reads {' '.join(f'{n:g}' for n in numbers)}.",)
 
