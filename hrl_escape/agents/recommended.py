@@ -34,8 +34,8 @@ RECOMMENDED = (
     ),
     Recommendation(
         "to compare with", "smdp-retrace", "search baseline",
-        "The most efficient of five search baselines, or level with it, in each of the seven kinds of rooms. It learns "
-        "nothing from one episode to the next.",
+        "The most efficient of three search baselines, or level with it, in each of the seven kinds of rooms. It "
+        "learns nothing from one episode to the next.",
     ),
 )
 """What to train in one room, what to train for unseen rooms, and what to compare either with."""
@@ -44,4 +44,5 @@ RECOMMENDED = (
 def format_answer() -> str:
     """The answer as one line of Markdown, which the README and the pages on agents quote."""
     room, unseen, baseline = (f"`{choice.label}`" for choice in RECOMMENDED)
-    return f"In one room, start from {room}. For unseen rooms, start from {unseen}. Compare either with {baseline}."
+    return (f"In one room start with {room}. For unseen rooms start with {unseen}. Compare both with the search baseline "
+            f"{baseline}.")
