@@ -44,5 +44,5 @@ RECOMMENDED = (
 def format_answer() -> str:
     """The answer as one line of Markdown, which the README and the pages on agents quote."""
     room, unseen, baseline = (f"`{choice.label}`" for choice in RECOMMENDED)
-    return (f"In one room start with {room}. For unseen rooms start with {unseen}. Compare both with the search baseline "
-            f"{baseline}.")
+    return (f"In one room start with {room}. For unseen rooms start with {unseen}. Compare both with the search "
+            f"baseline {baseline}.")

@@ -247,7 +247,7 @@ def _print(console: Console, summary: Summary, comparison: Comparison) -> None:
     console.print("", table, "")
     for failure in comparison.failures:
         console.print(Text(f"failed: {failure.run.name}: {failure.message}", style="red"))
-    console.print(f"Report: {comparison.out / 'report.html'}", markup=False)
+    console.print(f"Report: {(comparison.out / 'report.html').absolute().as_uri()}", markup=False)
 
 
 def _mark(text: str) -> Text:

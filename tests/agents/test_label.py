@@ -22,7 +22,8 @@ def test_a_label_is_name_recipe_settings_options_and_leaves():
     label = AgentLabel.parse(LABEL)
     assert (label.name, label.recipe, label.settings) == ("smdp-ppo", "", {"network": "objects"})
     assert label.options == {"memory": True, "include_primitives": False} and label.leaves is None
-    assert AgentLabel.parse("h-dqn@table+planned") == AgentLabel("h-dqn@table+planned", "h-dqn", "table", leaves="planned")
+    given = "h-dqn@table+planned"
+    assert AgentLabel.parse(given) == AgentLabel(given, "h-dqn", "table", leaves="planned")
     spec = AgentSpec.parse(LABEL)
     assert (spec.label, spec.options) == (LABEL, OptionsView(include_primitives=False, memory=True))
     assert AgentSpec.parse("maxq-q+gru+planned").label == "maxq-q+gru+planned"
