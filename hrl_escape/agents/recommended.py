@@ -22,14 +22,14 @@ class Recommendation:
 RECOMMENDED = (
     Recommendation(
         "one room", "smdp-r-max+no-primitives", "R-MAX over options",
-        "Efficiency 0.91 to 1.00 after 20,000 primitives in the room where it is tested, in each of seven kinds of "
-        "rooms with two to ten buttons; the search baseline, which starts every episode anew, has 0.35 to 0.84. Three "
-        "learners of structure do as well; of those with a network, smdp-rainbow+no-primitives does best.",
+        "Efficiency 0.91 to 1.00 after 20,000 primitives in the room where it is tested, in seven kinds of rooms with "
+        "two to ten buttons. The search baseline, which starts every episode anew, has 0.35 to 0.84. Four learners of "
+        "structure show no significant difference. The best agent with a network is smdp-rainbow+no-primitives.",
     ),
     Recommendation(
         "unseen rooms", "smdp-ppo+objects+memory+no-primitives", "PPO over options, with memory",
         "Efficiency 0.76 to 0.96 in unseen rooms where marks reveal the order, after 1,000 training rooms and up to "
-        "two million primitives; the search baseline has 0.38 to 0.76. Without such marks no gain over the search "
+        "two million primitives. The search baseline has 0.38 to 0.76. Without such marks no gain over the search "
         "baseline is shown that holds in fresh rooms.",
     ),
     Recommendation(

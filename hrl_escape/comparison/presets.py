@@ -29,7 +29,7 @@ GRIDS: dict[str, Grid] = {grid.name: grid for grid in (
           "ladder-2/violations-2/train[0]", runs=10, primitives=8_000, eval_every=800, eval_episodes=1),
     _make("quickstart", "Do options help in a room with two buttons, and does learning add to what they know?",
           f"random dqn smdp-random smdp-q-learning smdp-dqn {_REFERENCES}", "paper-two-button",
-          runs=8, primitives=15_000, eval_episodes=3),
+          runs=10, primitives=15_000, eval_episodes=3),
     _make("patience", "Does a flat learner escape from the room of quickstart, given time?",
           f"dqn+patient {_REFERENCES}", "paper-two-button",
           runs=10, primitives=100_000, eval_every=2_500, eval_episodes=1),
