@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from typing_extensions import Self
 
@@ -26,7 +26,7 @@ class Trait:
     about: str  # effect, for help texts
     settings: Mapping[str, Any] = field(default_factory=dict)  # settings of the agent
     options: Mapping[str, Any] = field(default_factory=dict)  # arguments of the options, or `memory`
-    leaves: str | None = None  # leaves of a hierarchy that is synthesised from the room
+    leaves: Literal["planned", "learned"] | None = None  # leaves of a hierarchy that is synthesised from the room
 
 
 TRAITS: dict[str, Trait] = {
@@ -53,7 +53,7 @@ class AgentLabel:
     recipe: str = ""  # recipe behind `@`; empty where the label gives none
     settings: Mapping[str, Any] = field(default_factory=dict)  # settings that differ from the recipe's
     options: Mapping[str, Any] = field(default_factory=dict)  # what the environment's options must be
-    leaves: str | None = None  # leaves of the hierarchy that the environment must have
+    leaves: Literal["planned", "learned"] | None = None  # of the hierarchy that the environment must have
 
     @classmethod
     def parse(cls, text: str) -> Self:
