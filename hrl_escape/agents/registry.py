@@ -22,13 +22,13 @@ from typing import Any
 import gymnasium
 
 from hrl_escape.agents.agent import CATALOGUE, Agent, read_goal_rule
+from hrl_escape.agents.label import DEFAULT_RECIPE, SMDP_PREFIX, AgentLabel
 from hrl_escape.agents.larg2019.recipes import PAPER
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 from hrl_escape.plugins import load_entry_point
 from hrl_escape.settings import replace_settings
 
 ENTRY_POINT_GROUP = "hrl_escape.agents"
-SMDP_PREFIX = "smdp-"
 
 GIVEN_PARTS = ("hierarchy", "program", "goals", "goal_space", "landmarks", "tree")
 """Names under which agents take a structure, each a kind of its own."""
@@ -118,7 +118,7 @@ def list_recipes(name: str) -> dict[str, Any]:
     return recipes | over_options if name.startswith(SMDP_PREFIX) else recipes
 
 
-def get_recipe(name: str, recipe: str = "corrected") -> Any:
+def get_recipe(name: str, recipe: str = DEFAULT_RECIPE) -> Any:
     """The settings of an agent under a recipe; see `list_recipes`.
 
     Raises:
@@ -131,26 +131,30 @@ def get_recipe(name: str, recipe: str = "corrected") -> Any:
 
 
 def make_agent(name: str, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-               recipe: str = "corrected", structure: Mapping[str, Any] | None = None, **settings: Any) -> Agent:
+               recipe: str = DEFAULT_RECIPE, structure: Mapping[str, Any] | None = None, **settings: Any) -> Agent:
     """Make an agent by name.
 
     Args:
-        name: one of `list_agents()`, with or without the prefix `smdp-`.
+        name: one of `list_agents()`, with or without the prefix `smdp-`, or a label such as `smdp-dqn+objects+memory`.
+            Its traits change settings; those about options describe the environment, whose spaces are given.
         observation_space: what it will see.
         action_space: Discrete.
         seed: 0 or more; all of the agent's randomness follows from it.
-        recipe: `corrected` or `paper`.
+        recipe: `corrected` or `paper`; a label may name it too.
         structure: what the agent is given beside spaces and settings, such as a `hierarchy`; see `read_structure`.
-        **settings: fields of the agent's settings to change, such as `gamma=0.995`.
+        **settings: fields of the agent's settings to change, such as `gamma=0.995`; they come after the label's.
 
     Raises:
-        UnknownNameError: no such agent, recipe or setting.
-        AgentSettingsError: a setting or the seed is not possible, or the agent takes no such structure.
+        UnknownNameError: no such agent, trait, recipe or setting.
+        AgentSettingsError: a setting or the seed is not possible, the agent takes no such structure, or the label
+            contradicts itself or `recipe`.
         UnsupportedSpaceError: the agent cannot use these spaces.
     """
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise AgentSettingsError("seed", seed, "a whole number of at least 0")
-    chosen = replace_settings(get_recipe(name, recipe), settings)
+    label = AgentLabel.parse(name)
+    name = label.name
+    chosen = replace_settings(get_recipe(name, label.resolve_recipe(recipe)), {**label.settings, **settings})
     agent_class: Any = get_agent_class(name)
     taken = inspect.signature(agent_class).parameters
     given = {part: what for part, what in (structure or {}).items() if part != GOAL_RULE or part in taken}

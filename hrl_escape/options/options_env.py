@@ -1,7 +1,7 @@
-"""`OptionsEnv`: a Gymnasium wrapper under which one step is one decision of an SMDP.
+"""`OptionsEnv` turns a Gymnasium environment into a semi-MDP: one step runs one option, or one primitive.
 
-A primitive, or an option run to its end, becomes one transition with its duration and discount
-(Sutton, Precup and Singh 1999, section 3). This module only counts and records; the options come
+The step returns the option's reward, duration and discount (Sutton, Precup and Singh 1999, section 3). Interruptible
+options return after every primitive. This module only counts and records; the options come
 from `domain.py`, the loop inside one decision from `execution.py`.
 """
 

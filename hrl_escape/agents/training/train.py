@@ -20,11 +20,13 @@ import numpy as np
 from gymnasium.vector import VectorEnv, VectorRewardWrapper, VectorWrapper
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.label import DEFAULT_RECIPE, AgentLabel
 from hrl_escape.agents.registry import get_agent_class, list_stream_agents, make_agent, read_structure
 from hrl_escape.agents.streams import StreamAgent, Streams
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import (
+    check_label,
     compute_digest,
     hash_large_parts,
     load_part,
@@ -58,7 +60,7 @@ def train(
     data: str | os.PathLike[str] | OfflineData | None = None,
     decisions: int | None = None,
     seed: int = 0,
-    recipe: str = "corrected",
+    recipe: str = DEFAULT_RECIPE,
     settings: Mapping[str, Any] | None = None,
     eval_env: gymnasium.Env | None = None,
     eval_every: int | None = None,
@@ -77,7 +79,9 @@ def train(
     """Train an agent on an environment, flat or with options, or from a data set.
 
     Args:
-        agent: a name (see `registry.list_agents`, with or without `smdp-`), or an agent of your own, made new.
+        agent: a name (see `registry.list_agents`, with or without `smdp-`), a label such as `smdp-dqn+objects+memory`
+            (see `agents.label`), or an agent of your own, made new. What a label says of options, memory or a hierarchy
+            must hold of the environment.
         env: Discrete actions; what `step` must return is in `agent.make_transition`. It must depend on nothing
             before `reset(seed=...)`, which is called for every episode. Let an environment of your own keep its
             arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
@@ -91,7 +95,7 @@ def train(
         decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
         seed: 0 or more; fixes the agent (if named) and every training episode.
         recipe: `corrected` or `paper`, for a named agent.
-        settings: fields of a named agent's settings to change.
+        settings: fields of a named agent's settings to change; they come after the label's.
         eval_env: evaluation environment; by default `env` itself, between episodes, or one of many.
         eval_every: primitives between evaluations, a twentieth of the budget by default. Each is made at
             the first episode's end from there on, besides one before training and one after.
@@ -117,12 +121,18 @@ def train(
         Curves, episodes, totals and the trained agent.
 
     Raises:
-        AgentSettingsError: an argument or setting is impossible.
-        UnknownNameError: no such agent, recipe or setting.
+        AgentSettingsError: an argument or setting is impossible, or the label disagrees with the environment.
+        UnknownNameError: no such agent, trait, recipe or setting.
         StepContractError: the environment breaks the contract.
         DivergenceError: a loss became NaN; names run and primitive.
         RunMismatchError, RunBusyError, CheckpointError, FileWriteError: about `out`.
     """
+    if settings is not None and not isinstance(settings, Mapping):
+        raise AgentSettingsError("settings", settings, "a mapping from names of settings to values, or None")
+    label = None
+    if isinstance(agent, str):
+        label = AgentLabel.parse(agent)
+        agent, recipe, settings = label.name, label.resolve_recipe(recipe), {**label.settings, **(settings or {})}
     material = None
     if data is not None:
         from hrl_escape.agents.training.offline_run import OfflineRun, gather_material  # brings torch in
@@ -146,8 +156,6 @@ def train(
     ):
         if not isinstance(value, (int, np.integer)) or value < least:
             raise AgentSettingsError(name, value, f"a whole number of at least {least}")
-    if settings is not None and not isinstance(settings, Mapping):
-        raise AgentSettingsError("settings", settings, "a mapping from names of settings to values, or None")
     if until_return is not None and (not isinstance(until_return, (int, float)) or not eval_episodes):
         raise AgentSettingsError("until_return", until_return, "a return of evaluations, of which eval_episodes are "
                                  "above 0, or None")
@@ -158,6 +166,8 @@ def train(
         get_agent_class(agent)  # loads torch where it is needed, before its threads are set
     with _using_threads(threads):
         single = env if isinstance(env, gymnasium.Env) else (eval_env or make_single_env(env))
+        if label is not None:
+            check_label(label, single)
         if isinstance(agent, str):
             name = agent
             learner = make_agent(agent, single.observation_space, single.action_space, seed, recipe,
