@@ -51,6 +51,8 @@ def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones()
     assert "docs/results/figures/reach.svg" in readme and "docs/results/figures/reach-dark.svg" in readme
     assert "does not escape from any room with 15 buttons" in readme
     assert count_escapes(runs, "learned walks + structure")[15][0] == 0
+    assert "Where a wrong press does nothing, it escapes with twenty buttons, too." in readme
+    assert all(run.first_escape for run in runs if (run.cell, run.rule, run.buttons) == (BASELINE, "ignore", 20))
     assert f"within {study.data['budget']:,} primitives" in readme and "up to 30 runs" in readme
     assert max(count for cell in (FULL, BASELINE) for _, count in count_escapes(runs, cell).values()) == 30
 
