@@ -36,7 +36,7 @@ def record_escapes(env: gymnasium.Env, seeds: Sequence[int], evaluations: Sequen
     It plans once from the start of each episode that escaped, and searches for the best known return only where the
     agent beat that plan. Left alone are other environments than rooms, puzzles with rewards of their own, and returns
     that a wrapper made: those that an escape after so many primitives does not earn. The evaluation environment is
-    reset where an episode escaped; arguments are those of `RUN_OBSERVERS`.
+    reset where an episode escaped; arguments are those of `run_observers`.
     """
     room: Any = env.unwrapped
     if not isinstance(getattr(room, "instance", None), RoomInstance):

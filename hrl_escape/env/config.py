@@ -13,7 +13,7 @@ import math
 from functools import lru_cache
 from typing import Annotated, Literal
 
-from hrl_escape.env.bases import BASES, Base
+from hrl_escape.env.bases import Base, bases
 from hrl_escape.env.primitives import ActionTable, DriveKind, Move, SlipKind, make_action_table
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -181,8 +181,8 @@ class RobotConfig(Schematic):
             raise ConfigError("robot.joints", 0, f"from 1 to 7 for robot.kind = {self.kind!r}")
         if self.use and not self.gripper:
             raise ConfigError("robot.use", self.use, "false without robot.gripper")
-        if self.footprint not in BASES:
-            raise ConfigError("robot.footprint", self.footprint, f"one of {', '.join(BASES)}")
+        if self.footprint not in bases:
+            raise ConfigError("robot.footprint", self.footprint, f"one of {', '.join(bases)}")
         if abs(self.mount_forward) > self.base.front:
             raise ConfigError("robot.mount_forward", self.mount_forward,
                               f"at most robot.{self.base.front_field} = {self.base.front:g} either way")
@@ -190,7 +190,7 @@ class RobotConfig(Schematic):
 
 @lru_cache(maxsize=256)
 def _measure_base(robot: RobotConfig) -> Base:
-    return BASES[robot.footprint].measure(robot)
+    return bases.get(robot.footprint).measure(robot)
 
 
 @dataclasses.dataclass(frozen=True)
