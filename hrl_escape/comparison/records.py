@@ -51,6 +51,6 @@ def record_escapes(env: gymnasium.Env, seeds: Sequence[int], evaluations: Sequen
         from hrl_escape.planning.planner import get_planner
 
         earned = [value for length, value in escapes if math.isclose(value, compute_escape_return(instance, length))]
-        if earned and not instance.puzzle.has_reward and (
+        if earned and not instance.has_extra_reward and (
                 max(earned) > find_by_plan(get_planner(instance), state, jointly=False).value + 1e-9):
             record_return(instance, state, max(earned), source)

@@ -17,6 +17,7 @@ from hrl_escape.env.bases import Base, bases
 from hrl_escape.env.primitives import ActionTable, DriveKind, Move, SlipKind, make_action_table
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.rewards import RewardConfig
 from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Between, Range
@@ -263,24 +264,6 @@ class ExitConfig(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class RewardConfig(Schematic):
-    """Sparse reward of the paper: -1 a primitive, +100 at the exit."""
-
-    _section = "reward"
-    step: Annotated[float, Range(-1e6, 1e6)] = -1.0
-    """Reward of every primitive."""
-    exit: Annotated[float, Range(-1e6, 1e6)] = 100.0
-    """Reward of the primitive that exits, on top of its step."""
-    exit_replaces_step: bool = False
-    """The exiting primitive earns `exit` alone (the published 2019 code)."""
-
-    @property
-    def on_exit(self) -> float:
-        """Reward of the primitive that exits."""
-        return self.exit if self.exit_replaces_step else self.step + self.exit
-
-
-@dataclasses.dataclass(frozen=True)
 class DynamicsConfig(Schematic):
     """Dynamics: exact kinematics or Bullet's rigid bodies, noise and slip, and the part that presses."""
 
@@ -338,7 +321,7 @@ class RoomConfig(Schematic):
     exit: ExitConfig = ExitConfig()
     """Exit: the region on the floor in which an episode ends."""
     reward: RewardConfig = RewardConfig()
-    """Reward of each primitive and of the exit."""
+    """Reward of each primitive and of the exit; `kind` names it in JSON."""
     dynamics: DynamicsConfig = DynamicsConfig()
     """Effect of the primitives: kinematic or rigid-body, noise and slip."""
     horizon: Annotated[int, Range(1, 100_000_000)] = 1000
