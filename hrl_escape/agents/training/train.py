@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -45,11 +44,18 @@ from hrl_escape.agents.training.run import (
 )
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
 from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, UnknownNameError, describe_damage
-from hrl_escape.plugins import RUN_OBSERVERS
+from hrl_escape.registry import Registry
 from hrl_escape.settings import replace_settings
 
 if TYPE_CHECKING:
     from hrl_escape.agents.components.offline import OfflineData
+
+run_observers: Registry[Callable[..., object]] = Registry(
+    "run observer", "a function (env, seeds, evaluations, source)", callable,
+    {"best-known-returns": "hrl_escape.comparison.records:record_escapes"})
+"""Functions that `train` calls at its end, as `observer(env, seeds, evaluations, source)`: the evaluation environment,
+the seeds of an evaluation's episodes, the evaluations, and agent and seed in words. They are imported when a run has
+ended."""
 
 
 def train(
@@ -114,7 +120,7 @@ def train(
         until_return: end before the budget, after two evaluations in a row whose mean return is at least this; None
             trains for all of it.
         eval_trials: parts of an evaluation episode that count as episodes of their own; see `evaluate`.
-        observed: call `plugins.RUN_OBSERVERS` at the end. This package's raises the best known return of a room, with a
+        observed: call `run_observers` at the end. This package's raises the best known return of a room, with a
             warning, where an evaluation has beaten it. Not called where `eval_trials` is above 1.
 
     Returns:
@@ -201,8 +207,8 @@ def train(
             run.close()
         if observed and result.evaluations and eval_trials == 1:
             seeds = [compute_episode_seed(eval_seed, "evaluation", n) for n in range(eval_episodes)]
-            for observer in RUN_OBSERVERS:
-                resolve_name(observer)(eval_env or single, seeds, result.evaluations, f"{name}, seed {seed}")
+            for observer in run_observers.load_all().values():
+                observer(eval_env or single, seeds, result.evaluations, f"{name}, seed {seed}")
         return result
 
 

@@ -269,14 +269,15 @@ class Mover:
             turn = math.remainder(heading - rules.get_heading(state), math.tau)
             joints = tuple(a - b for a, b in zip(angles, rules.get_angles(state), strict=True))
             before = state.touching
-            state, _, _, _, pressed = rules.glide(state, Glide(x - state.x, y - state.y, turn, joints, 0.0))
+            done = rules.glide(state, Glide(x - state.x, y - state.y, turn, joints, 0.0))
+            state = done.state
             if before & ~state.touching:
                 touching = state.touching | before & self._near.compute_touching(*state.pose)
                 state = state._replace(touching=touching)
             if (math.hypot(x - state.x, y - state.y) > _LOST
                     or abs(math.remainder(heading - rules.get_heading(state), math.tau)) > _LOST):
                 return None
-            contacts += [Contact(time, target) for target in pressed]
+            contacts += [Contact(time, target) for target in done.pressed]
         return tuple(contacts), state
 
 
