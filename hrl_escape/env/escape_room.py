@@ -200,12 +200,13 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     # --- Gymnasium ---------------------------------------------------------------------
 
     @property
-    def spec(self) -> EnvSpec | None:  # pyright: ignore[reportIncompatibleVariableOverride]  # an attribute there
+    def spec(self) -> EnvSpec | None:
         """Specification by which `gymnasium.make` made it; its `max_episode_steps` is the room's horizon."""
         return self._spec
 
     @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
+    def spec(  # pyright: ignore[reportIncompatibleVariableOverride]  # a plain attribute there
+            self, spec: EnvSpec | None) -> None:
         self._spec = bound_episodes(spec, self._count_steps())
 
     def _count_steps(self) -> int:

@@ -72,12 +72,13 @@ class BatchVectorEnv(VectorEnv):
         """Steps until an episode is truncated."""
 
     @property
-    def spec(self) -> EnvSpec | None:  # pyright: ignore[reportIncompatibleVariableOverride]  # an attribute there
+    def spec(self) -> EnvSpec | None:
         """Specification by which `gymnasium.make_vec` made it; `max_episode_steps` is where episodes are truncated."""
         return self._spec
 
     @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
+    def spec(  # pyright: ignore[reportIncompatibleVariableOverride]  # a plain attribute there
+            self, spec: EnvSpec | None) -> None:
         self._spec = made = bound_episodes(spec, self._count_steps())
         if made is not None:  # as `make_vec` writes down a registered limit
             made.kwargs = {**made.kwargs, "max_episode_steps": made.max_episode_steps}

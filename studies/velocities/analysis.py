@@ -223,7 +223,7 @@ def _play_order(env: OptionsEnv, order: Sequence[int]) -> float:
     steps = 0
     for option in order:
         _, _, terminated, truncated, info = env.step(option)
-        steps += info["duration"]
+        steps += int(info["duration"])
         if terminated or truncated:
             return steps if info["success"] else math.inf
     return math.inf
