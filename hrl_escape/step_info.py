@@ -18,7 +18,7 @@ from hrl_escape.errors import DiscountMismatchError, StepContractError
 
 ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
 """Values of `info["option"]["ended"]`."""
-ROUNDING = 2.0**-23
+FLOAT32_ROUNDING = 2.0**-23
 """Relative rounding of float32, in which wrappers and vector environments may hold rewards."""
 CHANGED = (
     "the reward {where} is {reward:g}, but its primitives paid {summed:g} in sum: a wrapper above OptionsEnv changed "
@@ -57,7 +57,7 @@ class Payment(NamedTuple):
 
 def is_discount(discount: float, gamma: float, duration: int) -> bool:
     """Return whether a discount is gamma^k, up to the rounding of float32."""
-    return math.isclose(discount, gamma**duration, rel_tol=ROUNDING * duration, abs_tol=1e-12)
+    return math.isclose(discount, gamma**duration, rel_tol=FLOAT32_ROUNDING * duration, abs_tol=1e-12)
 
 
 def is_decision(info: Mapping[str, Any]) -> bool:
@@ -142,7 +142,7 @@ def is_same(reward: float, paid: float, duration: int, scale: float = 0.0) -> bo
         duration: number of rewards in the sum.
         scale: sum of their absolute values, where known.
     """
-    return abs(reward - paid) <= ROUNDING * duration * max(scale, abs(paid))
+    return abs(reward - paid) <= FLOAT32_ROUNDING * duration * max(scale, abs(paid))
 
 
 def read_number(value: Any, what: str) -> float:

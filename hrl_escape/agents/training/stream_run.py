@@ -46,7 +46,7 @@ from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.run import NO_OPTIONS, Means, Reporter, Run, RunArguments
 from hrl_escape.agents.training.run_folder import RunFolder
 from hrl_escape.errors import CheckpointError, DiscountMismatchError, StepContractError, show_value
-from hrl_escape.step_info import CHANGED, ROUNDING
+from hrl_escape.step_info import CHANGED, FLOAT32_ROUNDING
 
 REMADE = 200_000
 """Most actions, of all streams together, that stand for running episodes."""
@@ -234,7 +234,7 @@ class VectorStreams:
         """Put in the sums that decisions of some rows give, and refuse rewards that are neither of the two."""
         (of_r, _), (of_gamma, _) = (part for part in parts[:2] if part is not None)
         power = torch.as_tensor(self.gamma, dtype=torch.float64, device=paid.device) ** duration
-        rounding = ROUNDING * duration
+        rounding = FLOAT32_ROUNDING * duration
         wrong = rows & (duration > 1) & ((of_gamma.double() - power).abs() > rounding * power + 1e-12)
         if bool(wrong.any()):
             row = int(wrong.nonzero()[0])
