@@ -64,8 +64,8 @@ def compare_with_twin(make: Callable[[], gymnasium.Env], skills: Sequence[Skill]
         gamma: discount per primitive.
         weights: relative frequency of each action, primitives first; all alike by default.
     """
-    env, twin, rng = OptionsEnv(make(), [skill.make_option() for skill in skills], discount=gamma, trace=True), make(), (
-        np.random.default_rng(seed))
+    env = OptionsEnv(make(), [skill.make_option() for skill in skills], discount=gamma, trace=True)
+    twin, rng = make(), np.random.default_rng(seed)
     primitives = env.primitive_count
     share = np.ones(primitives + len(skills)) if weights is None else np.asarray(weights, float)
     over, longest, terminations, truncations, masked, returns = True, 0, 0, 0, 0, set()
