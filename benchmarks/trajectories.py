@@ -195,7 +195,7 @@ def drive(config: RoomConfig, seed: int, planner: str) -> tuple[bool, list[str],
             except EscapeError as error:
                 faults.append(f"raises {type(error).__name__}: {error}")
                 break
-            option, is_over, escaped = info["option"], terminated or truncated, bool(terminated and info["success"])
+            option, is_over, escaped = info["option"], terminated or truncated, bool(terminated and info["is_success"])
             also = f"also presses {option['also_pressed']}" if option["also_pressed"] else ""
             faults.append(also if option["ended"] == "reached" or escaped else option["reason"] or option["ended"])
     env.close()

@@ -204,7 +204,8 @@ def _tell(args: TrainArgs, result: TrainResult, best: float | None) -> None:
     for number, evaluation in enumerate(evaluations):
         if number % step == 0 or number == len(evaluations) - 1:
             table.add_row(f"{evaluation.primitives:,}", f"{evaluation.decisions:,}", f"{evaluation.mean_return:.1f}",
-                          f"{evaluation.success_rate:.0%}", f"{evaluation.mean_length:,.0f}")
+                          "" if evaluation.success_rate is None else f"{evaluation.success_rate:.0%}",
+                          f"{evaluation.mean_length:,.0f}")
     console.print(table)
     episodes = len(result.episodes) + sum(segment.episodes for segment in result.segments)
     calls = f", {result.planner_calls:,} planner calls" if result.planner_calls else ""

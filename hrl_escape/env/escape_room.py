@@ -23,7 +23,7 @@ from hrl_escape.env.engine import Engine, Renderer, check_camera, check_picture_
 from hrl_escape.env.instance import InstanceForm, RoomInstance, read_instance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import check_seed, draw_episode
-from hrl_escape.env.observations.base import make_observer
+from hrl_escape.env.observations.base import Observer, make_observer
 from hrl_escape.env.presets import SchematicForm, read_schematic
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
@@ -68,12 +68,12 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     One of the instance's start poses and one of the puzzle's first states, chosen by the episode seed; arm at home.
 
     ## Episode end
-    `terminated` when the body's axis is inside the exit and the puzzle is solved (`success`), or where a puzzle
+    `terminated` when the body's axis is inside the exit and the puzzle is solved (`is_success`), or where a puzzle
     that can be failed has been; `truncated` after `horizon` primitives (1,000).
 
     ## Information
     `info` has `instance` (content hash), `primitives` (so far), `buttons_on` and `pressed` (int8, one a target: 1
-    if it is on, and if this primitive pressed it), `success`.
+    if it is on, and if this primitive pressed it), `is_success`.
 
     ## Arguments
     Args:
@@ -171,6 +171,11 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         instance = read_instance(self._instances[self.instance_index])  # type: ignore[index]  # there are some
         if instance.id != self.instance.id:
             self._enter(instance)
+
+    @property
+    def observer(self) -> Observer:
+        """Observer of the present room."""
+        return self._observer
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments that decide this environment's numbers, as JSON values; drawing is left out.
@@ -331,4 +336,4 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         begun = np.zeros(len(lit), dtype=np.int8)
         begun[list(pressed)] = 1
         return {"instance": self.instance.id, "primitives": state.primitives, "buttons_on": lit.copy(),
-                "pressed": begun, "success": success}
+                "pressed": begun, "is_success": success}

@@ -28,7 +28,7 @@ from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.training.callbacks import Callback, RunDescription
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate, walk_episode
-from hrl_escape.agents.training.results import EpisodeRecord, SegmentRecord, TrainResult, make_evaluation_row, read_row
+from hrl_escape.agents.training.results import EpisodeRecord, SegmentRecord, TrainResult, make_evaluation_row, omit_absent, read_row
 from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
 from hrl_escape.version import __version__, find_versions
@@ -198,6 +198,7 @@ class Run(Stateful):
         return RunDescription(self.arguments.name, self.arguments.seed, self.key, self.identity, path, first)
 
     def _log(self, row: Mapping[str, Any], folder: RunFolder | None) -> None:
+        row = omit_absent(row)
         if folder is not None:
             folder.log(row)
         for callback in self.callbacks:
@@ -285,7 +286,7 @@ class Run(Stateful):
             "train/return": tally.episode_return,
             "train/length": tally.length,
             "train/decisions": tally.decisions,
-            "train/success": int(tally.success),
+            "train/success": None if tally.success is None else int(tally.success),
             "train/end": end,
             **tally.make_row(),
             "option/planner_calls": self.planner_calls,
@@ -423,7 +424,7 @@ class _Tally(Means):
         super().__init__()
         self.episode_return = self.planner_seconds = 0.0
         self.length = self.decisions = self.planner_calls = 0
-        self.success = False
+        self._info: Mapping[str, Any] = {}  # of the latest decision
         self._choices: dict[str, int] = {}
         self._choice_primitives: dict[str, int] = {}
         self._failures = 0
@@ -438,8 +439,7 @@ class _Tally(Means):
         self._repeat = self._repeat + 1 if transition.action == self._last_action else 1
         self._last_action = transition.action
         self._longest_repeat = max(self._longest_repeat, self._repeat)
-        if transition.terminated or transition.truncated:
-            self.success = read_success(info, transition.terminated)
+        self._info = info
         if (option := info.get("option")) is not None:
             name = option["name"]
             self._choices[name] = self._choices.get(name, 0) + 1
@@ -448,6 +448,11 @@ class _Tally(Means):
             self.planner_calls += option.get("planner_calls", 0)
             self.planner_seconds += option.get("planner_seconds", 0.0)
         self.note(metrics)
+
+    @property
+    def success(self) -> bool | None:
+        """Success at the latest decision."""
+        return read_success(self._info)
 
     def make_row(self) -> dict[str, Any]:
         """Means of the agent's metrics, and counts of its choices, under their logged names."""

@@ -29,7 +29,7 @@ _ELSEWHERE = {
     "option_features": "infos['action_mask'] tells what is legal",
     "planner": "options follow cost-to-go fields",
 }
-_TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives", "success")
+_TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives")
 
 
 class OptionsVectorEnv(BatchVectorEnv):
@@ -37,7 +37,7 @@ class OptionsVectorEnv(BatchVectorEnv):
 
     `infos` holds arrays over rooms: `action_mask` (bool), `duration`, `discount` and `discounted_reward` as
     `OptionsEnv` gives them, as `pressed`, `ended` (an index into `ENDINGS`), `primitives` (of the episode so far) and
-    `success`; at a reset those of a decision in which nothing ran. The three kinds of automatic reset are those of
+    `is_success`; at a reset those of a decision in which nothing ran. The three kinds of automatic reset are those of
     `EscapeRoomVectorEnv`.
 
     Args:
@@ -150,10 +150,10 @@ class OptionsVectorEnv(BatchVectorEnv):
             none = torch.zeros(self.num_envs, dtype=torch.int32, device=self.device)
             told = {"duration": none, "discount": none.float() + 1, "discounted_reward": none.float(),
                     "ended": none.to(torch.int8) - 1, "primitives": self._batch.room.state.primitives,
-                    "success": none.bool()}
+                    "is_success": none.bool()}
             pressed = none.long()
         else:
-            told, pressed = {name: getattr(done, name) for name in _TOLD}, done.pressed
+            told, pressed = {name: getattr(done, name) for name in _TOLD} | {"is_success": done.success}, done.pressed
         told["pressed"] = unpack_bits(pressed, self._batch.room.layout.targets, torch.int8).T
         infos = {name: self._give(field) for name, field in ({"action_mask": mask} | told).items()}
         every = self._give(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
