@@ -210,8 +210,9 @@ def _tell(args: TrainArgs, result: TrainResult, best: float | None) -> None:
     episodes = len(result.episodes) + sum(segment.episodes for segment in result.segments)
     calls = f", {result.planner_calls:,} planner calls" if result.planner_calls else ""
     if result.resumed_at:
+        budget = args.primitives or (PRIMITIVES if args.data is None else result.primitives)
         done = "was finished: nothing was trained" if result.resumed_at >= result.primitives else (
-            f"went on from primitive {result.resumed_at:,}")
+            f"resumed at {result.resumed_at:,} of {budget:,} primitives")
         console.print(f"this run {done}")
     console.print(f"[bold]{make_console_text(result.agent_name)}[/bold], seed {result.seed}: {result.primitives:,} "
                   f"primitives, {result.decisions:,} decisions, {episodes:,} episodes{calls}, "

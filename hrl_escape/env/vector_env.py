@@ -103,8 +103,8 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
     `reset(options={"reset_mask": mask})` resets the rooms in the mask.
 
     ## Information
-    Arrays over rooms, as `SyncVectorEnv` would give them: `primitives` (so far, int32), `is_success` (bool), `pressed` and
-    `buttons_on` (int8, one a target) and `instance`: the number of each room's in `instances`, or the
+    Arrays over rooms, as `SyncVectorEnv` would give them: `primitives` (so far, int32), `is_success` (bool), `pressed`
+    and `buttons_on` (int8, one a target) and `instance`: the number of each room's in `instances`, or the
     content hash of the only one. With `output="torch"`, where there is no text, it is `instance_index`, the number.
 
     ## Pictures

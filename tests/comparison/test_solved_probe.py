@@ -12,8 +12,8 @@ from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.comparison.solved_probe import SolvedProbe, compare_graphs, find_edges_that_matter
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.settings import Between
 from studies.scaling.results import compute_edge_depth

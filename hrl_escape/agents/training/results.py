@@ -70,8 +70,8 @@ METRICS = {
     "eval/lengths": "primitives of each evaluation episode",
     "eval/decision_counts": "decisions of each evaluation episode",
     "eval/successes": "whether each evaluation episode succeeded; absent where none reports it",
-    "eval/progress": "share of the task done at best in each: the largest info['progress'], else its success; absent where "
-                     "no episode reports either",
+    "eval/progress": "share of the task done at best in each: the largest info['progress'], else its success; "
+                     "absent where no episode reports either",
     "option/choices": "decisions of the episode by the name of what was chosen, primitives included",
     "option/primitives": "primitives of the episode by the name of what was chosen",
     "option/failures": "decisions of the episode whose planning failed",

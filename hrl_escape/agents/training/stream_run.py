@@ -110,8 +110,9 @@ class VectorStreams:
         self.observation, self.action_mask = now, mask
         self._was_over = over if self._mode == AutoresetMode.NEXT_STEP else torch.zeros_like(over)
         duration, discounted = self._read_rewards(reward, infos, final, over)
+        success = self._read_success(final if self._mode == AutoresetMode.SAME_STEP else infos, over)
         return EndedDecisions(where, before, action, reward, discounted, duration, reached, reached_mask, terminated,
-                          truncated, self._read_success(final if self._mode == AutoresetMode.SAME_STEP else infos, over))
+                          truncated, success)
 
     # --- what comes from the environment ---------------------------------------------------
 
