@@ -201,22 +201,3 @@ def read_share(info: Mapping[str, Any], name: str) -> float | None:
         raise StepContractError(f"info[{name!r}] is {value}; it must be a number from 0 to 1. If the environment means "
                                 "something else by the key, rename it in a wrapper")
     return share
-
-
-def read_flag(info: Mapping[str, Any], name: str) -> bool | None:
-    """Read a truth value of `info`; None where it has none, or something else of this name.
-
-    Raises:
-        StepContractError: it is a number other than 0 and 1.
-    """
-    value = info.get(name)
-    if isinstance(value, (bool, np.bool_)) or value is None:
-        return None if value is None else bool(value)
-    if isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "biuf":
-        value = value.item()
-    if not isinstance(value, numbers.Real):
-        return None
-    if value not in (0, 1):
-        raise StepContractError(f"info[{name!r}] is {value}; it must be true or false. If the environment means "
-                                "something else by the key, rename it in a wrapper")
-    return bool(value)

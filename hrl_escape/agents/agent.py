@@ -24,7 +24,7 @@ from typing_extensions import Self
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import AgentSettingsError, StepContractError, UnsupportedSpaceError
 from hrl_escape.settings import Range, Settings
-from hrl_escape.step_info import read_flag, read_option, read_payment, read_trace
+from hrl_escape.step_info import read_option, read_payment, read_trace
 
 # --- settings ---------------------------------------------------------------------------
 
@@ -64,6 +64,8 @@ class LearningSettings(AgentSettings):
 # --- the protocol -----------------------------------------------------------------------
 
 CATALOGUE = "hrl_escape.agents.algorithms"
+SUCCESS_KEYS = ("is_success", "success")
+"""Keys of `info` that may hold an episode's success; the first that has a value counts."""
 """Package of the algorithms, one file each, named like the file."""
 
 
@@ -372,16 +374,36 @@ def read_action_mask(info: Mapping[str, Any], actions: int) -> NDArray[np.bool_]
     return legal
 
 
-def read_success(info: Mapping[str, Any], terminated: bool) -> bool:
-    """Read success at an episode's end: `info["is_success"]` or `info["success"]` if given, else `terminated`.
+def read_success(info: Mapping[str, Any]) -> bool | None:
+    """Read whether an episode succeeded from the `info` of its last step.
+
+    Args:
+        info: of the last step. `is_success` counts, else `success`; None is the same as no value. Gymnasium's own
+            environments give neither: a termination is no success.
+
+    Returns:
+        Success; None where the environment reports neither.
 
     Raises:
-        StepContractError: it is a number other than 0 and 1.
+        StepContractError: the value is neither True, False, 1 nor 0.
     """
-    for name in ("is_success", "success"):
-        if (success := read_flag(info, name)) is not None:
-            return success
-    return bool(terminated)
+    for name in SUCCESS_KEYS:
+        value = info.get(name)
+        if value is not None:
+            return read_success_value(name, value)
+    return None
+
+
+def read_success_value(name: str, value: Any) -> bool:
+    """Read a success of `info` under this name: True, False, 1 or 0, else `StepContractError`."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of unequal lengths
+        array = np.asarray(None)
+    if array.size != 1 or array.dtype.kind not in "biuf" or array.item() not in (0, 1):
+        raise StepContractError(f"info[{name!r}] is {value!r} at the last step of an episode; success must be True, "
+                                "False, 1 or 0. Leave the key out, or set it to None, where there is no success")
+    return bool(array.item())
 
 
 def check_observation(observation: Any, when: str) -> None:

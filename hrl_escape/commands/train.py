@@ -210,13 +210,15 @@ def _tell(args: TrainArgs, spec: AgentSpec, result: TrainResult, best: float | N
     for number, evaluation in enumerate(evaluations):
         if number % step == 0 or number == len(evaluations) - 1:
             table.add_row(f"{evaluation.primitives:,}", f"{evaluation.decisions:,}", f"{evaluation.mean_return:.1f}",
-                          f"{evaluation.success_rate:.0%}", f"{evaluation.mean_length:,.0f}")
+                          "" if evaluation.success_rate is None else f"{evaluation.success_rate:.0%}",
+                          f"{evaluation.mean_length:,.0f}")
     console.print(table)
     episodes = len(result.episodes) + sum(segment.episodes for segment in result.segments)
     calls = f", {result.planner_calls:,} planner calls" if result.planner_calls else ""
     if result.resumed_at:
+        budget = args.primitives or (PRIMITIVES if args.data is None else result.primitives)
         done = "was finished: nothing was trained" if result.resumed_at >= result.primitives else (
-            f"went on from primitive {result.resumed_at:,}")
+            f"resumed at {result.resumed_at:,} of {budget:,} primitives")
         console.print(f"this run {done}")
     console.print(f"[bold]{make_console_text(spec.label)}[/bold], seed {result.seed}: {result.primitives:,} "
                   f"primitives, {result.decisions:,} decisions, {episodes:,} episodes{calls}, "

@@ -9,7 +9,7 @@ from typing import Any
 
 import gymnasium
 
-from hrl_escape.agents.agent import Agent, read_success
+from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.references.registry import REFERENCES, make_reference
@@ -102,5 +102,5 @@ def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> Rec
             option = read_option(info) or {"name": room.instance.robot.actions.names[transition.action],
                                             "ended": "reached"}
             decisions.append((option["name"], transition.duration, option["ended"]))
-            success = read_success(info, transition.terminated)
+            success = bool(info["is_success"])
         return RecordedEpisode(room.instance, tuple(recorder.states), tuple(decisions), total, success)

@@ -24,7 +24,7 @@ from hrl_escape.env.engine import Engine, Renderer, check_camera, check_picture_
 from hrl_escape.env.instance import InstanceForm, RoomInstance, read_instance
 from hrl_escape.env.kinematics import QUIET, RoomState
 from hrl_escape.env.noise import check_seed, draw_episode, fold_seed
-from hrl_escape.env.observations.base import make_observer
+from hrl_escape.env.observations.base import Observer, make_observer
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.presets import SchematicForm, read_schematic
 from hrl_escape.env.rewards import Events
@@ -72,12 +72,12 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     One of the instance's start poses and one of the puzzle's first states, chosen by the episode seed; arm at home.
 
     ## Episode end
-    `terminated` when the body's axis is inside the exit and the puzzle is solved (`success`), or where a puzzle
+    `terminated` when the body's axis is inside the exit and the puzzle is solved (`is_success`), or where a puzzle
     that can be failed has been; `truncated` after `horizon` primitives (1,000).
 
     ## Information
     `info` has `instance` (content hash), `primitives` (so far), `buttons_on` and `pressed` (int8, one a target: 1
-    if it is on, and if this primitive pressed it), `success`.
+    if it is on, and if this primitive pressed it), `is_success`.
 
     ## Arguments
     Args:
@@ -180,6 +180,11 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         instance = read_instance(self._instances[self.instance_index])  # type: ignore[index]  # there are some
         if instance.id != self.instance.id:
             self._enter(instance)
+
+    @property
+    def observer(self) -> Observer:
+        """Observer of the present room."""
+        return self._observer
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments that decide this environment's numbers, as JSON values; drawing is left out.
@@ -355,4 +360,4 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         if events.pressed:
             begun[list(list_touched(events.pressed))] = 1
         return {"instance": self.instance.id, "primitives": state.primitives, "buttons_on": lit.copy(),
-                "pressed": begun, "success": events.escaped}
+                "pressed": begun, "is_success": events.escaped}

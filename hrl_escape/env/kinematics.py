@@ -46,7 +46,7 @@ class EpisodeEnd(str, Enum):
 
     @classmethod
     def of_step(cls, success: bool, terminated: bool, truncated: bool) -> EpisodeEnd:
-        """Return the end by the flags of a step; `success` is `info["success"]`, and only it means an escape."""
+        """Return the end by the flags of a step; `success` is `info["is_success"]`, and only it means an escape."""
         if terminated:
             return cls.ESCAPED if success else cls.FAILED
         return cls.TRUNCATED if truncated else cls.STOPPED

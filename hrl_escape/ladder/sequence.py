@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from hrl_escape.agents.agent import read_success, set_option_discount
+from hrl_escape.agents.agent import set_option_discount
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.errors import ConfigError, UnsupportedError
 
@@ -83,9 +83,7 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
         observation, reward, terminated, truncated, info = self._present.step(action)
         info = {**info, "trial": self._trial, "trial_ended": terminated or truncated}
         if terminated or truncated:
-            escaped = read_success(info, terminated)
-            info["is_success"] = escaped
-            if self._trial + 1 < self._count and (escaped or len(self.floors) == 1):
+            if self._trial + 1 < self._count and (info["is_success"] or len(self.floors) == 1):
                 self._trial += 1
                 observation, begun = self._try_again() if len(self.floors) == 1 else self._climb()
                 info |= {name: begun[name] for name in ("action_mask",) if name in begun}

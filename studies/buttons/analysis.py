@@ -111,7 +111,7 @@ class FirstEscape:
 
     def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
         """Look at the episode's end."""
-        self.is_done = self.is_done or episode.success
+        self.is_done = self.is_done or bool(episode.success)
 
     def state_dict(self) -> StateTree:
         """The flag of an escape."""

@@ -43,7 +43,7 @@ NAMES = [spec.id for spec in all_testing_env_specs]
 
 @pytest.mark.parametrize("spec", all_testing_env_specs, ids=NAMES)
 def test_reset(spec):
-    assert spec.make().reset(seed=0)[1]["success"] is (spec.id == "hrl_escape/PaperTwoButton-v1"), "as planted"
+    assert spec.make().reset(seed=0)[1]["is_success"] is (spec.id == "hrl_escape/PaperTwoButton-v1"), "as planted"
 
 
 def test_envs():

@@ -47,7 +47,7 @@ def test_ctrl_c_saves_the_run_and_the_same_command_goes_on_with_it(tmp_path):
     head = log.read_bytes()
     done = run_program(*command[1:], "--primitives", "4000", cwd=tmp_path)
     assert done.returncode == 0 and log.read_bytes()[:length] == head, "nothing was trained twice"
-    assert f"this run went on from primitive {saved:,}\n" in done.stdout
+    assert f"this run resumed at {saved:,} of 4,000 primitives\n" in done.stdout
     assert "best evaluation: return" in done.stdout and (tmp_path / "run" / "best.npz").exists()
 
 

@@ -72,7 +72,8 @@ def test_resets_draw_rooms_by_the_episodes_seed(rooms, options):
         for _ in range(12):
             number = env.reset()[1]["instance"]
             seen[-1].append(env.unwrapped.instance.id)
-            assert told.setdefault(seen[-1][-1], number) == number and type(number) is np.int64, "a number names no room"
+            assert told.setdefault(seen[-1][-1], number) == number, "a number names no room"
+            assert type(number) is np.int64
             copy = pickle.loads(pickle.dumps(env)) if len(told) == 3 and copy is None else copy
         assert env.observation_space == space
     assert seen[0] == seen[1] and 4 < len(set(seen[0])) and set(seen[0]) <= {room.id for room in rooms}

@@ -26,9 +26,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.agent import (
+    SUCCESS_KEYS,
     check_observation,
     check_same_observations,
     count_actions,
+    read_success_value,
     set_option_discount,
 )
 from hrl_escape.agents.registry import SMDP_PREFIX
@@ -56,8 +58,8 @@ class VectorStreams:
     """Streams of a vector environment, one decision of each a step.
 
     `infos` may hold what `make_transition` reads of `info`, as arrays: `action_mask`, and for decisions of several
-    primitives `duration`, `discount`, `discounted_reward` and `summed_reward`; and `success` where not every terminated
-    episode is one. An array `_action_mask`, bool (environments,), and so on, says whose entries count; in an
+    primitives `duration`, `discount`, `discounted_reward` and `summed_reward`; and `is_success`, else `success`, at the
+    end of an episode. An array `_action_mask`, bool (environments,), and so on, says whose entries count; in an
     environment without a mask every action is legal. Wrappers of the vector environment act on every step.
 
     Args:
@@ -119,8 +121,9 @@ class VectorStreams:
         self.observation, self.action_mask = now, mask
         self._was_over = over if self._mode == AutoresetMode.NEXT_STEP else torch.zeros_like(over)
         duration, summed, discounted = self._read_rewards(paid, infos, final, where, over)
+        success = self._read_success(final if self._mode == AutoresetMode.SAME_STEP else infos, over)
         return EndedDecisions(where, before, action, summed, discounted, duration, reached, reached_mask, terminated,
-                          truncated, self._read_success(terminated, over, final or infos))
+                          truncated, success)
 
     # --- what comes from the environment ---------------------------------------------------
 
@@ -257,17 +260,26 @@ class VectorStreams:
     def _is_same(reward: Tensor, paid: Tensor, rounding: Tensor) -> Tensor:
         return (reward.double() - paid).abs() <= rounding * paid.abs()
 
-    def _read_success(self, terminated: Tensor, over: Tensor, told: Mapping[str, Any]) -> Tensor:
-        """Success of the episodes that are over, as `read_success` has it; `told` is what their last `info` held."""
-        success = terminated
-        for name in ("success", "is_success"):
-            if (found := self._read(told, name)) is None or found[0].shape != (self.count,):
+    def _read_success(self, infos: Mapping[str, Any], over: Tensor) -> Tensor:
+        """Success as `read_success` reads it of each stream whose episode ended, int8 (streams,); -1 where it is None.
+
+        `infos` holds the streams' last steps.
+        """
+        success = torch.full_like(over, -1, dtype=torch.int8)
+        for name in reversed(SUCCESS_KEYS):
+            if name not in infos:
                 continue
-            given, gives = found
-            if given.device.type == "cpu" and bool((wrong := over & gives & (given != 0) & (given != 1)).any()):
-                raise StepContractError(f"infos[{name!r}] is {given[wrong].tolist()}; it must be true or false. If the "
-                                        "environments mean something else by the key, rename it in a wrapper")
-            success = torch.where(gives, given == 1, success)
+            values, given = infos[name], infos.get(f"_{name}")
+            if isinstance(values, Tensor):
+                shown = over if given is None else over & torch.as_tensor(given, device=self.device)
+                if values.dtype != torch.bool:
+                    for value in values[shown].tolist():
+                        read_success_value(name, value)
+                success = torch.where(shown, values.to(self.device, torch.int8), success)
+                continue
+            for stream in over.nonzero().squeeze(1).tolist():
+                if (given is None or given[stream]) and values[stream] is not None:
+                    success[stream] = read_success_value(name, values[stream])
         return success
 
     # --- checkpoints -----------------------------------------------------------------------
@@ -418,23 +430,25 @@ class _StreamTally(Stateful):
 
     def __init__(self, count: int, device: torch.device) -> None:
         self._running = torch.zeros((2, count), dtype=torch.float64, device=device)  # return and length so far
-        self._sums = torch.zeros(4, dtype=torch.float64, device=device)  # returns, lengths, successes, episodes
+        self._sums = torch.zeros(5, dtype=torch.float64, device=device)
+        """Returns, lengths, successes, episodes, and episodes that report their success."""
 
     def add(self, decisions: StreamTransitions, success: Tensor) -> int:
-        """Add decisions, and whether each ended an episode in success, bool (n,); returns the primitives that ran."""
+        """Add decisions; returns the primitives that ran. `success`, (n,), is as in `EndedDecisions`."""
         row = torch.stack((decisions.summed_reward.double(), decisions.duration.double()))
         running = self._running[:, decisions.stream] + row
         over = decisions.terminated | decisions.truncated
         self._running[:, decisions.stream] = torch.where(over, 0.0, running)
-        ended = torch.stack((*running, success.double(), torch.ones_like(running[0])))
+        counts = (success == 1, torch.ones_like(over), success >= 0)
+        ended = torch.stack((*running, *(count.double() for count in counts)))
         self._sums += torch.where(over, ended, 0.0).sum(dim=1)
         return int(decisions.duration.sum())
 
     def take_row(self) -> dict[str, Any]:
         """Logged numbers of the episodes that ended since the last call."""
-        returns, lengths, successes, episodes = self._sums.tolist()
+        returns, lengths, successes, episodes, reported = self._sums.tolist()
         self._sums.zero_()
-        return {"train/episodes": int(episodes), "train/successes": int(successes),
+        return {"train/episodes": int(episodes), "train/successes": int(successes) if reported else None,
                 "train/return": returns / episodes if episodes else None,
                 "train/length": lengths / episodes if episodes else None}
 

@@ -109,8 +109,8 @@ def train(
         eval_seed: fixes the evaluation episodes; use one value for all runs that are compared.
         out: folder for log, checkpoints and result; `{key}` in its name becomes a hash of everything that decides
             the run's numbers. The same run found there goes on from its last checkpoint, to the same bits; a
-            finished one is returned at once; any other run is refused. Ctrl-C saves the run at the end of the
-            episode that is running. The agent of the best evaluation is kept beside the last.
+            finished one is returned at once; any other run is refused. Ctrl-C, SIGTERM and SIGHUP save the run
+            at the end of the episode that is running. The agent of the best evaluation is kept beside the last.
         checkpoint_seconds: least wall time between checkpoints; 0 makes one after every episode.
         callbacks: told of rows, evaluations and checkpoints, such as `TensorBoard()`; see `agents.training.callbacks`.
         progress: show a progress line; by default on a terminal only.

@@ -103,6 +103,15 @@ class Observer(ABC):
         """Parts of the observation of every room of a batch, float32 (numbers, rooms) each; none by default."""
         raise UnsupportedError("this observation is not for batches")
 
+    @property
+    def light_places(self) -> tuple[int, ...]:
+        """Place in the observation of each target's light, in the order of the targets; empty without such numbers."""
+        names = {name: place for place, name in enumerate(self.names)}
+        if "puzzle-1" in names:
+            return tuple(names["puzzle-1"] + number for number in self._puzzle.light_numbers)
+        lights = [f"{name}-lit" for name in self._puzzle.target_names]
+        return tuple(names[light] for light in lights) if not self.rows and names.keys() >= set(lights) else ()
+
     def _get_puzzle(self, state: RoomState) -> tuple[float, ...]:
         """The puzzle's numbers in the form of this observation, cached, as a puzzle changes rarely."""
         numbers = self._seen.get(state.puzzle)

@@ -230,6 +230,14 @@ class Puzzle(_OfKind):
         """Return the N_p observation numbers, within `bounds`; by default one a target, 1 while it is on."""
         return tuple(map(float, self.get_lit(state)))
 
+    @property
+    def light_numbers(self) -> tuple[int, ...]:
+        """Place of each target's light among the observation numbers; empty where these are no lights.
+
+        By default one a target where `observe` is the default too.
+        """
+        return tuple(range(len(self.target_names))) if type(self).observe is Puzzle.observe else ()
+
     def get_lit(self, state: PuzzleState) -> tuple[bool, ...]:
         """Return for each target whether it is on; by default none is."""
         return (False,) * len(self.target_names)

@@ -304,12 +304,14 @@ class _Legs(Mover):
                 played = self._play(motion, states[begin])
                 if played is None or sorted(c.target for c in played[0]) != list(list_touched(wanted)):
                     continue
+                if wanted & (wanted - 1) and played[1].puzzle != states[end].puzzle:
+                    continue  # a plan's primitive touches several targets at once, in the order of their numbers
                 if not differ_in_boxes(self._room, states[end], played[1]):
                     return Press(rest(motion) if wanted else motion, played[0])
         targets = ", ".join(self._room.targets[t].name for t in list_touched(wanted)) or "nothing"
         raise UnsupportedError(f"no trajectory was found for the leg {name!r} of {self._plan.name!r} that presses "
-                               f"{targets} and nothing else on its way, and pushes the same: follow its primitives "
-                               "instead")
+                               f"{targets} to the same effect and nothing else on its way, and pushes the same: "
+                               "follow its primitives instead")
 
     # --- ways ----------------------------------------------------------------------------
 
