@@ -23,7 +23,7 @@ $(STAMP): pyproject.toml constraints.txt
 	python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[dev]'
 	touch $@
 
-demo: $(STAMP) ## compare five agents in a room with two buttons; the report goes into runs/quickstart
+demo: $(STAMP) ## compare six agents in a room with four buttons; ends with a link to the report
 	$(DEMO)
 
 watch: $(STAMP) ## open the viewer in the browser: the planner escapes from a cluttered room; Ctrl-C ends

@@ -76,7 +76,7 @@ class FrozenProbe:
 
     def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
         """Play a greedy episode, if it is due."""
-        self.trained, self.escapes = self.trained + 1, self.escapes + episode.success
+        self.trained, self.escapes = self.trained + 1, self.escapes + bool(episode.success)
         if episode.primitives < self.every * (len(self.looks) + 1):
             return
         steps = [transition for transition, _ in play_episode(agent, self.env, seed=1)]

@@ -195,7 +195,7 @@ def drive(config: RoomConfig, seed: int, planner: str) -> tuple[bool, list[str],
             except EscapeError as error:
                 faults.append(f"raises {type(error).__name__}: {error}")
                 break
-            option, is_over, escaped = info["option"], terminated or truncated, bool(terminated and info["success"])
+            option, is_over, escaped = info["option"], terminated or truncated, bool(terminated and info["is_success"])
             others = [target.name for target, hit in zip(room.targets, info["also_pressed"], strict=False) if hit]
             also = f"also presses {', '.join(others)}" if others else ""
             faults.append(also if option["ended"] == "reached" or escaped else option["reason"] or option["ended"])

@@ -12,7 +12,6 @@ import gymnasium
 import numpy as np
 
 from hrl_escape import EscapeRoomEnv, OptionsEnv, get_preset
-from hrl_escape.agents.agent import read_success
 from hrl_escape.text import ToldEnv, ToolCall
 
 
@@ -64,7 +63,7 @@ class EscapeRoomText(gymnasium.Wrapper):
         self.told.begin(ToolCall("run_option", {"option": self.check_action_validity(action)}))
         _, reward, terminated, truncated, info = self.env.step(self.told.action)
         solved = self.told.instance.puzzle.compute_progress(self.told.state.puzzle)
-        self.progression = 1.0 if read_success(info, terminated) else max(self.progression, 0.99 * solved)
+        self.progression = 1.0 if info["is_success"] else max(self.progression, 0.99 * solved)
         return self._show(), reward, terminated, truncated, info
 
     def get_stats(self) -> dict[str, Any]:

@@ -10,7 +10,6 @@ import gymnasium
 import lazy_loader
 
 from hrl_escape.env.presets import PRESETS, make_env_name
-from hrl_escape.plugins import RUN_OBSERVERS
 from hrl_escape.version import __version__ as __version__
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
@@ -31,4 +30,3 @@ gymnasium.register("hrl_escape/EscapeRoomContinuous-v1", "hrl_escape.env.continu
                    vector_entry_point="hrl_escape.env.continuous_vector_env:EscapeRoomContinuousVectorEnv")
 gymnasium.register("hrl_escape/Ladder-v1", "hrl_escape.ladder.room_sets:make_ladder_env",
                    vector_entry_point="hrl_escape.ladder.room_sets:make_ladder_vec")
-RUN_OBSERVERS.append("hrl_escape.comparison.records:record_escapes")

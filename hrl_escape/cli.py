@@ -26,6 +26,7 @@ from pathlib import Path
 
 from hrl_escape import __version__
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError
+from hrl_escape.signals import Ended, end_by_signal
 
 _PROGRAM = "hrl-escape"
 _COMMANDS = "hrl_escape.commands"
@@ -66,7 +67,7 @@ def run_in_order(program: str, work: Callable[[], int]) -> int:
             if sys.stdout is not None:
                 sys.stdout.flush()
             return code
-    except _Ended as ended:
+    except Ended as ended:
         return _report(program, f"ended by {signal.Signals(ended.number).name}", 128 + ended.number)
     except KeyboardInterrupt as stop:
         return _report(program, str(stop) or "interrupted", 128 + signal.SIGINT)
@@ -88,26 +89,15 @@ def run_in_order(program: str, work: Callable[[], int]) -> int:
         return exit_.code if isinstance(exit_.code, int) else 0 if exit_.code is None else 2
 
 
-class _Ended(BaseException):
-    """A signal asks this process to end; whatever must be left in order is on the way out."""
-
-    def __init__(self, number: int) -> None:
-        self.number = number
-
-
 @contextmanager
 def _raising_signals() -> Iterator[None]:
     """SIGTERM and SIGHUP unwind the program as Ctrl-C does, so that folders and processes are left in order."""
-
-    def end(number: int, frame: object) -> None:
-        raise _Ended(number)
-
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     asked = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
     for number in asked:
-        signal.signal(number, end)
+        signal.signal(number, end_by_signal)
     try:
         yield
     finally:

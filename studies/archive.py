@@ -116,7 +116,7 @@ def explore(env: Any, settings: ArchiveSettings, seed: int, budget: int, eval_ev
             _, _, terminated, truncated, info = env.step(move)
             primitives, length, moves = primitives + 1, length + 1, (move, moves)
             if terminated or truncated:
-                if info["success"]:
+                if info["is_success"]:
                     first = first or primitives
                     if shortest is None or length < shortest:
                         best, shortest = moves, length

@@ -372,8 +372,8 @@ def _measure_efficiency(evaluation: Any, fewest: int) -> float:
 
 def _list_escapes(result: TrainResult, budget: int) -> tuple[float | None, ...]:
     """Share of the training episodes that escaped, tenth by tenth."""
-    ended = [(segment.primitives, segment.episodes, segment.successes) for segment in result.segments] or [
-        (episode.primitives, 1, episode.success) for episode in result.episodes if episode.end != "budget"]
+    ended = [(segment.primitives, segment.episodes, segment.successes or 0) for segment in result.segments] or [
+        (episode.primitives, 1, bool(episode.success)) for episode in result.episodes if episode.end != "budget"]
     counts = np.zeros((2, TENTHS))
     for at, episodes, successes in ended:
         counts[:, min(TENTHS - 1, int(TENTHS * (at - 1) / budget))] += episodes, successes

@@ -1,7 +1,7 @@
 """The strip: moving rooms on one clock as one SVG picture, which code hosts play where they run no script.
 
-`{strip}` makes it while the site is built, from episodes that are played then; the README shows the same bytes, kept as
-`docs/images/strip.svg`. `python docs/_ext/strip.py` writes that file anew.
+`{strip}` makes it while the site is built, from episodes that are played then. A test compares it with the file
+`docs/images/strip.svg`, which `python docs/_ext/strip.py` writes.
 """
 
 from __future__ import annotations

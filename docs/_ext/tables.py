@@ -22,6 +22,7 @@ from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.util.docutils import SphinxDirective
 
+from hrl_escape.agents.recommended import RECOMMENDED, format_answer
 from hrl_escape.agents.registry import (
     SMDP_PREFIX,
     get_agent_class,
@@ -157,6 +158,16 @@ class Names(Table):
                                          for name, line in entries.items()))
 
 
+class Recommended(Table):
+    """`{recommended}`: the answer to "which agent?" in a line, then a table of why."""
+
+    def write(self) -> str:
+        """One row an agent."""
+        rows = ((choice.use, f"{choice.title}, `{choice.label}`",
+                 re.sub(r"(?<!`)smdp-[\w+-]+", r"`\g<0>`", choice.reason)) for choice in RECOMMENDED)
+        return f"{format_answer()}\n\n{make_table(('for', 'agent', 'why'), rows)}"
+
+
 class Ladder(Table):
     """`{ladder}`: every preset and its environment."""
 
@@ -239,7 +250,7 @@ class Usage(Table):
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in {"knobs": Knobs, "settings": AgentSettings, "metrics": Metrics, "names": Names,
-                            "tuning": TunedSettings, "ladder": Ladder, "rungs": Rungs, "layouts": Layouts,
-                            "prices": Prices, "tapes": PublishedTapes, "usage": Usage}.items():
+                            "recommended": Recommended, "tuning": TunedSettings, "ladder": Ladder, "rungs": Rungs,
+                            "layouts": Layouts, "prices": Prices, "tapes": PublishedTapes, "usage": Usage}.items():
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

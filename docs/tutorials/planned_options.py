@@ -1,7 +1,8 @@
 """Planned options.
 
-Options written by hand suit one room. Without any, `OptionsEnv` has the room's planner make them: `meta-01` to
-`meta-NN` press one button each, `meta-exit` leaves. They start anywhere and work in any room.
+Options written by hand suit one room. Without any, `OptionsEnv` has the room's planner make them. `meta-01` to
+`meta-NN` act on one target each, here a press of a button, and `meta-exit` leaves. The action mask marks those that
+can start.
 """
 
 import gymnasium

@@ -11,7 +11,7 @@ from .hierarchy.machine import choose, do, machine
 from .hierarchy.runner import StackAgent
 from .hierarchy.task import BaseTask, Call, Hierarchy
 from .hierarchy.task_graph import maxq
-from .registry import get_recipe, list_agents, make_agent
+from .registry import get_recipe, list_agents, make_agent, register_agent
 from .state import Kept, Stateful
 from .training.archive import pack_run, read_summary, unpack_run
 from .training.callbacks import Callback, MLflow, OptunaPruning, TensorBoard, WeightsAndBiases
@@ -54,6 +54,7 @@ __all__ = [
     "pack_run",
     "play_episode",
     "read_summary",
+    "register_agent",
     "train",
     "unpack_run",
 ]

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from typing_extensions import Self
 
 from hrl_escape.agents.state import Stateful, StateTree
-from hrl_escape.errors import AgentSettingsError, DiscountMismatchError, StepContractError, UnsupportedSpaceError
+from hrl_escape.errors import AgentSettingsError, StepContractError, UnsupportedSpaceError
 from hrl_escape.settings import Range, Settings
+from hrl_escape.step_info import read_option, read_payment, read_trace
 
 # --- settings ---------------------------------------------------------------------------
 
@@ -63,6 +64,8 @@ class LearningSettings(AgentSettings):
 # --- the protocol -----------------------------------------------------------------------
 
 CATALOGUE = "hrl_escape.agents.algorithms"
+SUCCESS_KEYS = ("is_success", "success")
+"""Keys of `info` that may hold an episode's success; the first that has a value counts."""
 """Package of the algorithms, one file each, named like the file."""
 
 
@@ -312,13 +315,20 @@ class _WholeRun:
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
         self._rng: np.random.Generator | None = None
+        self._memory: tuple[Any, ...] | None = None
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        if self._agent.is_markov:
-            return self._agent.act_greedy(observation, action_mask, rng)
+        agent = self._agent
+        if agent.is_markov:
+            return agent.act_greedy(observation, action_mask, rng)
         # Agents know an episode by its generator, so a run has one of its own.
         self._rng = self._rng or np.random.default_rng(int(rng.integers(2**63)))
-        return self._agent.act_greedy(observation, action_mask, self._rng)
+        # An agent remembers one episode. Each run keeps its own, so that several may take turns.
+        before, agent._evaluation = agent._evaluation, self._memory
+        try:
+            return agent.act_greedy(observation, action_mask, self._rng)
+        finally:
+            self._memory, agent._evaluation = agent._evaluation, before
 
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
         return 0.0
@@ -364,9 +374,36 @@ def read_action_mask(info: Mapping[str, Any], actions: int) -> NDArray[np.bool_]
     return legal
 
 
-def read_success(info: Mapping[str, Any], terminated: bool) -> bool:
-    """Read success at an episode's end: `info["is_success"]` or `info["success"]` if given, else `terminated`."""
-    return bool(info.get("is_success", info.get("success", terminated)))
+def read_success(info: Mapping[str, Any]) -> bool | None:
+    """Read whether an episode succeeded from the `info` of its last step.
+
+    Args:
+        info: of the last step. `is_success` counts, else `success`; None is the same as no value. Gymnasium's own
+            environments give neither: a termination is no success.
+
+    Returns:
+        Success; None where the environment reports neither.
+
+    Raises:
+        StepContractError: the value is neither True, False, 1 nor 0.
+    """
+    for name in SUCCESS_KEYS:
+        value = info.get(name)
+        if value is not None:
+            return read_success_value(name, value)
+    return None
+
+
+def read_success_value(name: str, value: Any) -> bool:
+    """Read a success of `info` under this name: True, False, 1 or 0, else `StepContractError`."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of unequal lengths
+        array = np.asarray(None)
+    if array.size != 1 or array.dtype.kind not in "biuf" or array.item() not in (0, 1):
+        raise StepContractError(f"info[{name!r}] is {value!r} at the last step of an episode; success must be True, "
+                                "False, 1 or 0. Leave the key out, or set it to None, where there is no success")
+    return bool(array.item())
 
 
 def check_observation(observation: Any, when: str) -> None:
@@ -397,19 +434,25 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
     The contract of `info`, all keys optional:
 
     - `duration`: int k >= 1, primitives that ran; absent means 1.
-    - `rewards`: the k primitive rewards in order. From these R = sum gamma^i r_i is computed, at any gamma.
-    - `discounted_reward` and `discount`: R and gamma^k already computed, for environments that do not give
-      `rewards`; the gamma must then be the agent's. One of the two ways is needed where k > 1.
-    - `summed_reward`: sum of the k primitive rewards, for environments that give no `rewards` and whose `reward` is
-      another number; absent means `reward`.
+    - `discounted_reward` and `discount`: R = sum gamma^i r_i and gamma^k, read where the gamma is the agent's (see
+      `set_option_discount`).
+    - `rewards`: the k primitive rewards in order, from which R is computed at any gamma. One of the two ways is needed
+      where k > 1.
+    - `summed_reward`: the undiscounted sum, where `rewards` are left out.
     - `action_mask`: see `read_action_mask`; at the state reached.
-    - `option`: a mapping whose `ended` is `episode-over` where the episode's end stopped the option, so that a
-      truncation cut it; without it, every truncated action of several primitives is taken for cut.
-    - `trace`: one item per primitive, each a tuple that begins with (observation, action, reward,
+    - `option`: a mapping whose `ended` is one of `hrl_escape.step_info.ENDINGS`, `episode-over` where the episode's end
+      stopped the option, so that a truncation cut it; without it, every truncated action of several primitives is
+      taken for cut.
+    - `trace`: one tuple per primitive, that begins with (observation, action, reward,
       next_observation) and may have the attributes `next_action_mask` and `consistent`: pairs (action, beta)
       of the actions whose policy, a function of the state alone, does this same primitive here, with
       their termination probability at the next state. A primitive is consistent with itself, beta = 1. An item
       may stand for several primitives, a decision of a level below; it then has their `rewards`.
+
+    `reward` must be the sum of the primitive rewards or their discounted sum. Where it is neither, a wrapper changed it
+    after the primitives were summed, and the step is refused: below the options such a wrapper acts on every primitive.
+    A step without `duration`, or with one of another kind and none of the other keys, is one primitive and its `reward`
+    counts. So do keys of these names that the environment uses for something else.
 
     Args:
         observation: at the decision.
@@ -420,7 +463,7 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
 
     Raises:
         StepContractError: a reward or observation is not finite, the observation's shape is another one, the duration
-            is below 1, or the rewards do not match it.
+            is below 1, the rewards do not match it, or a wrapper changed the reward of a decision.
         DiscountMismatchError: only `discounted_reward` is given and for another gamma.
     """
     next_observation, reward, terminated, truncated, info = step
@@ -428,48 +471,13 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
     if isinstance(observation, np.ndarray) and np.shape(next_observation) != observation.shape:
         raise StepContractError(f"the observation after action {action} has shape {np.shape(next_observation)}; "
                                 f"the one before it has {observation.shape}")
-    try:
-        duration, summed = int(info.get("duration", 1)), float(reward)
-        discounted = summed
-        if duration > 1:
-            discounted, summed = _compute_rewards(summed, duration, info, gamma)
-    except (TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, StepContractError | DiscountMismatchError):
-            raise
-        raise StepContractError(f"the reward of action {action} is {reward!r} and its duration "
-                                f"{info.get('duration', 1)!r}; both must be numbers") from error
-    if not (math.isfinite(discounted) and math.isfinite(summed)):
-        raise StepContractError(f"the reward of action {action} is {summed}; rewards must be finite numbers")
-    if duration < 1:
-        raise StepContractError(
-            f"action {action} took {duration} primitives; every action must cost at least one, or be masked"
-        )
-    option = info.get("option")
-    ended = option.get("ended") if isinstance(option, Mapping) else None
-    cut = truncated and not terminated and (duration > 1 if ended is None else ended == "episode-over")
-    return SMDPTransition(observation, int(action), action_mask, discounted, summed, duration, gamma**duration,
-                          next_observation, read_action_mask(info, len(action_mask)), bool(terminated), bool(truncated),
-                          info.get("trace") or (), bool(cut))
-
-
-def _compute_rewards(reward: float, duration: int, info: Mapping[str, Any], gamma: float) -> tuple[float, float]:
-    """R = sum gamma^i r_i and sum r_i of an action that ran several primitives."""
-    rewards = info.get("rewards")
-    if rewards is not None:
-        if len(rewards) != duration:
-            raise StepContractError(f"info['rewards'] has {len(rewards)} entries for a duration of {duration}")
-        discounted = 0.0
-        for primitive_reward in reversed(rewards):
-            discounted = float(primitive_reward) + gamma * discounted
-        return discounted, float(sum(rewards))
-    if "discounted_reward" not in info or "discount" not in info:
-        raise StepContractError(
-            f"an action ran {duration} primitives but info has neither 'rewards' nor 'discounted_reward' with "
-            "'discount', so its discounted reward is unknown"
-        )
-    if abs(float(info["discount"]) - gamma**duration) > 1e-9:
-        raise DiscountMismatchError(gamma, float(info["discount"]), duration)
-    return float(info["discounted_reward"]), float(info.get("summed_reward", reward))
+    paid = read_payment(reward, info, f"of action {action}")
+    duration = paid.duration
+    option = read_option(info)
+    cut = truncated and not terminated and (duration > 1 if option is None else option["ended"] == "episode-over")
+    return SMDPTransition(observation, int(action), action_mask, paid.compute_discounted(gamma), paid.summed, duration,
+                          gamma**duration, next_observation, read_action_mask(info, len(action_mask)),
+                          bool(terminated), bool(truncated), read_trace(info, duration), bool(cut))
 
 
 def set_option_discount(env: Any, gamma: float) -> None:
@@ -478,11 +486,21 @@ def set_option_discount(env: Any, gamma: float) -> None:
     Environments without options stay as they are. `train` and `evaluate` call it with the agent's gamma.
 
     Args:
-        env: an environment.
+        env: an environment, a vector environment, or streams.
         gamma: discount per primitive, in [0, 1].
     """
-    if env.has_wrapper_attr("set_option_discount"):
-        env.get_wrapper_attr("set_option_discount")(gamma)
+    name = "set_option_discount"
+    inner = getattr(env, "unwrapped", env)
+    if isinstance(env, gymnasium.Env):
+        if env.has_wrapper_attr(name):
+            env.get_wrapper_attr(name)(gamma)
+    elif hasattr(inner, name):
+        getattr(inner, name)(gamma)
+    elif isinstance(inner, gymnasium.vector.SyncVectorEnv):
+        for each in inner.envs:
+            set_option_discount(each, gamma)
+    elif isinstance(inner, gymnasium.vector.AsyncVectorEnv) and all(inner.call("has_wrapper_attr", name)):
+        inner.call(name, gamma)
 
 
 def compute_backup(transition: SMDPTransition, settings: LearningSettings) -> tuple[float, float]:

@@ -14,21 +14,18 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections.abc import Mapping
-from functools import cache
-from importlib.metadata import entry_points
+from functools import cache, partial
 from pkgutil import walk_packages
 from typing import Any
 
 import gymnasium
 
 from hrl_escape.agents.agent import CATALOGUE, Agent, read_goal_rule
+from hrl_escape.agents.label import DEFAULT_RECIPE, SMDP_PREFIX, AgentLabel
 from hrl_escape.agents.larg2019.recipes import PAPER
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
-from hrl_escape.plugins import load_entry_point
+from hrl_escape.registry import Registry
 from hrl_escape.settings import replace_settings
-
-ENTRY_POINT_GROUP = "hrl_escape.agents"
-SMDP_PREFIX = "smdp-"
 
 GIVEN_PARTS = ("hierarchy", "program", "goals", "goal_space", "landmarks", "tree")
 """Names under which agents take a structure, each a kind of its own."""
@@ -38,7 +35,7 @@ GOAL_RULE = "goal_rule"
 
 def list_agents() -> list[str]:
     """Names of all agents made from spaces and settings, shipped ones first; each also exists with `smdp-`."""
-    return [*_list_made(), *sorted(_find_others())]
+    return [*_list_made(), *sorted(set(agents) - _find_shipped().keys())]
 
 
 def list_stream_agents() -> list[str]:
@@ -58,27 +55,36 @@ def get_agent_class(name: str) -> type[Agent]:
         PluginError: a third party's class cannot be loaded.
     """
     base = name.removeprefix(SMDP_PREFIX)
-    shipped = _find_shipped()
-    if base in shipped:
-        defined = vars(importlib.import_module(shipped[base])).values()
-        (found,) = (thing for thing in defined if _is_agent(thing) and thing.__module__ == shipped[base]
-                    and not inspect.isabstract(thing))
-        return found
-    others = _find_others()
-    if base not in others:
+    if base not in agents:
         prefix = name[: len(name) - len(base)]
         note = "" if prefix else f"; each also with {SMDP_PREFIX} in front"
         known = (*list_agents(), *list_given_agents(), *list_offline_agents())
         raise UnknownNameError("agent", name, [prefix + other for other in known], note)
-    loaded: list[Any] = []
-    load_entry_point(others[base], "agent", "an Agent", loaded.append)
-    if not _is_agent(loaded[0]):
-        raise AgentSettingsError("agent", name, "a class derived from hrl_escape.agents.Agent")
-    return loaded[0]
+    return agents.get(base)
+
+
+def register_agent(name: str, agent_class: type[Agent]) -> None:
+    """Register an agent under a name for this process; packages publish an entry point instead.
+
+    Args:
+        name: the agent also exists with `smdp-` in front of it.
+        agent_class: constructed as `Class(observation_space, action_space, seed, settings)`.
+
+    Raises:
+        ConfigError: the class is no `Agent`, or another agent has that name.
+    """
+    agents.register(name, agent_class)
 
 
 def _is_agent(thing: Any) -> bool:
     return issubclass(type(thing), type) and issubclass(thing, Agent)  # 3.10: isinstance(dict[str, int], type)
+
+
+def _load_shipped(module: str) -> type[Agent]:
+    """The one concrete agent that a module defines."""
+    (found,) = (thing for thing in vars(importlib.import_module(module)).values()
+                if _is_agent(thing) and thing.__module__ == module and not inspect.isabstract(thing))
+    return found
 
 
 @cache
@@ -118,7 +124,7 @@ def list_recipes(name: str) -> dict[str, Any]:
     return recipes | over_options if name.startswith(SMDP_PREFIX) else recipes
 
 
-def get_recipe(name: str, recipe: str = "corrected") -> Any:
+def get_recipe(name: str, recipe: str = DEFAULT_RECIPE) -> Any:
     """The settings of an agent under a recipe; see `list_recipes`.
 
     Raises:
@@ -131,26 +137,30 @@ def get_recipe(name: str, recipe: str = "corrected") -> Any:
 
 
 def make_agent(name: str, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-               recipe: str = "corrected", structure: Mapping[str, Any] | None = None, **settings: Any) -> Agent:
+               recipe: str = DEFAULT_RECIPE, structure: Mapping[str, Any] | None = None, **settings: Any) -> Agent:
     """Make an agent by name.
 
     Args:
-        name: one of `list_agents()`, with or without the prefix `smdp-`.
+        name: one of `list_agents()`, with or without the prefix `smdp-`, or a label such as `smdp-dqn+objects+memory`.
+            Its traits change settings; those about options describe the environment, whose spaces are given.
         observation_space: what it will see.
         action_space: Discrete.
         seed: 0 or more; all of the agent's randomness follows from it.
-        recipe: `corrected` or `paper`.
+        recipe: `corrected` or `paper`; a label may name it too.
         structure: what the agent is given beside spaces and settings, such as a `hierarchy`; see `read_structure`.
-        **settings: fields of the agent's settings to change, such as `gamma=0.995`.
+        **settings: fields of the agent's settings to change, such as `gamma=0.995`; they come after the label's.
 
     Raises:
-        UnknownNameError: no such agent, recipe or setting.
-        AgentSettingsError: a setting or the seed is not possible, or the agent takes no such structure.
+        UnknownNameError: no such agent, trait, recipe or setting.
+        AgentSettingsError: a setting or the seed is not possible, the agent takes no such structure, or the label
+            contradicts itself or `recipe`.
         UnsupportedSpaceError: the agent cannot use these spaces.
     """
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise AgentSettingsError("seed", seed, "a whole number of at least 0")
-    chosen = replace_settings(get_recipe(name, recipe), settings)
+    label = AgentLabel.parse(name)
+    name = label.name
+    chosen = replace_settings(get_recipe(name, label.resolve_recipe(recipe)), {**label.settings, **settings})
     agent_class: Any = get_agent_class(name)
     taken = inspect.signature(agent_class).parameters
     given = {part: what for part, what in (structure or {}).items() if part != GOAL_RULE or part in taken}
@@ -192,6 +202,7 @@ def read_structure(env: gymnasium.Env) -> Mapping[str, Any]:
     return given if rule is None else {**given, GOAL_RULE: rule}
 
 
-def _find_others() -> dict[str, Any]:
-    shipped = _list_made()
-    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in shipped}
+agents: Registry[type[Agent]] = Registry(
+    "agent", "a class derived from hrl_escape.agents.Agent", _is_agent,
+    {name: partial(_load_shipped, module) for name, module in _find_shipped().items()})
+"""Classes of all agents by name, without the prefix `smdp-`."""

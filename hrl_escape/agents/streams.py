@@ -37,7 +37,7 @@ class EndedDecisions(NamedTuple):
     next_action_mask: Tensor  # actions legal there, bool (streams, actions)
     terminated: Tensor  # the task ended, which a cut does not do, bool
     truncated: Tensor  # the episode was cut off, bool
-    success: Tensor  # the episode ended in success, bool; no failure is one, though it terminates too
+    success: Tensor  # the episode ended in success, bool; or int8, with -1 where the environment reports none
 
 
 class Streams(Protocol):

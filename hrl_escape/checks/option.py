@@ -13,6 +13,7 @@ from hrl_escape.checks.claims import Claims
 from hrl_escape.errors import OptionError, PlanningFailed, UnsupportedError
 from hrl_escape.options.domain import OptionDomain, RoomDomain, make_option_domain
 from hrl_escape.options.option import Option
+from hrl_escape.planning.route import PlanningReport
 
 StartPlace = Callable[[], Any]
 """Brings the environment to a place and returns the state there."""
@@ -113,15 +114,19 @@ class _OptionCheck(Claims):
             self.require(bool(str(failure)), "a failed plan says why", failure)
             return False
         self.require(_is_same(first, again), "the same state and the same draws give the same run", (first, again))
+        shared = self.roll_out(place, self.option.make_run(), is_shared=True)
+        self.require(_is_same(first, shared), "a run does not change another one of the same option: start sets what a "
+                     "run keeps, and make_run copies the objects that it changes", (first, shared))
         if self.option.is_markov:
             for at, primitive in first:
                 self.require(_is_same(self.domain.check_action(self.option.policy(at)), primitive),
                              "is_markov: the policy is a function of the state", at)
         return True
 
-    def roll_out(self, place: StartPlace) -> list[tuple[Any, Any]]:
-        """One run to its end: (state, primitive) of each step."""
-        option, rng = self.option, np.random.default_rng(0)
+    def roll_out(self, place: StartPlace, option: Option | None = None, is_shared: bool = False
+                 ) -> list[tuple[Any, Any]]:
+        """One run to its end: (state, primitive) of each step. If shared, another run begins after two steps."""
+        option, rng = option or self.option, np.random.default_rng(0)
         state = place()
         option.start(state)
         stack, steps = [option], []
@@ -133,13 +138,24 @@ class _OptionCheck(Claims):
             steps.append((state, primitive))
             state = self.domain.get_state(observation)
             ended = self.ends(stack, state, rng) or terminated or truncated
+            if is_shared and len(steps) == 2 and not ended:
+                self.begin_another(state)
         report = option.report
         self.require(0 <= report.cache_hits <= report.planner_calls and report.planner_seconds >= 0.0,
                      "the report's counts make sense", report)
-        self.look_back([*(at for at, _ in steps), state])
+        self.look_back([*(at for at, _ in steps), state], report)
         return steps
 
-    def look_back(self, states: Sequence[Any]) -> None:
+    def begin_another(self, state: Any) -> None:
+        """Begin another run of the same option, and let it choose once."""
+        other = self.option.make_run()
+        try:
+            other.start(state)
+            other.sample_action(state, np.random.default_rng(1))
+        except PlanningFailed:
+            pass
+
+    def look_back(self, states: Sequence[Any], report: PlanningReport) -> None:
         """Claims about the states that a run went through."""
 
     def ask(self, stack: list[Option], state: Any, rng: np.random.Generator) -> Any:
@@ -205,7 +221,7 @@ class _RoomOptionCheck(_OptionCheck):
                      f"the policy gives a primitive from 0 to {count - 1}, or an option", decision)
         return int(decision)
 
-    def look_back(self, states: Sequence[Any]) -> None:
+    def look_back(self, states: Sequence[Any], report: PlanningReport) -> None:
         """Only what was meant, or reported as unavoidable, was pressed."""
         option, instance = self.option, self.room.instance
         if option.targets is None or instance.dynamics.kind != "kinematic" or instance.dynamics.noise:
@@ -213,7 +229,7 @@ class _RoomOptionCheck(_OptionCheck):
         touched = 0
         for before, after in zip(states, states[1:], strict=False):
             touched |= after.touching & ~before.touching
-        told = {*option.report.unavoidable, *(instance.targets[i].name for i in option.targets)}
+        told = {*report.unavoidable, *(instance.targets[i].name for i in option.targets)}
         names = [target.name for i, target in enumerate(instance.targets) if touched >> i & 1]
         others = [name for name in names if name not in told]
         self.require(not others, "it presses no target but its own and those it reports as unavoidable", others)

@@ -1,6 +1,8 @@
 """Compare agents fairly on the same rooms and write a report: verdict, curves, tables, replays.
 
     hrl-escape compare                                     # quickstart: do options help, does learning add to them?
+    hrl-escape compare demo                                # the same as hrl-escape demo
+    hrl-escape compare --agents smdp-r-max+no-primitives smdp-retrace smdp-random+no-primitives --rooms clutter
     hrl-escape compare paper --workers 8
     hrl-escape compare ladder --rooms clutter clutter#1 --runs 5
     hrl-escape compare --agents dqn smdp-dqn smdp-dqn@paper smdp-random --rooms four-button-chain
@@ -32,6 +34,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from hrl_escape.agents.label import TRAITS
+from hrl_escape.commands.agent_choice import VectorObservation
 from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.comparison.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.comparison.cost import describe_cost
@@ -44,9 +48,12 @@ from hrl_escape.comparison.reporting.report import format_first_escape, write_re
 from hrl_escape.comparison.summary import Summary
 from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.errors import ConfigError, UnknownNameError
-from hrl_escape.names import make_console_text, make_file_name, tell_seconds
+from hrl_escape.names import join_words, make_console_text, make_file_name, tell_seconds
 
-DEFAULT = "quickstart"
+DEFAULT, DEMO = "quickstart", "demo"
+AGENTS_HELP = ("Other agents: names from `hrl-escape list agents references`, smdp- in front for those that choose "
+               f"options, @ and a recipe, then traits: {join_words('+' + name for name in TRAITS)}, see `hrl-escape "
+               "list traits`.")
 PIPED_WIDTH = 110
 
 
@@ -114,12 +121,8 @@ class CompareArgs(LaunchArgs):
     """Options of `hrl-escape compare`."""
 
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
-    """quickstart, patience, paper, ladder or paper-figure-1 to -3; or a .toml or .json file with your own grid."""
-    agents: tuple[str, ...] = ()
-    """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe, +objects,
-    +memory, +gru, +no-primitives or +markov behind for what they see and choose, +patient for `dqn` with a longer
-    exploration and more memory, +three-parents for what learners of structure consider, +planned or +learned behind for
-    a hierarchy synthesised from the room."""
+    """Name of a comparison, see `hrl-escape list comparisons`; or a .toml or .json file with your own grid."""
+    agents: Annotated[tuple[str, ...], tyro.conf.arg(help=AGENTS_HELP)] = ()
     rooms: tuple[str, ...] = ()
     """Other rooms: presets, #3 behind for instance 3, .json files of instances, or ladder-1/lattice/test[3]."""
     train_rooms: tuple[str, ...] = ()
@@ -136,8 +139,8 @@ class CompareArgs(LaunchArgs):
     """Primitives between evaluations; a twentieth of the budget by default."""
     eval_episodes: int | None = None
     """Episodes in an evaluation."""
-    observation: str | None = None
-    """Observation of all agents: features, state or egocentric."""
+    observation: VectorObservation | None = None
+    """Observation of all agents; by default that of the comparison, or objects where one of --agents needs it."""
     out: Path | None = None
     """Folder of runs and report; runs/NAME by default."""
     open: bool = False
@@ -158,7 +161,9 @@ class CompareArgs(LaunchArgs):
             if (value := getattr(self, name)) is not None
         }
         if self.agents:
-            changes["agents"] = tuple(map(AgentSpec.parse, self.agents))
+            agents = changes["agents"] = tuple(map(AgentSpec.parse, self.agents))
+            if any(agent.reads_objects for agent in agents):
+                changes.setdefault("observation", "objects")
         if self.rooms:
             changes["rooms"] = tuple(map(RoomSpec.parse, self.rooms))
         if self.train_rooms:
@@ -212,13 +217,13 @@ class DemoArgs:
 
 
 def run_demo(args: DemoArgs) -> int:
-    """Compare five agents in a room with two buttons: the same as `hrl-escape compare quickstart`.
+    """Compare six agents in a room with four buttons: the same as `hrl-escape compare demo`.
 
     Examples:
         hrl-escape demo
         hrl-escape demo --open
     """
-    return run(CompareArgs(what=DEFAULT, **vars(args)))
+    return run(CompareArgs(what=DEMO, **vars(args)))
 
 
 # --- what is printed -------------------------------------------------------------------
@@ -242,7 +247,7 @@ def _print(console: Console, summary: Summary, comparison: Comparison) -> None:
     console.print("", table, "")
     for failure in comparison.failures:
         console.print(Text(f"failed: {failure.run.name}: {failure.message}", style="red"))
-    console.print(f"Report: {comparison.out / 'report.html'}", markup=False)
+    console.print(f"Report: {(comparison.out / 'report.html').absolute().as_uri()}", markup=False)
 
 
 def _mark(text: str) -> Text:

@@ -1,4 +1,4 @@
-"""List names: presets, environments, puzzles, observations, cameras, primitives, agents, comparisons.
+"""List names: presets, environments, agents, references, comparisons and other kinds.
 
 Examples:
     hrl-escape list
@@ -9,39 +9,54 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import inspect
 import json
 import re
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Literal
 
+import gymnasium
 import tyro
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.agents.label import TRAITS
+from hrl_escape.agents.recommended import RECOMMENDED
 from hrl_escape.agents.registry import (
     SMDP_PREFIX,
     find_agent_module,
     list_agents,
     list_given_agents,
     list_offline_agents,
+    list_recipes,
+    list_stream_agents,
 )
 from hrl_escape.comparison.presets import GRIDS
 from hrl_escape.comparison.references.registry import REFERENCES, describe_rule
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations.base import list_observations
-from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
+from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
+from hrl_escape.names import join_words
 
-Kind = Literal["presets", "environments", "puzzles", "observations", "cameras", "primitives",
-               "agents", "hierarchical", "offline", "references", "comparisons"]
+Kind = Literal["recommended", "presets", "environments", "puzzles", "observations", "cameras", "primitives",
+               "agents", "traits", "recipes", "batched", "hierarchical", "offline", "references", "comparisons"]
 
-TITLES = {"agents": f"agents; with {SMDP_PREFIX} in front they choose options",
+TITLES = {"recommended": "recommended: which agent to begin with",
+          "traits": "traits: words behind an agent's name, as in smdp-ppo+objects+memory",
+          "recipes": "recipes: those of agents that have more than one, as in smdp-dqn@paper",
+          "batched": "batched: agents that learn in many rooms at once, see --batch of `hrl-escape train`",
+          "agents": f"agents; with {SMDP_PREFIX} in front they choose options",
           "hierarchical": "hierarchical: agents that are given a hierarchy, see --leaves of `hrl-escape train`",
           "offline": "offline: agents that learn from a data set, `hrl-escape train smdp-iql --data pair-play-v1`",
           "references": "references: they learn nothing, and a learner has to beat the best of them"}
+
+SLOW = ("recipes", "batched")
+"""Kinds that import every algorithm, which takes seconds: listed where they are asked for."""
 
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
               "macros": "macro-actions", "tree": "cells", "simulator": "simulator", "goal_space": "goals",
@@ -54,7 +69,7 @@ class ListArgs:
     """Options of `hrl-escape list`."""
 
     kinds: Annotated[tuple[Kind, ...], tyro.conf.Positional] = ()
-    """Kinds of names to list; all by default."""
+    """Kinds of names to list; by default all but recipes and batched, which take the import of every algorithm."""
     json: bool = False
     """Print JSON instead of tables."""
 
@@ -62,19 +77,23 @@ class ListArgs:
 def run(args: ListArgs) -> None:
     """Print names with one line about each."""
     makers = {
+        "recommended": lambda: {choice.label: f"{choice.use}: {choice.reason}" for choice in RECOMMENDED},
         "presets": lambda: {name: describe_schematic(get_preset(name)) for name in PRESETS},
-        "environments": lambda: {f"hrl_escape/{make_env_name(name)}-v1": f"preset {name}" for name in PRESETS},
+        "environments": _describe_environments,
         "puzzles": lambda: {name: _describe_puzzle(name) for name in list_puzzles()},
         "observations": lambda: {observation.name: observation.doc for observation in list_observations()},
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
         "agents": lambda: {name: _summarise(_parse_agent(name)) for name in (*list_agents(), *list_given_agents())},
+        "traits": lambda: {f"+{name}": trait.about for name, trait in TRAITS.items()},
+        "recipes": _describe_recipes,
+        "batched": lambda: {name: _summarise(_parse_agent(name)) for name in list_stream_agents()},
         "hierarchical": lambda: {name: _describe_hierarchical(name) for name in list_given_agents()},
         "offline": lambda: {name: _summarise(_parse_agent(name)) for name in list_offline_agents()},
         "references": lambda: {name: describe_rule(name) for name in REFERENCES},
         "comparisons": lambda: {grid.name: grid.description for grid in GRIDS.values()},
     }
-    lists = {kind: makers[kind]() for kind in args.kinds or makers}
+    lists = {kind: makers[kind]() for kind in args.kinds or [kind for kind in makers if kind not in SLOW]}
     if args.json:
         print(json.dumps(lists, indent=2))
         return
@@ -85,6 +104,26 @@ def run(args: ListArgs) -> None:
         for name, line in entries.items():
             table.add_row(name, line)
         console.print(table, "")
+
+
+def _describe_recipes() -> dict[str, str]:
+    """Recipes of every agent with several, the default first."""
+    found = {name: list(list_recipes(name)) for name in (*list_agents(), *list_given_agents(), *list_offline_agents())}
+    return {name: join_words(recipes, "or") for name, recipes in found.items() if len(recipes) > 1}
+
+
+def _describe_environments() -> dict[str, str]:
+    """Every id that this package registers: its preset, or the first sentence of what the id makes."""
+    found = {}
+    for name, spec in gymnasium.registry.items():
+        if spec.namespace != "hrl_escape":
+            continue
+        source = spec.entry_point
+        made = resolve_name(source) if isinstance(source, str) else source
+        about = _get_sentence(inspect.getdoc(made) or "")
+        preset = spec.kwargs.get("config")
+        found[name] = about if preset is None else f"preset {preset}{', with options' if 'Options' in name else ''}"
+    return found
 
 
 def _describe_puzzle(name: str) -> str:

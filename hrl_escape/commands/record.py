@@ -5,8 +5,9 @@
     hrl-escape record runs/smdp-dqn-paper-two-button-0-5a1d3f0c --out learned.html
     hrl-escape record episodes/paper-two-button-0-31-primitives-3f9c02ab.json --out mine.mp4
 
-Without a name the planner drives. Otherwise name the folder of a run (see `hrl-escape train`), or the file of an
-episode saved from `hrl-escape play`.
+Without a name the planner drives. Otherwise name the folder of a run (see `hrl-escape train`), the file of an episode
+saved from `hrl-escape play`, a rung with a trained agent, a reference such as smdp-retrace, or the name or label of an
+agent, which is recorded in its first episode of training.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ class RecordArgs(RoomChoice):
     """Options of `hrl-escape record`."""
 
     driver: Annotated[str, tyro.conf.Positional] = PLANNER_NAME
-    """The driver: planner, the folder of a run, or the file of a saved episode."""
+    """The driver: planner, the folder of a run, the file of a saved episode, a rung, or an agent by its name or
+    label."""
     out: tuple[Path, ...] = (Path("escape.html"),)
     """Files to write: .html for the page, .gif or .mp4 for an animation."""
     camera: str = "chase"

@@ -103,7 +103,7 @@ def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
 def change_field(fields: dict[str, Any], path: str, value: Any) -> None:
     """Set one field of a nested table; the schematic itself refuses unknown fields and sections.
 
-    Another kind of puzzle begins with that kind's defaults.
+    Another kind of puzzle or reward begins with that kind's defaults.
     """
     *sections, last = path.split(".")
     for depth, section in enumerate(sections):
@@ -112,6 +112,6 @@ def change_field(fields: dict[str, Any], path: str, value: Any) -> None:
             known = [name for name, part in fields.items() if isinstance(part, dict)]
             raise UnknownNameError(" ".join([*sections[:depth], "section"]), section, known)
         fields = inner
-    if path == "puzzle.kind" and fields.get("kind") != value:
+    if path in ("puzzle.kind", "reward.kind") and fields.get("kind") != value:
         fields.clear()
     fields[last] = value

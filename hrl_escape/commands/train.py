@@ -1,7 +1,8 @@
 """Train one agent in one room, with a curve, a log and checkpoints; a stopped run resumes.
 
     hrl-escape train smdp-dqn
-    hrl-escape train smdp-ppo --preset clutter --seed 3 --primitives 50000 --out runs/clutter-ppo
+    hrl-escape train smdp-r-max+no-primitives
+    hrl-escape train smdp-ppo+objects+memory+no-primitives --preset clutter --seed 3 --primitives 50000
     hrl-escape train smdp-dqn --settings gamma=0.995 hidden=[128,128]
     hrl-escape train smdp-dqn --list-settings
     hrl-escape train dqn --recipe paper --training-seed 7 --json
@@ -11,7 +12,8 @@
     hrl-escape train smdp-tools --settings model=untried told=names --primitives 2000
     hrl-escape train smdp-iql --data pair-play-v1
 
-`hrl-escape list agents` names the agents; with smdp- in front they choose options beside primitives.
+`hrl-escape list agents` names the agents and the words behind + of their labels; with smdp- in front they choose
+options beside primitives. `hrl-escape list recommended` says which to begin with.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.room_choice import RoomChoice, refuse_options
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.runs import find_starts, make_env, make_player
@@ -64,7 +66,7 @@ class TrainArgs(AgentChoice, RoomChoice):
     """Options of `hrl-escape train`."""
 
     agent: Annotated[str, tyro.conf.Positional] = "smdp-dqn"
-    """Name of the agent; the prefix smdp- makes it choose options."""
+    """Name or label of the agent, such as smdp-ppo+objects+memory; the prefix smdp- makes it choose options."""
     primitives: int | None = None
     """Primitives to train for; 20,000 by default, with --data as many as the agent's passes over it come to."""
     data: str | None = None
@@ -78,8 +80,8 @@ class TrainArgs(AgentChoice, RoomChoice):
     eval_episodes: int = 5
     """Episodes in an evaluation."""
     batch: int | None = None
-    """Train in this many copies of the room at once, on the batched engine; for a2oc, dac, ddpg, diayn, dqn, ppo,
-    ppoc, q-learning, r-max and sarsa, and with --leaves."""
+    """Train in this many copies of the room at once, on the batched engine; for the agents of `hrl-escape list
+    batched`."""
     device: str = "cpu"
     """Device of the copies, the networks and everything between them, such as cuda; with --batch."""
     compile: bool = False
@@ -96,24 +98,25 @@ class TrainArgs(AgentChoice, RoomChoice):
     def make_batch(self, spec: AgentSpec, instance: RoomInstance) -> VectorEnv | Streams:
         """Copies of the room that train together."""
         assert self.batch is not None
-        if self.leaves is not None or not spec.chooses_options:
+        observation = self.choose_observation(spec)
+        if spec.leaves is not None or not spec.chooses_options:
             from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 
-            rooms = EscapeRoomVectorEnv(self.batch, instance=instance, observation=self.observation, output="torch",
+            rooms = EscapeRoomVectorEnv(self.batch, instance=instance, observation=observation, output="torch",
                                         device=self.device, compile=self.compile)
-            if self.leaves is None:
+            if spec.leaves is None:
                 return rooms
             from hrl_escape.synthesis import HierarchyVectorEnv
 
-            return HierarchyVectorEnv(rooms, find_kind(spec.name), self.leaves)
+            return HierarchyVectorEnv(rooms, find_kind(spec.name), spec.leaves)
         from hrl_escape.options.batched.env import BatchedOptionsEnv
         from hrl_escape.options.memory import MemoryStreams
 
         gamma = spec.resolve_settings()["gamma"]
-        options = BatchedOptionsEnv(self.batch, instance=instance, observation=self.observation, discount=gamma,
-                                    include_primitives=not self.options_only, flavour=self.flavour,
+        options = BatchedOptionsEnv(self.batch, instance=instance, observation=observation, discount=gamma,
+                                    include_primitives=spec.options.include_primitives, flavour=spec.options.flavour,
                                     device=self.device, compile=self.compile)
-        return MemoryStreams(options) if self.memory else options
+        return MemoryStreams(options) if spec.options.memory else options
 
 
 def run(args: TrainArgs) -> None:
@@ -124,15 +127,18 @@ def run(args: TrainArgs) -> None:
                                "compare` holds learners against it")
     resolved = spec.resolve_settings()
     if args.list_settings:
-        _print_settings(args, resolved)
+        _print_settings(args, spec, resolved)
         return
     if args.data is not None:
         refuse_options(args, OF_ROOMS, f"does not go with --data, whose rooms and options are those of {args.data}")
-        _train_offline(args, resolved)
+        if spec.options != OptionsView() or spec.leaves is not None:
+            raise UnsupportedError(f"{spec.label} does not go with --data, whose rooms and options are those of "
+                                   f"{args.data}: name {spec.name}")
+        _train_offline(args, spec, resolved)
         return
     if not spec.chooses_options:
         refuse_options(args, OF_OPTIONS, f"is for agents that choose options, such as smdp-{spec.algorithm}")
-    if args.leaves is None and spec.algorithm in list_given_agents():
+    if spec.leaves is None and spec.algorithm in list_given_agents():
         acts = "options" if spec.chooses_options else "primitives"
         print(f"{spec.name} is given no hierarchy: it learns over {acts}, as one task. --leaves planned or --leaves "
               "learned gives it one", file=sys.stderr)
@@ -144,11 +150,11 @@ def run(args: TrainArgs) -> None:
     if args.batch is None:
         refuse_options(args, ("compile", "device"), "is for many copies of the room: give --batch N too; one room is "
                        "stepped by Bullet, on the CPU")
-        env, recorder = make_env(spec, instance, args.observation)
+        env, recorder = make_env(spec, instance, args.choose_observation(spec))
         player = make_player(spec, env, recorder) if spec.name == TOOLS else None
     else:
         env = args.make_batch(spec, instance)
-    result = train(player or args.agent, env, primitives=PRIMITIVES if args.primitives is None else args.primitives,
+    result = train(player or spec.name, env, primitives=PRIMITIVES if args.primitives is None else args.primitives,
                    seed=args.training_seed, settings=None if player else resolved, eval_every=args.eval_every,
                    eval_episodes=args.eval_episodes, out=out, callbacks=[TensorBoard()] if args.tensorboard else [],
                    threads=args.threads, observed=recorder is None)
@@ -156,19 +162,19 @@ def run(args: TrainArgs) -> None:
         _record(env, recorder, result, f"{spec.label}, seed {args.training_seed}")
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
         env.close()
-    _tell(args, result, best_known_return(instance))
+    _tell(args, spec, result, best_known_return(instance))
 
 
-def _train_offline(args: TrainArgs, settings: dict[str, Any]) -> None:
+def _train_offline(args: TrainArgs, spec: AgentSpec, settings: dict[str, Any]) -> None:
     """Train from a data set, and print the curve."""
     from hrl_escape.data.materialise import load_data
 
-    data = load_data(args.data or "", observation=args.observation)
-    out = args.out or Path("runs") / f"{make_file_name(f'{args.agent}-{data.name}-{args.training_seed}')}-{{key}}"
-    result = train(args.agent, data=data, primitives=args.primitives, seed=args.training_seed, settings=settings,
+    data = load_data(args.data or "", observation=args.choose_observation(spec))
+    out = args.out or Path("runs") / f"{make_file_name(f'{spec.label}-{data.name}-{args.training_seed}')}-{{key}}"
+    result = train(spec.name, data=data, primitives=args.primitives, seed=args.training_seed, settings=settings,
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
                    callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads)
-    _tell(args, result, data.tape.about["scores"].get("best_known"))
+    _tell(args, spec, result, data.tape.about["scores"].get("best_known"))
 
 
 def _record(env: gymnasium.Env, recorder: StateRecorder, result: TrainResult, source: str) -> None:
@@ -178,8 +184,8 @@ def _record(env: gymnasium.Env, recorder: StateRecorder, result: TrainResult, so
     record_returns(starts, [find_best_known(*start).value for start in starts], result.evaluations, source)
 
 
-def _print_settings(args: TrainArgs, resolved: dict[str, Any]) -> None:
-    kind = ToolsSettings if args.agent == TOOLS else type(get_recipe(args.agent, args.recipe))
+def _print_settings(args: TrainArgs, spec: AgentSpec, resolved: dict[str, Any]) -> None:
+    kind = ToolsSettings if spec.name == TOOLS else type(get_recipe(spec.name, spec.recipe))
     documents = read_field_documents(kind)
     if args.json:
         print(json.dumps({name: {"value": value, "about": documents.get(name, "")} for name, value in resolved.items()},
@@ -191,7 +197,7 @@ def _print_settings(args: TrainArgs, resolved: dict[str, Any]) -> None:
     Console().print(table)
 
 
-def _tell(args: TrainArgs, result: TrainResult, best: float | None) -> None:
+def _tell(args: TrainArgs, spec: AgentSpec, result: TrainResult, best: float | None) -> None:
     if args.json:
         print(json.dumps({"best_known": best, "folder": str(result.folder), **result.to_json()}, indent=2))
         return
@@ -204,15 +210,17 @@ def _tell(args: TrainArgs, result: TrainResult, best: float | None) -> None:
     for number, evaluation in enumerate(evaluations):
         if number % step == 0 or number == len(evaluations) - 1:
             table.add_row(f"{evaluation.primitives:,}", f"{evaluation.decisions:,}", f"{evaluation.mean_return:.1f}",
-                          f"{evaluation.success_rate:.0%}", f"{evaluation.mean_length:,.0f}")
+                          "" if evaluation.success_rate is None else f"{evaluation.success_rate:.0%}",
+                          f"{evaluation.mean_length:,.0f}")
     console.print(table)
     episodes = len(result.episodes) + sum(segment.episodes for segment in result.segments)
     calls = f", {result.planner_calls:,} planner calls" if result.planner_calls else ""
     if result.resumed_at:
+        budget = args.primitives or (PRIMITIVES if args.data is None else result.primitives)
         done = "was finished: nothing was trained" if result.resumed_at >= result.primitives else (
-            f"went on from primitive {result.resumed_at:,}")
+            f"resumed at {result.resumed_at:,} of {budget:,} primitives")
         console.print(f"this run {done}")
-    console.print(f"[bold]{make_console_text(result.agent_name)}[/bold], seed {result.seed}: {result.primitives:,} "
+    console.print(f"[bold]{make_console_text(spec.label)}[/bold], seed {result.seed}: {result.primitives:,} "
                   f"primitives, {result.decisions:,} decisions, {episodes:,} episodes{calls}, "
                   f"{result.seconds:.1f} s of training")
     if evaluations:

@@ -1,13 +1,15 @@
 """Watch an agent drive: options and plans, action values, SMDP transitions, what-if previews.
 
     hrl-escape watch
-    hrl-escape watch smdp-dqn --preset clutter --seed 3
+    hrl-escape watch smdp-r-max+no-primitives --preset clutter --seed 3
+    hrl-escape watch smdp-retrace --preset four-button-chain
     hrl-escape watch maxq-q --leaves planned
     hrl-escape watch runs/smdp-dqn-paper-two-button-0-5a1d3f0c
     hrl-escape watch lattice
     hrl-escape watch smdp-tools --settings model=untried told=names
 
-Without a name the planner drives. An agent's name trains that agent while you watch. The folder of a run (see
+Without a name the planner drives. An agent's name or label trains that agent while you watch, and a reference such as
+smdp-retrace plays by its rule. The folder of a run (see
 `hrl-escape train`) lets the trained agent drive in its room; the name of a rung (see `hrl-escape ladder list`) that of
 the trained agent that comes with the package. Space pauses, P runs one primitive, D one decision.
 """
@@ -25,7 +27,7 @@ from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.play import PageAddress
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
-from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, open_driver
+from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, is_run, open_driver
 from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
@@ -34,7 +36,8 @@ class WatchArgs(PageAddress, AgentChoice, RoomChoice):
     """Options of `hrl-escape watch`."""
 
     driver: Annotated[str, tyro.conf.Positional] = PLANNER_NAME
-    """The driver: planner, the name of an agent to train, the folder of a run, or a rung with a trained agent."""
+    """The driver: planner or another reference, the name or label of an agent to train, the folder of a run, or a rung
+    with a trained agent."""
     pace: float = 5.0
     """Primitives a second at first; 0 for no limit."""
     paused: bool = False
@@ -50,8 +53,8 @@ def run(args: WatchArgs) -> None:
     torch.set_num_threads(1)
     text, own = find_driver(args.driver)
     instance = (None if args.load else own) or args.make_instance()
-    driver = open_driver(args.make_spec(text), instance, observation=args.observation, seed=args.episode_seed,
-                         trust=args.trust)
+    driver = open_driver(text if is_run(text) else args.make_spec(text), instance, observation=args.observation,
+                         seed=args.episode_seed, trust=args.trust)
     gate = Gate(args.pace or None, args.paused)
     watch = Watch(driver, gate, args.episode_seed)
     server = args.open_server()

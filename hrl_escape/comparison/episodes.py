@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import gymnasium
 import numpy as np
 
-from hrl_escape.agents.agent import read_success
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.errors import UnsupportedError
 
@@ -72,11 +71,11 @@ class StateRecorder(gymnasium.Wrapper):
         self.states.append(self._get_state())
         if self.states[-1].puzzle != self.states[-2].puzzle:
             self._progress = max(self._progress, self._measure_progress())
-        self._progress = 1.0 if read_success(info, terminated) else self._progress
+        self._progress = 1.0 if info["is_success"] else self._progress
         if self.on_step is not None and before is not None:
             self.on_step(PrimitiveStep(before, int(action), self.states[-1], float(reward),
                                        tuple(np.flatnonzero(info["pressed"]).tolist()),
-                                       EpisodeEnd.of_step(bool(info["success"]), terminated, truncated)))
+                                       EpisodeEnd.of_step(bool(info["is_success"]), terminated, truncated)))
         return observation, reward, terminated, truncated, {**info, "progress": self._progress}
 
     def _measure_progress(self) -> float:

@@ -18,11 +18,12 @@ from typing import Annotated, Any, Literal
 
 from typing_extensions import Self
 
-from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe
+from hrl_escape.agents.label import DEFAULT_RECIPE, SMDP_PREFIX, AgentLabel
+from hrl_escape.agents.registry import get_agent_class, get_recipe
 from hrl_escape.comparison.places import RoomSpec, RunPlace
 from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.env.observations.base import get_observation
-from hrl_escape.errors import EscapeError, GridError, UnknownNameError
+from hrl_escape.errors import EscapeError, GridError
 from hrl_escape.files import read_json, read_text, read_toml
 from hrl_escape.ladder.room_sets import parse_rooms
 from hrl_escape.names import make_file_name
@@ -50,20 +51,6 @@ class OptionsView(Settings):
     """Primitives after which an option is stopped."""
     memory: bool = False
     """Append an episode's failures and successes to the rows of the observation `objects`; see `DecisionMemory`."""
-
-
-TRAITS: dict[str, dict[str, dict[str, Any]]] = {
-    "objects": {"settings": {"network": "objects"}},
-    "gru": {"settings": {"memory": "gru"}},
-    "patient": {"settings": {"learning_rate": 1e-3, "epsilon_end": 0.1, "epsilon_steps": 30_000,
-                             "replay_capacity": 100_000}},
-    "three-parents": {"settings": {"max_parents": 3}},
-    "memory": {"options": {"memory": True}},
-    "no-primitives": {"options": {"include_primitives": False}},
-    "markov": {"options": {"flavour": "press-markov"}},
-    **{leaves: {"agent": {"leaves": leaves}} for leaves in ("planned", "learned")},
-}
-"""Words behind + in an agent's short text, and what they change: settings, options, or fields of the agent itself."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,6 +132,11 @@ class AgentSpec(Settings):
         return self.settings.get("network") == "objects" or (self.chooses_options and self.options.memory)
 
     @property
+    def default_observation(self) -> str:
+        """Observation of the agent where none is asked for."""
+        return "objects" if self.reads_objects else "features"
+
+    @property
     def privileges(self) -> tuple[str, ...]:
         """Information that its hierarchy gives it and that others lack; printed in tables."""
         return () if self.leaves is None else list_privileges(self.name, self.leaves)
@@ -156,17 +148,15 @@ class AgentSpec(Settings):
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `dqn`, `smdp-dqn@paper`, `maxq-q+planned` or `smdp-dqn+objects+memory`; see `TRAITS`."""
-        words, *traits = text.split("+")
-        name, _, recipe = words.partition("@")
-        changes: dict[str, dict[str, Any]] = {"settings": {}, "options": {}}
-        for trait in traits:
-            if trait not in TRAITS:
-                raise UnknownNameError("trait of an agent", trait, TRAITS)
-            for part, fields in TRAITS[trait].items():
-                changes.setdefault(part, {}).update(fields)
-        own = changes.pop("agent", {"label": text} if traits else {})
-        return cls.from_dict({"name": name, "recipe": recipe or "corrected", **changes, **own})
+        """Read a label such as `dqn`, `smdp-dqn@paper`, `maxq-q+planned` or `smdp-dqn+objects+memory`.
+
+        Raises:
+            UnknownNameError: no such trait; see `agents.label.TRAITS`.
+            AgentSettingsError: traits contradict each other or the agent.
+        """
+        label = AgentLabel.parse(text)
+        return cls(label.name, text if "+" in text else "", label.recipe or DEFAULT_RECIPE, dict(label.settings),
+                   OptionsView(**label.options), label.leaves)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.statistics import Floats, Scores, compute_mean
+from hrl_escape.comparison.statistics import LEAST_RUNS, Floats, Scores, compute_mean
 
 LEVEL = 0.95
 RESAMPLES = 2_000
@@ -35,14 +35,18 @@ class Statistic(Protocol):
 
 
 class Estimate(NamedTuple):
-    """A number and its 95 % interval; `f"{estimate:.2f}"` is `0.91 (0.87 to 0.94)`."""
+    """A number and its 95 % interval; `f"{estimate:.2f}"` is `0.91 (0.87 to 0.94)`.
+
+    The text leaves an interval without width out: no runs that are all equal say how far others would be.
+    """
 
     value: float
     low: float
     high: float
 
     def __format__(self, spec: str) -> str:
-        return f"{self.value:{spec}} ({self.low:{spec}} to {self.high:{spec}})"
+        value, low, high = (format(number, spec) for number in self)
+        return value if low == high else f"{value} ({low} to {high})"
 
 
 def compute_interval(statistic: Statistic, scores: Scores, bounds: tuple[float, float], rng: np.random.Generator,
@@ -145,8 +149,6 @@ def correct_by_holm(p: Sequence[float]) -> list[float]:
 
 ALPHA = 0.05
 """Highest probability that a verdict calls some agent better though all are alike."""
-FEWEST_PAIRS = 5
-"""With four, a clean separation of two agents that escape in half of their runs comes by chance too often."""
 IMPROVEMENT_RESAMPLES = 1_000
 
 Finals: TypeAlias = Mapping[tuple[str, int], float]
@@ -173,8 +175,8 @@ ITSELF = Pair(Estimate(0.5, 0.5, 0.5), Estimate(0.0, 0.0, 0.0), 1.0, 0)
 
 
 def is_better(pair: Pair) -> bool:
-    """True if the runs show that the first scores above the second."""
-    return pair.count >= FEWEST_PAIRS and pair.p < ALPHA and pair.difference.value > 0
+    """True if the runs, at least `LEAST_RUNS` pairs of them, show that the first scores above the second."""
+    return pair.count >= LEAST_RUNS and pair.p < ALPHA and pair.difference.value > 0
 
 
 def compare_agents(finals: Sequence[Finals], in_family: Sequence[bool], rng: np.random.Generator,

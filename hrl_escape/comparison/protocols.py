@@ -27,14 +27,15 @@ from hrl_escape.ladder.room_sets import ABOVE, TOWER_HORIZON, list_sets
 from hrl_escape.text.settings import TOOLS
 
 LEAST_HEADROOM = 0.05
-"""Efficiency between searcher and ceiling below which nothing is said of the share of it that was learned."""
+"""Least efficiency between search baseline and Bayes planner for which the learned share is given."""
 
 
 def compute_learned_share(efficiency: float, searcher: float, ceiling: float) -> float | None:
-    """Place on the scale from the best searcher that learns nothing (0) to `smdp-bayes` (1), in efficiency.
+    """Place on the scale from the best search baseline (0) to the Bayes planner, `smdp-bayes` (1), in efficiency.
 
-    That ceiling knows how rooms are drawn and what marks mean, and discovers the graph; the searcher does not know the
-    schematic. Below 0 for an agent worse than the searcher; None where less than `LEAST_HEADROOM` lies between the two.
+    The Bayes planner is given how rooms are drawn and what marks mean, and discovers the graph; the baseline is not
+    given the schematic. Below 0 for an agent worse than the baseline, above 1 for one better than the Bayes planner;
+    None where less than `LEAST_HEADROOM` is between the two.
     """
     return (efficiency - searcher) / (ceiling - searcher) if ceiling - searcher >= LEAST_HEADROOM else None
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import gymnasium
 
-from hrl_escape.agents.agent import Agent, read_success
+from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.references.registry import REFERENCES, make_reference
@@ -17,6 +17,7 @@ from hrl_escape.env.drawing.moving_map import embed_moving_map, make_frames, mak
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import UnknownNameError, UnsupportedError
+from hrl_escape.step_info import read_option
 
 
 @dataclass(frozen=True, repr=False)
@@ -98,8 +99,8 @@ def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> Rec
         player = make_reference(agent, recorded, recorder) if isinstance(agent, str) else agent
         for transition, info in play_episode(player, recorded, seed):
             total += transition.summed_reward
-            option = info.get("option") or {"name": room.instance.robot.actions.names[transition.action],
+            option = read_option(info) or {"name": room.instance.robot.actions.names[transition.action],
                                             "ended": "reached"}
             decisions.append((option["name"], transition.duration, option["ended"]))
-            success = read_success(info, transition.terminated)
+            success = bool(info["is_success"])
         return RecordedEpisode(room.instance, tuple(recorder.states), tuple(decisions), total, success)

@@ -36,7 +36,7 @@ def record_escapes(env: gymnasium.Env, seeds: Sequence[int], evaluations: Sequen
     It plans once from the start of each episode that escaped, and searches for the best known return only where the
     agent beat that plan. Left alone are other environments than rooms, puzzles with rewards of their own, and returns
     that a wrapper made: those that an escape after so many primitives does not earn. The evaluation environment is
-    reset where an episode escaped; arguments are those of `RUN_OBSERVERS`.
+    reset where an episode escaped; arguments are those of `run_observers`.
     """
     room: Any = env.unwrapped
     if not isinstance(getattr(room, "instance", None), RoomInstance):
@@ -51,6 +51,6 @@ def record_escapes(env: gymnasium.Env, seeds: Sequence[int], evaluations: Sequen
         from hrl_escape.planning.planner import get_planner
 
         earned = [value for length, value in escapes if math.isclose(value, compute_escape_return(instance, length))]
-        if earned and not instance.puzzle.has_reward and (
+        if earned and not instance.has_extra_reward and (
                 max(earned) > find_by_plan(get_planner(instance), state, jointly=False).value + 1e-9):
             record_return(instance, state, max(earned), source)

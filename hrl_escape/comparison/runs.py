@@ -115,7 +115,8 @@ class RunResult:
 
 
 def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> float:
-    return compute_mean_efficiency(evaluation.successes, evaluation.lengths, score_range.fewest,
+    escaped = np.array(evaluation.successes, dtype=np.bool_)
+    return compute_mean_efficiency(escaped, evaluation.lengths, score_range.fewest,
                                    score_range.is_expected)
 
 

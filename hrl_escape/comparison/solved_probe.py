@@ -5,7 +5,7 @@ It notes when the frozen policy first came near the best, and the precision and 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,8 +55,8 @@ class SolvedProbe(Stateful):
         self._rule, self._env, self._range, self._goals = rule, env, score_range, graph.goal_targets
         self._learns = spec.algorithm != "random"
         self._true = find_edges_that_matter(graph.edges, self._goals)
-        shape: Any = env.observation_space.shape
-        self._first_bit = int(shape[0]) - len(instance.targets)  # the puzzle's bits end the observation
+        room: Any = env.unwrapped
+        self._places = room.observer.light_places
         self._has_escaped = False
         self._structure: list[tuple[int, float, float]] = []
         self._near_best: int | None = None
@@ -86,20 +86,15 @@ class SolvedProbe(Stateful):
         if primitives < self._next_graph or (graph := agent.get_graph()) is None:
             return
         self._next_graph = primitives + self._rule.graph_every
-        precision, recall = compare_graphs(self._read_graph(graph), self._true)
+        believed = find_edges_that_matter(find_target_edges(graph, self._places), self._goals)
+        precision, recall = compare_graphs(believed, self._true)
         now = round(precision, 4), round(recall, 4)
         if not self._structure or self._structure[-1][1:] != now:
             self._structure.append((primitives, *now))
 
-    def _read_graph(self, graph: EdgeSet) -> EdgeSet:
-        """Edges that matter among buttons; the agent numbers them by their place in the observation."""
-        first = self._first_bit
-        edges = {(p - first, c - first) for p, c in graph if p >= first and c >= first}
-        return find_edges_that_matter(edges, self._goals)
-
     def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
         """Check the frozen policy, every so often, from the first escape until it is near the best."""
-        self._has_escaped = self._has_escaped or episode.success
+        self._has_escaped = self._has_escaped or bool(episode.success)
         at = episode.primitives
         if not self._learns or not self._has_escaped or self._near_best is not None or at < self._next_check:
             return
@@ -114,6 +109,18 @@ class SolvedProbe(Stateful):
 
 
 # --- the graph --------------------------------------------------------------------------------
+
+
+def find_target_edges(graph: EdgeSet, places: Sequence[int]) -> EdgeSet:
+    """Edges among targets, of a graph among the observation's components.
+
+    Args:
+        graph: (parent, child) pairs of components; see `Agent.get_graph`.
+        places: component of each target's light; see `Observer.light_places`.
+    """
+    targets = {place: target for target, place in enumerate(places)}
+    return frozenset((targets[parent], targets[child]) for parent, child in graph
+                     if parent in targets and child in targets)
 
 
 def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> EdgeSet:

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from typing_extensions import Self
 
 import hrl_escape
-from hrl_escape.agents.agent import Agent, FixedPolicy, SMDPTransition, read_success
+from hrl_escape.agents.agent import Agent, FixedPolicy, SMDPTransition
 from hrl_escape.agents.training.archive import (
     ArchiveKind,
     Part,
@@ -458,7 +458,7 @@ def play_cells(entry: Entry, folder: Path, rooms: InstanceSet, role: str, number
             primitives, decisions, total, escaped = 0, 0, 0.0, False
             for step, info in play_episode(player, env, seed):
                 primitives, decisions, total = primitives + step.duration, decisions + 1, total + step.summed_reward
-                escaped = read_success(info, step.terminated)
+                escaped = bool(info["is_success"])
             known = compute_score_range([(room.instance, recorder.states[0])], AgentSpec(), Path(cache))
             yield Cell(role, number, escaped, primitives, decisions, total, float(known.fewest[0]))
 

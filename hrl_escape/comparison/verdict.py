@@ -1,7 +1,8 @@
 """Verdict of a comparison in plain words: no more than its runs support.
 
 Pure functions from a `Summary` to sentences. One agent is called better than another only where a paired
-test says so after correction for all pairs of agents (`inference.py`). Labels of agents stand between backticks.
+test says so after correction for all pairs of agents (`inference.py`). With fewer than `LEAST_RUNS` pairs of runs the
+sentences give estimates and intervals, and call nothing better. Labels of agents are between backticks.
 """
 
 from __future__ import annotations
@@ -12,13 +13,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
-from hrl_escape.comparison.inference import FEWEST_PAIRS, is_better
+from hrl_escape.comparison.inference import is_better
 from hrl_escape.comparison.references import registry as references
 from hrl_escape.comparison.score_range import CEILING, PLANNER
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.names import join_words
 
+MOST_NAMED = 4
+"""Agents that a headline names."""
 SETTLED = 0.9
 """From this share of escapes on, it is said how many primitives an escape takes."""
 
@@ -57,20 +60,46 @@ def _write_headline(summary: Summary) -> str:
     contenders = [agent for agent in summary.agents if agent.spec.name != references.PLANNER]
     leader = find_leader(summary.agents)
     if leader.success.value == 0:
-        return f"Nobody escapes within {summary.grid.primitives:,} primitives of training."
+        return f"No agent escapes within {summary.grid.primitives:,} primitives of training."
     if len(contenders) < 2:
         return f"`{leader.label}` {_describe_escapes(leader)}."
-    level = [agent for agent in contenders if agent is not leader and not _beats(summary, leader, agent)]
-    if min(summary.get_pair(leader, agent).count for agent in contenders if agent is not leader) < FEWEST_PAIRS:
-        return (f"`{leader.label}` is most efficient, but {count_things(leader.fewest_runs, 'run')} a room "
-                f"{'is' if leader.fewest_runs == 1 else 'are'} too few to be sure.")
-    if not leader.spec.learns and not level:
-        return f"Nothing that learns beats `{leader.label}`, which {_describe_escapes(leader)}."
-    if not level:
-        return f"`{leader.label}` is best: it {_describe_escapes(leader)}."
-    if len(level) > 1:
-        return f"No clear winner: `{leader.label}` is ahead, but not clearly of {count_things(len(level), 'other')}."
-    return f"`{leader.label}` and `{level[0].label}` cannot be told apart; the first {_describe_escapes(leader)}."
+    others = sorted((agent for agent in contenders if agent is not leader), key=lambda agent: -agent.efficiency.value)
+    tied = [leader, *(agent for agent in others if _tie(summary, leader, agent))]
+    if any(_has_few(summary, leader, agent) for agent in others):
+        most = (f"`{leader.label}` has the highest efficiency, {leader.efficiency:.2f}" if len(tied) == 1 else
+                f"{_join_labels(tied)} have the highest efficiency, {leader.efficiency:.2f}")
+        return (f"{most}. {count_things(leader.fewest_runs, 'run').capitalize()} a room "
+                f"{'is' if leader.fewest_runs == 1 else 'are'} too few for a verdict, which takes {LEAST_RUNS}.")
+    level = [agent for agent in others if not _beats(summary, leader, agent) and agent not in tied]
+    if not level and len(tied) == 1:
+        learners = any(agent.spec.learns for agent in others)
+        return (f"`{leader.label}` is best: it {_describe_escapes(leader)}." if leader.spec.learns or not learners else
+                f"No learner matches `{leader.label}`, which {_describe_escapes(leader)}.")
+    if len(tied) == 1:
+        return (f"No significant difference between {_join_labels([leader, *level])}; the first "
+                f"{_describe_escapes(leader)}.")
+    tie = f"{_join_labels(tied)} tie at an efficiency of {leader.efficiency.value:.2f}"
+    return f"{tie}, with no significant difference from {_join_labels(level)}." if level else (
+        f"{tie}: `{leader.label}` {_describe_escapes(leader)}.")
+
+
+def _tie(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
+    """Return whether two agents have the same efficiency to two digits, and neither is shown to be better."""
+    return (f"{first.efficiency.value:.2f}" == f"{second.efficiency.value:.2f}" and not _beats(summary, first, second)
+            and not _beats(summary, second, first))
+
+
+def _has_few(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
+    """Return whether two agents share too few runs for a verdict."""
+    return summary.get_pair(first, second).count < LEAST_RUNS
+
+
+def _join_labels(agents: Sequence[AgentSummary]) -> str:
+    """`a`, `b` and `c`; of more than four the first three and how many others."""
+    labels = [f"`{agent.label}`" for agent in agents]
+    if len(labels) > MOST_NAMED:
+        labels = [*labels[:MOST_NAMED - 1], count_things(len(labels) - MOST_NAMED + 1, "other")]
+    return join_words(labels)
 
 
 def _describe_escapes(agent: AgentSummary) -> str:
@@ -96,7 +125,7 @@ def _compare_views(summary: Summary) -> list[str]:
     best_flat, best = find_leader(_prefer_learners(flat)), find_leader(_prefer_learners(hierarchical))
     names = join_words([f"`{agent.label}`" for agent in flat])
     if best.success.value > 0 and all(agent.success.value == 0 for agent in flat):
-        return [f"Without options nobody escapes: {names} never {'does' if len(flat) == 1 else 'do'} within "
+        return [f"Without options no agent escapes: {names} never {'does' if len(flat) == 1 else 'do'} within "
                 f"{summary.grid.primitives:,} primitives. With options, `{best.label}` {_describe_escapes(best)}."]
     if _beats(summary, best, best_flat):
         return [f"Options help: {_describe_odds(summary, best, best_flat)}; the first {_describe_escapes(best)}, the "
@@ -104,8 +133,7 @@ def _compare_views(summary: Summary) -> list[str]:
     if _beats(summary, best_flat, best):
         return [f"Options do not help here: {_describe_odds(summary, best_flat, best)}; the first "
                 f"{_describe_escapes(best_flat)}, the second {_describe_escapes(best)}."]
-    return [f"Whether options help cannot be told from these runs: `{best.label}` has an efficiency of "
-            f"{best.efficiency:.3f}, `{best_flat.label}` {best_flat.efficiency:.3f}."]
+    return [f"With options against without: {_describe_even(summary, best, best_flat)}."]
 
 
 def _prefer_learners(agents: Sequence[AgentSummary]) -> list[AgentSummary]:
@@ -115,32 +143,29 @@ def _prefer_learners(agents: Sequence[AgentSummary]) -> list[AgentSummary]:
 def _compare_with_chance(summary: Summary) -> list[str]:
     """Learners over options against choosing among the same options at random.
 
-    That learning adds to it is said only of a learner that beats the best searcher that learns nothing.
+    That learning adds to it is said only of a learner that beats the best search baseline.
     """
     sentences = []
     for chance in summary.agents:
         if not chance.spec.chooses_options or chance.spec.algorithm != "random":
             continue
         learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent is not chance
-                    and agent.spec.options == chance.spec.options and agent.spec.learns]
+                    and _get_choices(agent) == _get_choices(chance) and agent.spec.learns]
         if not learners:
             continue
         best = find_leader(learners)
-        start = (f"Choosing among the options at random (`{chance.label}`) already {_describe_escapes(chance)}: that "
-                 "much comes from their planners" if chance.success.value > 0 else
-                 f"Choosing among the options at random (`{chance.label}`) never escapes")
+        start = (f"Random choice among the options (`{chance.label}`) {_describe_escapes(chance)}"
+                 f"{': that much comes from their planners' if chance.success.value > 0 else ''}.")
         if _beats(summary, best, chance):
             both = min(chance.success.value, best.success.value) >= SETTLED
             gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
             searchers = _list_searchers(summary)
             adds = "Learning adds to it: " if searchers and _beats(summary, best, find_leader(searchers)) else ""
-            sentences.append(f"{start}. {adds}`{best.label}` {gain}.")
+            sentences.append(f"{start} {adds}`{best.label}` {gain}.")
         elif _beats(summary, chance, best):
-            sentences.append(f"{start}. No learner matches it: the best, `{best.label}`, "
-                             f"{_describe_escapes(best)}.")
+            sentences.append(f"{start} No learner matches it: the best, `{best.label}`, {_describe_escapes(best)}.")
         else:
-            sentences.append(f"{start}. These runs do not show that learning adds anything: `{best.label}` has an "
-                             f"efficiency of {best.efficiency:.3f}, chance {chance.efficiency:.3f}.")
+            sentences.append(f"{start} Best learner against it: {_describe_even(summary, best, chance)}.")
         worse = [agent for agent in learners if agent is not best and _beats(summary, chance, agent)]
         if worse:
             names = join_words([f"`{agent.label}`" for agent in worse])
@@ -149,12 +174,12 @@ def _compare_with_chance(summary: Summary) -> list[str]:
 
 
 def _list_searchers(summary: Summary) -> list[AgentSummary]:
-    """Those that were told nothing of what learners must learn."""
+    """Search baselines, which are given nothing of what learners must learn."""
     return [agent for agent in summary.agents if agent.spec.name in references.SEARCHERS]
 
 
 def _compare_with_searchers(summary: Summary) -> list[str]:
-    """Learners over options or hierarchies against the best searcher that learns nothing."""
+    """Learners over options or hierarchies against the best search baseline."""
     learners = [agent for agent in summary.agents
                 if (agent.spec.chooses_options or agent.spec.leaves) and agent.spec.learns]
     searchers = _list_searchers(summary)
@@ -162,13 +187,17 @@ def _compare_with_searchers(summary: Summary) -> list[str]:
         return []
     best, searcher = find_leader(learners), find_leader(searchers)
     rule = references.describe_rule(searcher.spec.name)
-    start = (f"The best searcher that learns nothing (`{searcher.label}`, which {rule}) "
-             f"{_describe_escapes(searcher)}")
+    name = "search baseline" if len(searchers) == 1 else "best search baseline"
+    start = (f"The {name}, `{searcher.label}`, {_describe_escapes(searcher)}. It {rule}, and starts every episode anew")
     if _beats(summary, best, searcher):
-        return [f"{start}; `{best.label}` is better."]
+        return [f"{start}; `{best.label}`, trained in {_name_rooms(summary)}, is better."]
     if _beats(summary, searcher, best):
         return [f"{start}; no learner matches that."]
-    return [f"{start}; these runs do not show that any learner does better."]
+    return [f"{start}. Best learner against it: {_describe_even(summary, best, searcher)}."]
+
+
+def _name_rooms(summary: Summary) -> str:
+    return "other rooms" if summary.grid.train_rooms else "this room" if len(summary.rooms) == 1 else "the same room"
 
 
 def _describe_speed(summary: Summary) -> list[str]:
@@ -247,19 +276,19 @@ def _write_cautions(summary: Summary) -> list[str]:
         lost += [f"`{spec.label}` all {expected}" for spec in grid.agents if spec.label not in known]
         cautions.append(f"Some runs have no result and count nowhere: {join_words(lost)}. Their errors stand below.")
     if grid.runs < LEAST_RUNS:
-        cautions.append(f"{count_things(grid.runs, 'run').capitalize()} a room: large differences show, small ones may "
-                        f"not. A published table needs {LEAST_RUNS} or more.")
+        cautions.append(f"{count_things(grid.runs, 'run').capitalize()} a room: with `--runs {LEAST_RUNS}` the same "
+                        "command goes on from these, to a verdict.")
     cautions += tell_privileges(agent.spec for agent in summary.agents)
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
     chance = [_get_choices(agent) for agent in summary.agents
               if agent.spec.chooses_options and agent.spec.algorithm == "random"]
     unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in chance]
     if unmatched:
-        cautions.append(f"No random policy over the same options was run beside {join_words(unmatched)}, so the "
-                        "share of the score that the options' planners bring is unknown.")
+        cautions.append(f"No random policy over the same options was run for {join_words(unmatched)}, so the share of "
+                        "the score that the options' planners bring is unknown.")
     if learners and not any(agent.spec.name in references.BY_LIGHTS for agent in summary.agents):
-        cautions.append(f"No searcher such as `{references.UNTRIED_NEAREST}` was run beside the learners, so what can "
-                        "be reached without learning is unknown.")
+        cautions.append(f"No search baseline such as `{references.RETRACE}` was run, so what can be reached without "
+                        "learning is unknown.")
     for room in summary.rooms:
         if room.place.split is not None and (known := room.place.split.room_overlap):
             cautions.append(f"{known:.0%} of the test rooms of {room.name} are training rooms too, so efficiency there "
@@ -281,6 +310,13 @@ def _get_choices(agent: AgentSummary) -> OptionsView:
 
 
 # --- words -----------------------------------------------------------------------------
+
+
+def _describe_even(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:
+    """Efficiencies of two agents of which neither is shown to be better."""
+    values = (f"`{first.label}` has an efficiency of {first.efficiency:.2f}, `{second.label}` of "
+              f"{second.efficiency:.2f}")
+    return values if _has_few(summary, first, second) else f"no significant difference; {values}"
 
 
 def _describe_odds(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:

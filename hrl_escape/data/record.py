@@ -41,6 +41,7 @@ from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.step_info import read_option
 from hrl_escape.version import __version__
 from hrl_escape.viewer.play.episode import load_episode
 
@@ -180,7 +181,8 @@ def _record_episode(writer: TapeWriter, env: gymnasium.Env, choose: ActionRule, 
         primitives = [int(step.action) for step in env.last_steps] if isinstance(env, OptionsEnv) else [action]
         count, decisions, left = count + len(primitives), decisions + 1, left - 1
         cuts = kind == "stitch" and left == 0
-        ended = info["option"]["ended"] if "option" in info else "reached"
+        option = read_option(info)
+        ended = "reached" if option is None else option["ended"]
         writer.add_decision(action, legal, primitives, ended, cut=cuts)
         legal = _read_mask(info, env)
         left = int(rng.integers(1, 3)) if cuts else left

@@ -1,4 +1,4 @@
-"""Tapes: what was chosen, from which a data set is replayed to the bit. Half a byte a primitive.
+"""Tapes: what was chosen, from which a data set is replayed to the bit. Most take less than a byte a primitive.
 
 A tape is one compressed npz of flat arrays and a JSON text, `about`. It holds the seed and room of every episode, every
 primitive, and for every decision its option, duration, ending and the options that were legal. States, observations and

@@ -4,7 +4,6 @@ from .config import (
     DynamicsConfig,
     ExitConfig,
     ObstaclesConfig,
-    RewardConfig,
     RobotConfig,
     RoomConfig,
     ShapeConfig,
@@ -35,6 +34,7 @@ from .puzzles.buttons import ButtonsConfig
 from .puzzles.graphs import GraphConfig
 from .puzzles.push_block import PushBlockConfig
 from .puzzles.symbolic import Operator, SymbolicModel
+from .rewards import Events, PotentialReward, RewardConfig, RewardState, TimePenaltyReward, rewards
 from .robot import Robot
 from .sampling.generation import generate
 from .torchrl_env import EscapeRoomTorchRLEnv
@@ -51,6 +51,7 @@ __all__ = [
     "EscapeRoomEnv",
     "EscapeRoomTorchRLEnv",
     "EscapeRoomVectorEnv",
+    "Events",
     "ExitConfig",
     "GraphConfig",
     "Kinematics",
@@ -62,6 +63,7 @@ __all__ = [
     "Panels",
     "Place",
     "PlacedProp",
+    "PotentialReward",
     "Primitive",
     "Prop",
     "PushBlockConfig",
@@ -69,6 +71,7 @@ __all__ = [
     "PuzzleConfig",
     "Rectangle",
     "RewardConfig",
+    "RewardState",
     "Robot",
     "RobotConfig",
     "RoomConfig",
@@ -81,10 +84,12 @@ __all__ = [
     "StartConfig",
     "SymbolicModel",
     "Target",
+    "TimePenaltyReward",
     "Wall",
     "generate",
     "get_preset",
     "list_puzzles",
     "make_observer",
     "register_puzzle",
+    "rewards",
 ]

@@ -13,10 +13,11 @@ import math
 from functools import lru_cache
 from typing import Annotated, Literal
 
-from hrl_escape.env.bases import BASES, Base
+from hrl_escape.env.bases import Base, bases
 from hrl_escape.env.primitives import ActionTable, DriveKind, Move, SlipKind, make_action_table
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.rewards import RewardConfig
 from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Between, Range
@@ -181,8 +182,8 @@ class RobotConfig(Schematic):
             raise ConfigError("robot.joints", 0, f"from 1 to 7 for robot.kind = {self.kind!r}")
         if self.use and not self.gripper:
             raise ConfigError("robot.use", self.use, "false without robot.gripper")
-        if self.footprint not in BASES:
-            raise ConfigError("robot.footprint", self.footprint, f"one of {', '.join(BASES)}")
+        if self.footprint not in bases:
+            raise ConfigError("robot.footprint", self.footprint, f"one of {', '.join(bases)}")
         if abs(self.mount_forward) > self.base.front:
             raise ConfigError("robot.mount_forward", self.mount_forward,
                               f"at most robot.{self.base.front_field} = {self.base.front:g} either way")
@@ -190,7 +191,7 @@ class RobotConfig(Schematic):
 
 @lru_cache(maxsize=256)
 def _measure_base(robot: RobotConfig) -> Base:
-    return BASES[robot.footprint].measure(robot)
+    return bases.get(robot.footprint).measure(robot)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -263,24 +264,6 @@ class ExitConfig(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class RewardConfig(Schematic):
-    """Sparse reward of the paper: -1 a primitive, +100 at the exit."""
-
-    _section = "reward"
-    step: Annotated[float, Range(-1e6, 1e6)] = -1.0
-    """Reward of every primitive."""
-    exit: Annotated[float, Range(-1e6, 1e6)] = 100.0
-    """Reward of the primitive that exits, on top of its step."""
-    exit_replaces_step: bool = False
-    """The exiting primitive earns `exit` alone (the published 2019 code)."""
-
-    @property
-    def on_exit(self) -> float:
-        """Reward of the primitive that exits."""
-        return self.exit if self.exit_replaces_step else self.step + self.exit
-
-
-@dataclasses.dataclass(frozen=True)
 class DynamicsConfig(Schematic):
     """Dynamics: exact kinematics or Bullet's rigid bodies, noise and slip, and the part that presses."""
 
@@ -338,7 +321,7 @@ class RoomConfig(Schematic):
     exit: ExitConfig = ExitConfig()
     """Exit: the region on the floor in which an episode ends."""
     reward: RewardConfig = RewardConfig()
-    """Reward of each primitive and of the exit."""
+    """Reward of each primitive and of the exit; `kind` names it in JSON."""
     dynamics: DynamicsConfig = DynamicsConfig()
     """Effect of the primitives: kinematic or rigid-body, noise and slip."""
     horizon: Annotated[int, Range(1, 100_000_000)] = 1000

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import SchematicForm
+from hrl_escape.env.rewards import Events
 from hrl_escape.env.velocities import Velocities
 from hrl_escape.errors import ConfigError
 
@@ -98,6 +99,6 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
         done = room.glide(self.velocities.make_glide(self.rules, state, rates))
         return self._finish(*self.velocities.judge(done, self.instance))
 
-    def _inform(self, pressed: tuple[int, ...], success: bool) -> dict[str, Any]:
-        info, time_step = super()._inform(pressed, success), self.velocities.time_step
+    def _inform(self, events: Events) -> dict[str, Any]:
+        info, time_step = super()._inform(events), self.velocities.time_step
         return info | {"seconds": info.pop("primitives") * time_step, "time_step": time_step}

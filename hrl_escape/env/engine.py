@@ -1,7 +1,7 @@
 """The door to the engines: the protocols that an engine and its renderer fulfil, and the factory that makes them.
 
-An engine makes one room move; `EscapeRoomEnv` runs on one. To add one, put its folder next to `bullet/` and its
-entry into `ENGINES`; the modules named there are imported when first used. Batches of rooms are in
+An engine makes one room move; `EscapeRoomEnv` runs on one. `engines.register`
+adds one; the modules that its entry names are imported when first used. Batches of rooms are in
 `vector_env.py` and `torchrl_env.py`.
 """
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Glide, RoomState, Rules, Transition
 from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.registry import Registry
 
 CAMERAS: dict[str, str] = {
     "chase": "follows the robot from behind and above; walls in the way are cut open",
@@ -98,9 +99,11 @@ class EngineEntry(NamedTuple):
     renderer: str  # called with the instance
 
 
-ENGINES: dict[str, EngineEntry] = {
-    "bullet": EngineEntry("hrl_escape.env.bullet.engine:BulletRoom", "hrl_escape.env.bullet.cameras:BulletRenderer"),
-}
+engines: Registry[EngineEntry] = Registry(
+    "engine", "an EngineEntry", lambda part: isinstance(part, EngineEntry))
+"""Engines by name."""
+engines.register(
+    "bullet", EngineEntry("hrl_escape.env.bullet.engine:BulletRoom", "hrl_escape.env.bullet.cameras:BulletRenderer"))
 
 
 def make_engine(instance: RoomInstance, engine: str = "bullet", *, window: bool = False) -> Engine:
@@ -108,25 +111,19 @@ def make_engine(instance: RoomInstance, engine: str = "bullet", *, window: bool 
 
     Args:
         instance: the room.
-        engine: a name in `ENGINES`.
+        engine: a name in `engines`.
         window: open a window of the engine's own (needs a display).
 
     Raises:
         UnknownNameError: no engine of that name.
         UnsupportedError: a window without a display, a gripper under physics, or too many rooms open in this process.
     """
-    return resolve_name(_find(engine).engine)(instance, window=window)
+    return resolve_name(engines.get(engine).engine)(instance, window=window)
 
 
 def make_renderer(instance: RoomInstance, engine: str = "bullet") -> Renderer:
     """Make an engine's renderer of a room; it costs nothing until it renders."""
-    return resolve_name(_find(engine).renderer)(instance)
-
-
-def _find(engine: str) -> EngineEntry:
-    if not isinstance(engine, str) or engine not in ENGINES:
-        raise UnknownNameError("engine", engine, ENGINES)
-    return ENGINES[engine]
+    return resolve_name(engines.get(engine).renderer)(instance)
 
 
 def check_camera(camera: str) -> None:

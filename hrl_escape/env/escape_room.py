@@ -22,10 +22,12 @@ from numpy.typing import NDArray
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.engine import Engine, Renderer, check_camera, check_picture_size, make_engine, make_renderer
 from hrl_escape.env.instance import InstanceForm, RoomInstance, read_instance
-from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.kinematics import QUIET, RoomState
 from hrl_escape.env.noise import check_seed, draw_episode, fold_seed
-from hrl_escape.env.observations.base import make_observer
+from hrl_escape.env.observations.base import Observer, make_observer
+from hrl_escape.env.poses import list_touched
 from hrl_escape.env.presets import SchematicForm, read_schematic
+from hrl_escape.env.rewards import Events
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
 from hrl_escape.spaces import bound_episodes, keep_space, make_vector_space
@@ -70,12 +72,12 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     One of the instance's start poses and one of the puzzle's first states, chosen by the episode seed; arm at home.
 
     ## Episode end
-    `terminated` when the body's axis is inside the exit and the puzzle is solved (`success`), or where a puzzle
+    `terminated` when the body's axis is inside the exit and the puzzle is solved (`is_success`), or where a puzzle
     that can be failed has been; `truncated` after `horizon` primitives (1,000).
 
     ## Information
     `info` has `instance` (content hash), `primitives` (so far), `buttons_on` and `pressed` (int8, one a target: 1
-    if it is on, and if this primitive pressed it), `success`.
+    if it is on, and if this primitive pressed it), `is_success`.
 
     ## Arguments
     Args:
@@ -179,6 +181,11 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         if instance.id != self.instance.id:
             self._enter(instance)
 
+    @property
+    def observer(self) -> Observer:
+        """Observer of the present room."""
+        return self._observer
+
     def describe(self) -> dict[str, Any]:
         """Return the arguments that decide this environment's numbers, as JSON values; drawing is left out.
 
@@ -241,7 +248,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self._trail = [(self._state.x, self._state.y)]
         if state is not None:
             self.set_state(state)
-        return self._observe(), self._inform((), False)
+        return self._observe(), self._inform(QUIET)
 
     def _begin_stream(self, seed: int | None) -> None:
         """Count the episode; a seed begins a new stream of starts and noise, as it does in a batch of rooms."""
@@ -270,7 +277,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
                                                             else "no episode has begun"))
         return self._state, room
 
-    def _finish(self, state: RoomState, reward: float, terminated: bool, truncated: bool, pressed: tuple[int, ...]
+    def _finish(self, state: RoomState, reward: float, terminated: bool, truncated: bool, events: Events
                 ) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
         """Take over the outcome of a step; returns Gymnasium's five values."""
         self._state = state
@@ -279,8 +286,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             self._trail.append((state.x, state.y))
         if self.render_mode == "human":
             self.render()
-        escaped = terminated and self.rules.has_escaped(state)
-        return self._observe(), reward, terminated, truncated, self._inform(pressed, escaped)
+        return self._observe(), reward, terminated, truncated, self._inform(events)
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]  # its frames are generic
         """Return a frame (height, width, 3), uint8, or keep Bullet's window in step."""
@@ -342,7 +348,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     def _observe(self) -> NDArray[Any]:
         return self._observer.observe(self._state)  # type: ignore[arg-type]  # called within an episode
 
-    def _inform(self, pressed: tuple[int, ...], success: bool) -> dict[str, Any]:
+    def _inform(self, events: Events) -> dict[str, Any]:
         state: RoomState = self._state  # type: ignore[assignment]  # called within an episode
         lit = self._lit.get(state.puzzle)
         if lit is None:
@@ -351,6 +357,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             if len(self._lit) < 4096:
                 self._lit[state.puzzle] = lit
         begun = np.zeros(len(lit), dtype=np.int8)
-        begun[list(pressed)] = 1
+        if events.pressed:
+            begun[list(list_touched(events.pressed))] = 1
         return {"instance": self.instance.id, "primitives": state.primitives, "buttons_on": lit.copy(),
-                "pressed": begun, "success": success}
+                "pressed": begun, "is_success": events.escaped}

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Self
 
-from hrl_escape.env.config import CONTACT_SKIN, DynamicsConfig, RewardConfig, RobotConfig
+from hrl_escape.env.config import CONTACT_SKIN, DynamicsConfig, RobotConfig
 from hrl_escape.env.geometry import (
     LARGEST_LENGTH,
     Footprint,
@@ -33,6 +33,7 @@ from hrl_escape.env.puzzles.base import Prop, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.puzzles.traits import Doored, Mapped, Propped, Pushing, get_trait
+from hrl_escape.env.rewards import RewardConfig
 from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError, show_value
 from hrl_escape.figures import Pictured
@@ -273,6 +274,11 @@ class RoomInstance(Pictured, Schematic):
         """Layout and scale of observations in this room: the schematic's, or the room's own."""
         return self.shared or SpaceLayout(self.reach_x, self.reach_y, self.wall_height, self.puzzle.target_names,
                                           self.puzzle.bounds)
+
+    @property
+    def has_extra_reward(self) -> bool:
+        """True if puzzle or reward pay beside `step` and `exit`: a return then does not follow from a length."""
+        return self.puzzle.has_reward or not self.reward.is_sparse
 
     @cached_property
     def symbolic_model(self) -> SymbolicModel:

@@ -22,6 +22,7 @@ from hrl_escape.env.poses import RobotPoses, RoomState, list_touched
 from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH, Contacts
 from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
+from hrl_escape.env.rewards import Events, RewardState
 from hrl_escape.errors import StateError, show_value
 
 __all__ = ["EpisodeEnd", "Glide", "Kinematics", "RoomState", "Rules", "Transition", "check_fields", "check_state"]
@@ -45,7 +46,7 @@ class EpisodeEnd(str, Enum):
 
     @classmethod
     def of_step(cls, success: bool, terminated: bool, truncated: bool) -> EpisodeEnd:
-        """Return the end by the flags of a step; `success` is `info["success"]`, and only it means an escape."""
+        """Return the end by the flags of a step; `success` is `info["is_success"]`, and only it means an escape."""
         if terminated:
             return cls.ESCAPED if success else cls.FAILED
         return cls.TRUNCATED if truncated else cls.STOPPED
@@ -68,7 +69,16 @@ class Transition(NamedTuple):
     reward: float
     terminated: bool
     truncated: bool
-    pressed: tuple[int, ...]
+    events: Events
+
+    @property
+    def pressed(self) -> tuple[int, ...]:
+        """Numbers of the targets that the primitive pressed, in ascending order."""
+        return list_touched(self.events.pressed) if self.events.pressed else ()
+
+
+QUIET = Events(0, 0, 0, 0, 0, False, False)
+"""Events of a primitive in which nothing happened."""
 
 
 class Glide(NamedTuple):
@@ -154,7 +164,10 @@ class Rules(RobotPoses):
         self._is_random = instance.puzzle.is_random and not is_still
         self._is_watching = instance.puzzle.is_watching
         self._exit = instance.exit
+        self._reward = instance.reward
         self._step_reward, self._exit_reward = instance.reward.step, instance.reward.on_exit
+        self._pays_extra = not instance.reward.is_sparse
+        self._lights: dict[Hashable, int] = {}
         self._horizon = instance.horizon
         self._by_hand = instance.dynamics.press_with == "hand"
         entries = [(i, t.footprint, instance.compute_press_reach(t), t) for i, t in enumerate(instance.targets)]
@@ -207,11 +220,8 @@ class Rules(RobotPoses):
         `moved` is the state after the motion and what it pushed, with what is touched now, but the old primitive count;
         `grip` is 1 if the primitive grips, -1 if it releases, 2 if it uses. Under physics, props have poses.
         """
-        pressed: tuple[int, ...] = ()
         puzzle = moved.puzzle
         begun = moved.touching & ~before.touching
-        if begun:
-            pressed = list_touched(begun)
         more, failed = 0.0, False
         if begun or prop_poses or grip or self._is_watching or puzzle != before.puzzle:
             chance = draw_chance(before.noise_key, before.primitives) if self._is_random else 0.0
@@ -219,7 +229,8 @@ class Rules(RobotPoses):
             has_moved = moved.x != before.x or moved.y != before.y
             ahead = -1 if not grip or self.inner_doors is None else self.inner_doors.find_ahead(
                 moved.x, moved.y, *self.get_rotation(moved.heading_steps, moved.heading_offset))
-            contacts = Contacts(pressed, prop_poses, chance, touching, grip, has_moved, moved.x, moved.y, ahead)
+            contacts = Contacts(list_touched(begun) if begun else (), prop_poses, chance, touching, grip, has_moved,
+                                moved.x, moved.y, ahead)
             puzzle = self._puzzle.update(puzzle, contacts)
             more = self._puzzle.compute_reward(before.puzzle, puzzle, contacts)
             failed = self._puzzle.is_failed(puzzle)
@@ -230,7 +241,36 @@ class Rules(RobotPoses):
                           moved.joint_offsets, puzzle, moved.touching, count, moved.noise_key, moved.z, moved.pitch,
                           moved.roll, moved.physics)
         reward = (self._exit_reward if escaped else self._step_reward) + more
-        return Transition(state, reward, terminated, not terminated and count >= self._horizon, pressed)
+        events = QUIET
+        if begun or terminated or puzzle != before.puzzle:
+            events = self._list_events(before.puzzle, puzzle, begun, escaped, failed)
+        if self._pays_extra:
+            reward += self._reward.compute_extra(self._show(before), self._show(state), events)
+        return Transition(state, reward, terminated, not terminated and count >= self._horizon, events)
+
+    def _list_events(self, before: Hashable, after: Hashable, pressed: int, escaped: bool, failed: bool) -> Events:
+        """Events of a primitive that took the puzzle from one state to another."""
+        if after == before:
+            return Events(pressed, 0, 0, 0, 0, escaped, failed)
+        was_lit, is_lit = self._get_lit(before), self._get_lit(after)
+        was_shut, is_shut = ((self.inner_doors.get_shut(before), self.inner_doors.get_shut(after))
+                             if self.inner_doors else (0, 0))
+        return Events(pressed, is_lit & ~was_lit, was_lit & ~is_lit, was_shut & ~is_shut, is_shut & ~was_shut,
+                      escaped, failed)
+
+    def _get_lit(self, puzzle: Hashable) -> int:
+        """Bits of the targets that are on in a state of the puzzle; cached."""
+        lit = self._lights.get(puzzle)
+        if lit is None:
+            if len(self._lights) > 4096:
+                self._lights.clear()
+            lit = self._lights[puzzle] = sum(1 << i for i, is_on in enumerate(self._puzzle.get_lit(puzzle)) if is_on)
+        return lit
+
+    def _show(self, state: RoomState) -> RewardState:
+        return RewardState(state.x, state.y, state.heading_steps,
+                           self._get_lit(state.puzzle).bit_count() / max(1, len(self.instance.targets)),
+                           self._puzzle.is_solved(state.puzzle))
 
     def has_escaped(self, state: RoomState) -> bool:
         """Return whether the exit is open and the robot stands in it."""

@@ -154,8 +154,8 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
     `reset(options={"reset_mask": mask})` resets the rooms in the mask.
 
     ## Information
-    Arrays over rooms, as `SyncVectorEnv` would give them: `primitives` (so far, int32), `success` (bool), `pressed` and
-    `buttons_on` (int8, one a target) and `instance`: the number of each room's in `instances`, or the
+    Arrays over rooms, as `SyncVectorEnv` would give them: `primitives` (so far, int32), `is_success` (bool), `pressed`
+    and `buttons_on` (int8, one a target) and `instance`: the number of each room's in `instances`, or the
     content hash of the only one. With `output="torch"`, where there is no text, it is `instance_index`, the number.
 
     ## Pictures
@@ -315,7 +315,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
 
     def _make_infos(self, info: RoomInfo, which: Tensor | None = None) -> dict[str, Any]:
         """Information of some rooms (all by default), with Gymnasium's masks."""
-        values = {**self._tell_time(info), "success": info.success != 0, "pressed": info.pressed,
+        values = {**self._tell_time(info), "is_success": info.success != 0, "pressed": info.pressed,
                   "buttons_on": info.buttons_on, "instance_index": info.instance}
         infos: dict[str, Any] = {name: self._give(value) for name, value in values.items()}
         if self._is_numpy:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env import geometry
-from hrl_escape.env.bases import BASES, Base
+from hrl_escape.env.bases import Base, bases
 from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap
@@ -57,7 +57,7 @@ def _choose(number: int, own: Any, others: Any) -> Any:
     return kernel_part(choose)
 
 
-_BASES = tuple(BASES.values())
+_BASES = tuple(bases.load_all().values())
 add_sources(Path(inspect.getfile(base)) for base in _BASES)
 _COMPILED: dict[FunctionType, Any] = {}
 first_contact, measure_distance = compile_geometry()
@@ -68,7 +68,7 @@ _base_distance, _is_turn_blocked = _compile_choice("distance"), _compile_choice(
 class Presser(NamedTuple):
     """The thing that must touch a goal: a base at a heading, or a point."""
 
-    kind: int  # number of the base in `BASES`; -1 for a point, and for bases whose axis distance decides
+    kind: int  # number of the base in `bases`; -1 for a point, and for bases whose axis distance decides
     size: NDArray[np.float64]  # of the base, without clearance, m
     inner: float  # radius of the largest disc within it, m
     outer: float  # radius of the smallest disc round it, m
@@ -83,7 +83,7 @@ def number_base(base: Base) -> int:
         return -1
     if type(base) not in _BASES:
         raise UnsupportedError(f"planners do not know the base {type(base).__name__}: add it to "
-                               "hrl_escape.env.bases.BASES before they are imported")
+                               "hrl_escape.env.bases.bases before they are imported")
     return _BASES.index(type(base))
 
 
@@ -99,7 +99,7 @@ class SweepScene(NamedTuple):
     door: int  # row of the shut exit door, or -1
     radius: float  # radius of the smallest disc that holds the base, plus contact skin, m
     inner: float  # that of the largest disc within the base, m
-    kind: int  # number of the base in `BASES`; -1 for one that turns anywhere
+    kind: int  # number of the base in `bases`; -1 for one that turns anywhere
     size: NDArray[np.float64]  # of the base, plus contact skin, m
     low: NDArray[np.float64]  # corner of both grids, shape (2,), m
     near_size: float  # side of a cell of the grid of neighbour lists, m

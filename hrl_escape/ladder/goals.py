@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.step_info import is_decision
 
 _TRIES = 100
 
@@ -27,8 +28,9 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     A pattern is what is lit after 1 to `operators` operators of the room's symbolic model, drawn at random; one that
     differs from what is lit at the start. The exit is one goal more, whatever is lit there. The episode ends when its
     goal is achieved, as it ends at the horizon and wherever the room ends it. The reward of a step is 0 if the goal is
-    achieved after it, else -1; `info["is_success"]` says which, and `info["room_reward"]` keeps the room's own reward.
-    In a decision of several primitives that reward is the last one's, and the others have 0; see `last_rewards`.
+    achieved after it, else -1; `info["is_success"]` says which. `info["room_reward"]` and `info["room_success"]` hold
+    the room's own reward and escape. In a decision of several primitives that reward is the last one's, and the others
+    have 0; see `last_rewards`.
 
     Observations are a Dict of the observation, and of `achieved_goal` and `desired_goal`, float32 (targets + 1,): 1 for
     each target that is lit, or is to be, and 0; or, at the exit, 0 for all targets and 1.
@@ -75,7 +77,7 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         rng = self.env.unwrapped.np_random
         is_exit = self._escapes == 1 or (self._escapes > 0 and rng.random() < self._escapes)
         self._desired = self._make_goal((), True) if is_exit else self._draw_pattern()
-        return self._show(observation, False), {**info, "is_success": False}
+        return self._show(observation, False), {**info, "room_success": False, "is_success": False}
 
     def _draw_pattern(self) -> NDArray[np.float32]:
         unwrapped: Any = self.env.unwrapped
@@ -97,13 +99,14 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Act; achieving the goal ends the episode."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        seen = self._show(observation, terminated and info["success"])
+        seen = self._show(observation, terminated and info["is_success"])
         earned = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info))
         is_success = bool(self.compute_terminated(seen["achieved_goal"], seen["desired_goal"], info))
-        info = {**info, "room_reward": reward, "is_success": is_success}
-        self.last_rewards = (*(0.0,) * (int(info.get("duration", 1)) - 1), earned)
-        if "discounted_reward" in info:
-            discounted = self.env.get_wrapper_attr("gamma") ** (info["duration"] - 1) * earned
+        info = {**info, "room_reward": reward, "room_success": info["is_success"], "is_success": is_success}
+        duration = int(info["duration"]) if is_decision(info) else 1
+        self.last_rewards = (*(0.0,) * (duration - 1), earned)
+        if is_decision(info):
+            discounted = self.env.get_wrapper_attr("gamma") ** (duration - 1) * earned
             info |= {"summed_reward": np.float64(earned), "discounted_reward": np.float64(discounted)}
             if "rewards" in info:
                 info["rewards"] = self.last_rewards

@@ -16,6 +16,7 @@ from gymnasium.utils import EzPickle
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.rewards import Events
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, describe_damage
 from hrl_escape.figures import Pictured
@@ -246,9 +247,9 @@ class InstanceSetEnv(EscapeRoomEnv):
         state = super().__getstate__()
         return state | {"episode": state["episode"] | {"_numbers": dict(self._numbers)}}
 
-    def _inform(self, pressed: tuple[int, ...], success: bool) -> dict[str, Any]:
+    def _inform(self, events: Events) -> dict[str, Any]:
         number = self._numbers.setdefault(self.instance.id, len(self._numbers))
-        return super()._inform(pressed, success) | {"instance": number}
+        return super()._inform(events) | {"instance": number}
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments that decide this environment's numbers, as JSON values."""

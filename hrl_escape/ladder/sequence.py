@@ -83,9 +83,7 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
         observation, reward, terminated, truncated, info = self._present.step(action)
         info = {**info, "trial": self._trial, "trial_ended": terminated or truncated}
         if terminated or truncated:
-            escaped = bool(info.get("is_success", info.get("success", terminated)))
-            info["is_success"] = escaped
-            if self._trial + 1 < self._count and (escaped or len(self.floors) == 1):
+            if self._trial + 1 < self._count and (info["is_success"] or len(self.floors) == 1):
                 self._trial += 1
                 observation, begun = self._try_again() if len(self.floors) == 1 else self._climb()
                 info |= {name: begun[name] for name in ("action_mask",) if name in begun}

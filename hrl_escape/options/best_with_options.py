@@ -101,7 +101,8 @@ def simulate(option: Option, state: RoomState, rules: Kinematics, most: int) -> 
     here = state
     count = 0
     try:
-        run = OptionExecution(0, option, here, rng)
+        run = OptionExecution(0, option, rng)
+        run.start(here)
         while count < most:
             step = rules.step(here, int(run.choose(here)))
             here, count = step.state, count + 1

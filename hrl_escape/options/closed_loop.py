@@ -70,8 +70,8 @@ def pursue(env: gymnasium.Env, goal: Goal | str | None = None, planner: RoomPlan
         following = planner.order_goals(states[-1])[0] if goal is None else goal
         _, _, terminated, truncated, info = wrapped.step(goals.index(following))
         end = EpisodeEnd.of_step(planner.rules.has_escaped(room.get_state()), terminated, truncated)
-        planned = dataclasses.asdict(wrapped.planning_report)
-        decisions.append(info["option"] | {"duration": int(info["duration"])} | planned)
+        report = dataclasses.asdict(wrapped.planning_report)
+        decisions.append(info["option"] | {"duration": int(info["duration"])} | report)
         states += [step.next_state for step in info["trace"]]
         rewards += info["rewards"]
         failures = 0 if info["option"]["ended"] == "reached" else failures + 1

@@ -11,6 +11,7 @@ import zlib
 from typing import Annotated, Literal
 
 import numpy as np
+from typing_extensions import Self
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.instance import RoomInstance
@@ -86,6 +87,12 @@ class DegradedOption(Option):
     def initiation(self, state: RoomState) -> bool:
         """True wherever the other option may start; false everywhere if it is missing."""
         return not self._is_missing and self.inner.initiation(state)
+
+    def make_run(self) -> Self:
+        """Copy this option and a run of the other one."""
+        run = super().make_run()
+        run.inner = self.inner.make_run()
+        return run
 
     def start(self, state: RoomState) -> None:
         """Sleep, then fail or begin. Raises `PlanningFailed`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -9,10 +10,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.errors import OptionError, StepContractError
+from hrl_escape.errors import OptionError, PlanningFailed, StepContractError
 from hrl_escape.options.domain import DomainStep, OptionDomain
 from hrl_escape.options.option import Option
 from hrl_escape.planning.route import PlanningReport
+from hrl_escape.step_info import read_payment
 
 DEEPEST_NESTING = 8
 
@@ -73,6 +75,19 @@ class _Frame(NamedTuple):
     begin: int
 
 
+def read_termination(option: Option, state: Any) -> float:
+    """Probability of an option's end in a state. Raises `OptionError` where it gives no probability."""
+    given = option.termination(state)
+    try:
+        beta = float(given)
+    except (TypeError, ValueError):
+        beta = math.nan
+    if not 0.0 <= beta <= 1.0:
+        raise OptionError(f"option {option.name!r} ends in state {state!r} with {given!r}: termination must return a "
+                          "probability from 0 to 1")
+    return beta
+
+
 def check_choice(option: Option, action: Any, domain: OptionDomain) -> Any:
     """Bring an option's primitive into the form that the environment takes. Raises `OptionError`, with its name."""
     try:
@@ -82,17 +97,32 @@ def check_choice(option: Option, action: Any, domain: OptionDomain) -> Any:
 
 
 class OptionExecution:
-    """One option from its start on: the stack of nested options and the rewards so far, one a primitive."""
+    """One run of an option: the stack of nested options and the rewards so far, one a primitive.
 
-    def __init__(self, index: int, option: Option, state: Any, rng: np.random.Generator) -> None:
+    Each option on the stack is a run of its own (see `Option.make_run`), so that an option may run several times at
+    once.
+    """
+
+    def __init__(self, index: int, option: Option, rng: np.random.Generator) -> None:
         self.index = index
         self.option = option
         self.rewards: list[float] = []
         self._ended: list[OptionCall] = []
         self._rng = rng
-        self._stack = [_Frame(option, state, 0)]
+        self._stack: list[_Frame] = []
         self._finished, self._told = PlanningReport(), PlanningReport()
-        option.start(state)
+
+    def start(self, state: Any) -> None:
+        """Begin the run here, unless it has begun. May raise `PlanningFailed`; nothing then runs."""
+        if self._stack:
+            return
+        run = self.option.make_run()
+        try:
+            run.start(state)
+        except PlanningFailed:
+            self._finished.add(run.report)
+            raise
+        self._stack.append(_Frame(run, state, 0))
 
     def choose(self, state: Any, domain: OptionDomain | None = None) -> Any:
         """Next primitive, in the form of a domain if one is given; lower options are entered as the policies ask.
@@ -106,13 +136,14 @@ class OptionExecution:
                 return action if domain is None else check_choice(option, action, domain)
             if len(self._stack) == DEEPEST_NESTING:
                 raise OptionError(f"option {self.option.name!r} nests deeper than {DEEPEST_NESTING} options")
-            self._stack.append(_Frame(action, state, len(self.rewards)))
-            action.start(state)
+            run = action.make_run()
+            self._stack.append(_Frame(run, state, len(self.rewards)))
+            run.start(state)
 
     def ends_at(self, state: Any) -> bool:
         """Draw the innermost option's termination at the state reached, then its caller's, up to the outermost."""
         while True:
-            beta = self._stack[-1].option.termination(state)
+            beta = read_termination(self._stack[-1].option, state)
             if beta <= 0.0 or (beta < 1.0 and self._rng.random() >= beta):
                 return False
             if len(self._stack) == 1:
@@ -172,25 +203,27 @@ class RunningDecision:
         """Step the wrapped environment once; returns the rewards of the primitives that ran."""
         before = self.state
         self.observation, reward, self.terminated, self.truncated, self.info = self._env.step(action)
-        rewards = _read_rewards(reward, self.info, self._env)
+        rewards = read_rewards(reward, self.info, self._env)
         self.rewards.extend(rewards)
         self.state = self._domain.get_state(self.observation)
         self.steps.append(DomainStep(action, before, self.state, self.observation, rewards, self.info))
         return rewards
 
 
-def _read_rewards(reward: Any, info: Mapping[str, Any], env: gymnasium.Env) -> tuple[float, ...]:
-    """Rewards of a step of the environment below, one a primitive. Raises `StepContractError` where it gives none.
+def read_rewards(reward: Any, info: Mapping[str, Any], env: gymnasium.Env) -> tuple[float, ...]:
+    """Rewards of a step of the environment below, one a primitive.
 
     They are in `info["rewards"]`, else in the attribute `last_rewards` of the environment or a wrapper around it.
+
+    Raises:
+        StepContractError: it gives none for its primitives, or `reward` is not their sum.
     """
-    duration = info.get("duration", 1)
-    if duration == 1:
-        return (float(reward),)
-    rewards = info.get("rewards")
-    if rewards is None:
-        rewards = env.get_wrapper_attr("last_rewards") if env.has_wrapper_attr("last_rewards") else ()
-    if len(rewards) != duration:
-        raise StepContractError(f"a step of the environment below OptionsEnv ran {duration} primitives and "
-                                f"info['rewards'] has {len(rewards)} entries; it must have one a primitive")
-    return tuple(float(each) for each in rewards)
+    paid = read_payment(reward, info, "of a step below OptionsEnv")
+    if paid.rewards is not None:
+        return paid.rewards
+    rewards: tuple[float, ...] = env.get_wrapper_attr("last_rewards") if env.has_wrapper_attr("last_rewards") else ()
+    if len(rewards) != paid.duration:
+        raise StepContractError(f"a step below OptionsEnv ran {paid.duration} primitives and gives the rewards of "
+                                f"{len(rewards)}; a level above needs the reward of each primitive, in info['rewards'] "
+                                "or the attribute last_rewards")
+    return rewards

@@ -1,4 +1,4 @@
-"""Observations with their mask inside, as RLlib's and Tianshou's masked policies read them."""
+"""Observations that contain the mask of legal actions, under the keys that RLlib and Tianshou read."""
 
 from __future__ import annotations
 
@@ -9,42 +9,53 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.errors import ConfigError, UnsupportedSpaceError
 
 
 class MaskedObservation(gymnasium.Wrapper[dict[str, Any], int, Any, int], gymnasium.utils.RecordConstructorArgs):
-    """Observations {`key`: what the environment shows, `action_mask`: int8 (n,), 1 where an action is legal}.
+    """Dict observations that contain the mask of legal actions.
 
-    The mask is that of `info`, which stays there; an environment that gives none has only legal actions.
+    An observation becomes {`key`: the observation of the environment, `mask_key`: int8 (n,), 1 where an action is
+    legal}. The mask is that of `info["action_mask"]`, which stays there. Without one, every action is legal.
+
+    | library | arguments | where it reads the mask |
+    |---|---|---|
+    | RLlib | none | `obs["action_mask"]`, by its `ActionMaskingRLModule` |
+    | Tianshou 2 | `key="obs", mask_key="mask"` | `batch.obs.mask`, by its discrete Q-learning policies |
 
     Args:
-        env: with `Discrete` actions, such as an `OptionsEnv`.
-        key: name of the environment's own observation: RLlib says `observations`, Tianshou `obs`.
+        env: environment with `Discrete` actions, such as an `OptionsEnv`.
+        key: key of the environment's own observation.
+        mask_key: key of the mask.
 
     Raises:
         UnsupportedSpaceError: the actions are not `Discrete`.
+        ConfigError: both keys are the same.
     """
 
-    def __init__(self, env: gymnasium.Env[Any, int], key: str = "observations") -> None:
-        gymnasium.utils.RecordConstructorArgs.__init__(self, key=key)
+    def __init__(self, env: gymnasium.Env[Any, int], key: str = "observations", mask_key: str = "action_mask") -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self, key=key, mask_key=mask_key)
         gymnasium.Wrapper.__init__(self, env)
         if not isinstance(env.action_space, spaces.Discrete):
-            raise UnsupportedSpaceError(f"a mask says which of Discrete actions are legal, not of {env.action_space}")
-        self.key, self._every = key, np.ones(int(env.action_space.n), np.int8)
+            raise UnsupportedSpaceError(f"MaskedObservation needs Discrete actions, not {env.action_space}")
+        if key == mask_key:
+            raise ConfigError("MaskedObservation.mask_key", mask_key, "another key than that of the observation")
+        self.key, self.mask_key = key, mask_key
+        self._every = np.ones(int(env.action_space.n), np.int8)
         self.observation_space = spaces.Dict({
-            key: env.observation_space, "action_mask": spaces.Box(0, 1, self._every.shape, np.int8)})
+            key: env.observation_space, mask_key: spaces.Box(0, 1, self._every.shape, np.int8)})
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """First observation of an episode, with its mask."""
+        """Reset the environment and return its first observation with the mask."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self._put(observation, info), info
 
     def step(self, action: int) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
-        """One step; the mask is that of the next decision."""
+        """Take one step; the mask is that of the state reached."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         return self._put(observation, info), reward, terminated, truncated, info
 
     def _put(self, observation: Any, info: dict[str, Any]) -> dict[str, Any]:
         mask: NDArray[np.int8] = np.array(info.get("action_mask", self._every), np.int8)
-        return {self.key: observation, "action_mask": mask}
+        return {self.key: observation, self.mask_key: mask}

@@ -193,11 +193,20 @@ class MemoryStreams:
         import torch  # which `DecisionMemory` does without
 
         self._streams = streams
-        self.count, self.device, self.gamma = streams.count, streams.device, streams.gamma
+        self.count, self.device = streams.count, streams.device
         self.action_space = streams.action_space
         self._memory = _Memories(streams.observation_space, streams.action_space, self.count, torch, self.device)
         self.observation_space = self._memory.space
         self.observation: Tensor
+
+    @property
+    def gamma(self) -> float:
+        """Discount per primitive."""
+        return self._streams.gamma
+
+    def set_option_discount(self, gamma: float) -> None:
+        """Set the discount per primitive."""
+        self._streams.set_option_discount(gamma)
 
     @property
     def action_mask(self) -> Tensor:

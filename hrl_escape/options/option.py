@@ -7,12 +7,14 @@ options that learned are in `learned.py`, those that plan in `meta_actions.py`.
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import Self
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import OptionError
@@ -29,9 +31,11 @@ class Option(ABC):
     A state is what the domain of the environment shows: the full `RoomState` of a room, the observation of any other
     environment, or what an `OptionDomain` of your own makes of it.
 
-    Its caller calls `start` once, then alternates `sample_action(s)`, which asks `policy(s)`, and `termination(s')`,
-    where s' is the state that the primitive led to. An option may keep something between these calls (a plan, say), but
-    then it is no function of the state and `is_markov` must stay false: intra-option learning relies on it.
+    `OptionsEnv` calls `make_run` for each run. Of the object that it returns, it calls `start` once, then alternates
+    `sample_action(s)`, which asks `policy(s)`, and `termination(s')`, where s' is the state that the primitive led to.
+    An option may keep something between these calls (a plan, say). It must then be set in `start`, and `is_markov` must
+    stay false, as the policy is no function of the state: intra-option learning relies on it. The option itself holds
+    nothing of a run, so that several environments may share it.
 
     Attributes:
         name: stable name; a verb phrase or `meta-NN`.
@@ -57,6 +61,15 @@ class Option(ABC):
     def initiation(self, state: Any) -> bool:
         """Return whether the option may start here. Cheap: it is asked at every decision."""
         return True
+
+    def make_run(self) -> Self:
+        """Make the object that carries out one run: by default a shallow copy with a report of its own.
+
+        Override it where a run changes objects that are not made in `start`, such as an option inside this one.
+        """
+        run = copy.copy(self)
+        run.report = PlanningReport()
+        return run
 
     def start(self, state: Any) -> None:
         """Begin a run here. May raise `PlanningFailed`; the decision then costs one primitive."""

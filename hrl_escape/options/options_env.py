@@ -1,7 +1,7 @@
-"""`OptionsEnv`: a Gymnasium wrapper under which one step is one decision of an SMDP.
+"""`OptionsEnv` turns a Gymnasium environment into a semi-MDP: one step runs one option, or one primitive.
 
-A primitive, or an option run to its end, becomes one transition with its duration and discount
-(Sutton, Precup and Singh 1999, section 3). This module only counts and records; the options come
+The step returns the option's reward, duration and discount (Sutton, Precup and Singh 1999, section 3). Interruptible
+options return after every primitive. This module only counts and records; the options come
 from `domain.py`, the loop inside one decision from `execution.py`.
 """
 
@@ -25,7 +25,7 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import ActionError, ConfigError, OptionError, PlanningFailed, ResetNeededError, UnsupportedError
 from hrl_escape.options.domain import DomainStep, OptionDomain, OptionsSource, make_option_domain, make_options
-from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice
+from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice, read_termination
 from hrl_escape.options.option import Option
 from hrl_escape.planning.route import PlanningSummary
 from hrl_escape.spaces import PointingDiscrete
@@ -68,6 +68,14 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     | `trace` | tuple of `TraceStep`, one a step of the wrapped environment |
     | `calls` | tuple of `OptionCall`, the runs of options that ended, nested ones first |
 
+    These keys replace keys of the same names that the environment below gives. `trace` and `calls` of a level below are
+    left out.
+
+    Put reward wrappers below: `OptionsEnv(ClipReward(env))`, also in each copy of a vector environment. There they act
+    on every primitive. Above, or between two levels, they reach `reward` alone and not the rewards that agents learn
+    from. `train`, `evaluate` and a level above compare `reward` with `summed_reward` and `discounted_reward`, and raise
+    `StepContractError` at the first decision where it is neither. `train` and `evaluate` set `gamma` to the agent's.
+
     `reset` gives the same keys, of a decision in which nothing ran: duration 0, discount 1, an option without a name
     and with the index -1. The backup is `discounted_reward` + `discount` (1 - terminated) max over legal o' of
     Q(s', o').
@@ -107,7 +115,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             environment by its observation.
 
     Attributes:
-        gamma: discount per primitive.
+        gamma: discount per primitive; see `set_option_discount`.
         options: the options, in the order of their actions.
         action_names: names of all actions.
         primitive_count: actions that are primitives; they come first.
@@ -281,7 +289,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._lower_mask = self._domain.get_mask(decision.info)
         mask = self._compute_mask(decision.state, self._lower_mask)
         info = self._inform(index, decision, mask)
-        reward = float(info["discounted_reward"] if self._discounted else info["summed_reward"])
+        reward = float(info["discounted_reward" if self._discounted else "summed_reward"])
         return self._show(decision.observation, mask), reward, decision.terminated, decision.truncated, info
 
     def _run_option(self, index: int, decision: RunningDecision) -> None:
@@ -289,13 +297,15 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         option = self.options[index - self.primitive_count]
         run = self._run if self._run is not None and self._run.index == index else None
         self._run = None
-        if run is None and not option.initiation(decision.state):
-            self._stand(decision, "the option was masked: it cannot start here")
-            return
-        ended = ""
         assert self._rng is not None
+        if run is None:
+            if not option.initiation(decision.state):
+                self._stand(decision, "the option was masked: it cannot start here")
+                return
+            run = OptionExecution(index, option, self._rng)
+        ended = ""
         try:
-            run = run or OptionExecution(index, option, decision.state, self._rng)
+            run.start(decision.state)
             while not ended:
                 run.rewards += decision.do(run.choose(decision.state, self._domain))
                 if run.ends_at(decision.state):
@@ -309,13 +319,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         except PlanningFailed as failure:
             ended, decision.reason = "planning-failed", str(failure)
             if not decision.rewards:
-                rewards = decision.do(self._domain.get_idle_action(self._lower_mask))
-                if run is not None:
-                    run.rewards += rewards
+                run.rewards += decision.do(self._domain.get_idle_action(self._lower_mask))
         decision.ended = ended
-        if run is None:
-            decision.report = option.report
-            return
         if self._run is None:
             run.stop(decision.state, ended)
         decision.report, decision.calls = run.take_report(), run.collect()
@@ -327,7 +332,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self.planning_report = decision.report.summarise()
         self.planning_total += self.planning_report
         info = {
-            **decision.info,
+            **{name: value for name, value in decision.info.items() if name not in ("trace", "calls")},
             "duration": np.int64(len(decision.rewards)),
             "discount": np.float64(self.gamma ** len(decision.rewards)),
             "summed_reward": np.float64(sum(decision.rewards)),
@@ -396,7 +401,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         found = [(choice, 1.0)] if choice is not None and self.primitive_count else []
         for index, option in enumerate(self.options, self.primitive_count):
             if option.is_markov and option.initiation(step.state) and self._agrees(option, step):
-                found.append((index, option.termination(step.next_state)))
+                found.append((index, read_termination(option, step.next_state)))
         return tuple(found)
 
     def _agrees(self, option: Option, step: DomainStep) -> bool:

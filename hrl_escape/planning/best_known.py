@@ -130,7 +130,7 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
     if value <= known.value + 1e-9:
         return False
     step = instance.reward.step
-    is_told = step and not instance.puzzle.has_reward  # without noise an episode's length follows from its return
+    is_told = step and not instance.has_extra_reward  # without noise an episode's length follows from its return
     primitives = 1 + round((value - compute_escape_return(instance, 1)) / step) if is_told else None
     with _LOCK:
         _remember(instance, state, BestKnown(value, source, known.upper_bound, primitives))
@@ -178,7 +178,7 @@ def find_by_plan(planner: RoomPlanner, state: RoomState, jointly: bool) -> BestK
         best = planner.shorten_escape(state, best, JOINT_NODES) if jointly else best
     except PlanningFailed:
         return BestKnown(compute_worst_return(instance), "nothing", bound)
-    if instance.puzzle.has_reward:
+    if instance.has_extra_reward:
         return BestKnown(best.compute_return(), "planner" if jointly else "options", math.inf, best.cost, best)
     return BestKnown(compute_escape_return(instance, best.cost), "planner" if jointly else "options", bound,
                      best.cost, best)

@@ -116,7 +116,7 @@ class Plan:
 
     def compute_return(self) -> float:
         """Compute the undiscounted return of the plan as predicted, regardless of the horizon."""
-        if self.instance.puzzle.has_reward:
+        if self.instance.has_extra_reward:
             rules = Kinematics(self.instance, is_still=True)
             return sum(rules.step(*pair).reward for pair in zip(self.states, self.primitives, strict=False))
         reward, last = self.instance.reward, self.states[-1]

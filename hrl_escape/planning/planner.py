@@ -567,8 +567,8 @@ class RoomPlanner:
 
 
 def can_join(room: RoomInstance, order: Sequence[Goal]) -> bool:
-    """Return whether legs to these goals can be planned jointly: only presses, and no rewards of the puzzle."""
-    is_plain = not (room.props or room.inner_doors or room.puzzle.has_reward)
+    """Return whether legs to these goals can be planned jointly: only presses, and no rewards beside steps and exit."""
+    is_plain = not (room.props or room.inner_doors or room.has_extra_reward)
     if room.dynamics.press_with == "hand":  # arms that collide, or with many joints, take long
         is_plain &= room.dynamics.kind == "kinematic" and room.robot.joints <= MOST_JOINTS
         is_plain &= 4 * room.reach_x * room.reach_y <= MOST_FLOOR

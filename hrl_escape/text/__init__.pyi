@@ -1,4 +1,4 @@
-from .managers import MANAGERS, Model, ToolsAgent, make_model
+from .managers import Model, ToolsAgent, make_model, models
 from .recordings import (
     Game,
     RecordedModel,
@@ -14,7 +14,6 @@ from .told_env import RoomSession, Score, ToldEnv, ToolCall, ToolResult, Turn
 __all__ = [
     "Game",
     "TOLD_LEVELS",
-    "MANAGERS",
     "Model",
     "RecordedModel",
     "RoomSession",
@@ -26,6 +25,7 @@ __all__ = [
     "Turn",
     "load_games",
     "make_model",
+    "models",
     "record_game",
     "replay_game",
     "save_games",

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import entry_points
 from typing import Any, ClassVar, TypeAlias
 
 import gymnasium
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import FixedPolicy
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError
-from hrl_escape.plugins import load_entry_point
+from hrl_escape.registry import Registry
 from hrl_escape.text.recordings import RecordedModel
 from hrl_escape.text.settings import ToolsSettings
 from hrl_escape.text.told_env import ToolCall, Turn, find_told_env
@@ -35,7 +34,6 @@ Model: TypeAlias = Callable[[Sequence[Turn], Sequence[Mapping[str, Any]]], ToolC
 """Anything that reads a transcript and the tools' schemas and says which tool to call. If it has an attribute `rng`, an
 evaluation gives it the episode's generator."""
 
-MODELS_GROUP = "hrl_escape.models"
 _PRESSED = re.compile(r'Pressed ("[^"]*"(?:(?:, | and )"[^"]*")*): ((?:[^".]|"[^"]*")*)\.')
 _ON, _OUT = (re.compile(rf'("[^"]*"(?:(?:, | and )"[^"]*")*) {word}') for word in ("came on", "went out"))
 _HERE = re.compile(r"You are at \((-?[\d.]+), (-?[\d.]+)\)")
@@ -188,9 +186,11 @@ def _note(turn: Turn, options: Sequence[str], tried: set[str], lit: set[str]) ->
             change(_QUOTED.findall(names))
 
 
-MANAGERS: dict[str, type[UniformManager]] = {
-    "uniform": UniformManager, "untried": UntriedManager, "untried-nearest": NearestManager, "planner": PDDLPlanner}
-"""Scripted managers by name."""
+models: Registry[Callable[..., Any]] = Registry("model", "a callable", callable)
+"""Models by name: those of this module are classes, which are called once to make the model."""
+for _name, _manager in {"uniform": UniformManager, "untried": UntriedManager, "untried-nearest": NearestManager,
+                        "planner": PDDLPlanner}.items():
+    models.register(_name, _manager)
 
 
 def make_model(name: str) -> Model:
@@ -208,14 +208,10 @@ def make_model(name: str) -> Model:
     """
     if name.endswith(".jsonl"):
         return RecordedModel(name)
-    if name in MANAGERS:
-        return MANAGERS[name]()
-    others = {point.name: point for point in entry_points(group=MODELS_GROUP)}
-    if name not in others:
-        raise UnknownNameError("model", name, [*MANAGERS, *others, "a file of recorded games (.jsonl)"])
-    loaded: list[Model] = []
-    load_entry_point(others[name], "model", "a callable", loaded.append)
-    return loaded[0]
+    if name not in models:
+        raise UnknownNameError("model", name, [*models, "a file of recorded games (.jsonl)"])
+    model = models.get(name)
+    return model() if isinstance(model, type) and issubclass(model, UniformManager) else model
 
 
 class ToolsAgent(FixedPolicy):

@@ -251,7 +251,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._states += [part.next_state for part in self.env.last_steps]
         self._rewards += self.env.last_rewards
         self._observation, self._mask = transition.next_observation, transition.next_action_mask
-        self._end = EpisodeEnd.of_step(bool(step[4]["success"]), step[2], step[3])
+        self._end = EpisodeEnd.of_step(bool(step[4]["is_success"]), step[2], step[3])
         self.is_over = self._end.is_over
         said = tell_changes(self.instance, self._states)
         self._left -= 1

@@ -1,4 +1,4 @@
-"""Learners at the budgets of the ladder's rungs, beside the searchers and the ceiling of the ladder's own study."""
+"""Learners at the budgets of the ladder's rungs, with the references of the ladder's own study."""
 
 from __future__ import annotations
 

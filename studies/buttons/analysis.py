@@ -42,7 +42,8 @@ from studies.store import Store
 from studies.study import Page, Study
 
 __all__ = ["LINES", "Args", "EscapeRun", "FirstEscape", "Growth", "advise", "analyse", "compare_searchers",
-           "find_first_escape", "fit_growth", "measure", "run_once", "tell_growth", "tell_reach", "tell_searchers"]
+           "find_first_escape", "find_reach", "fit_growth", "measure", "run_once", "tell_growth", "tell_reach",
+           "tell_searchers"]
 
 RESAMPLES = 2_000
 LEAST_SIZES = 4
@@ -110,7 +111,7 @@ class FirstEscape:
 
     def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
         """Look at the episode's end."""
-        self.is_done = self.is_done or episode.success
+        self.is_done = self.is_done or bool(episode.success)
 
     def state_dict(self) -> StateTree:
         """The flag of an escape."""
@@ -190,18 +191,26 @@ class Growth(NamedTuple):
 
 
 def list_times(runs: Sequence[EscapeRun]) -> dict[int, NDArray[np.float64]]:
-    """Primitives to the first escape by number of buttons, infinite where none came: where half of the runs escape."""
+    """Primitives to the first escape by number of buttons, infinite where none came: where their median is finite."""
     sizes = sorted({run.buttons for run in runs})
     times = {size: np.array([math.inf if run.first_escape is None else run.first_escape
                              for run in runs if run.buttons == size]) for size in sizes}
     return {size: values for size, values in times.items() if np.isfinite(np.median(values))}
 
 
+def find_reach(runs: Sequence[EscapeRun]) -> int | None:
+    """Most buttons with which at least half of the runs escape; None for none."""
+    ends: dict[int, list[bool]] = {}
+    for run in runs:
+        ends.setdefault(run.buttons, []).append(run.first_escape is not None)
+    return max((size for size, own in ends.items() if 2 * sum(own) >= len(own)), default=None)
+
+
 def fit_growth(runs: Sequence[EscapeRun], rng: np.random.Generator) -> Growth | None:
     """Fit medians over runs by least squares of logarithms; runs are resampled within each number of buttons.
 
     Returns:
-        None with fewer than `LEAST_SIZES` numbers of buttons with which half of the runs escape.
+        None with fewer than `LEAST_SIZES` numbers of buttons with which more than half of the runs escape.
     """
     times = list_times(runs)
     if len(times) < LEAST_SIZES:
@@ -341,7 +350,7 @@ def analyse(study: Study, lines: Sequence[EscapeRun]) -> Page:
     sizes = study.data["sizes"]
     room = make_room(RoomKind(study.data["graph"], sizes[0], study.data["rule"]), study.data["width"])
     growths = {agent: fit_growth(own, np.random.default_rng(0)) for agent, own in of.items()}
-    largest = {agent: max(list_times(own), default=None) for agent, own in of.items()}
+    largest = {agent: find_reach(own) for agent, own in of.items()}
     rows = [[f"{words[agent]} (`{agent}`)", *(_describe([run for run in own if run.buttons == size])
                                               for size in sizes)] for agent, own in of.items()]
     ratios = compare_searchers(of, largest, max(sizes))

@@ -70,11 +70,11 @@ def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Se
              f"best searcher that learns nothing, `{searcher[0]}`, {_mean(theirs):.2f} ({test.difference:+.2f}, "
              f"{test.low:+.2f} to {test.high:+.2f} over training seeds in these rooms)")
     visible = find_visible_difference([gains[best]], ALPHA / len(gains))
-    limit = "".join(f" The ceiling is {_mean(seeds):.2f}: `{name}`, which knows how graphs are drawn."
+    limit = "".join(f" The Bayes planner, `{name}`, is given how graphs are drawn and has {_mean(seeds):.2f}."
                     for (name, _), seeds in enough.items() if name in CEILING)
     if beating:
-        return (f"Training pays beyond searching in {len(beating)} of {len(gains)} cells of `{run.rung}`: "
-                f"{words}.{limit}")
+        return (f"In these rooms of `{run.rung}`, training pays beyond searching in {len(beating)} of {len(gains)} "
+                f"cells: {words}.{limit}")
     if len(behind) == len(gains):
         return f"No learner matches searching in `{run.rung}`: {words} at best.{limit}"
     return (f"No learner is shown to beat searching in `{run.rung}`: {words} at best; a study of this size has 80 % "

@@ -195,7 +195,7 @@ def tell(cells: Cells) -> list[str]:
     end, low, high = _bound(cells.told[many])
     share = compute_learned_share(end, cells.searcher, cells.ceiling)
     start = f"Trained in {many:,} rooms, the learner has an efficiency of {end:.2f} in rooms that it has never seen"
-    bar = f"the best searcher that learns nothing ({cells.searcher:.2f})"
+    bar = f"the best search baseline ({cells.searcher:.2f})"
     worth = stats.ttest_ind(cells.told[many], cells.control, equal_var=False).confidence_interval()
     if low > cells.searcher:
         headline = f"What {clue} mean is learned across rooms. {start}, above {bar}"
@@ -203,7 +203,7 @@ def tell(cells: Cells) -> list[str]:
         learned = (f"Some of what {clue} mean is learned, not enough to beat searching." if worth.low > 0 else
                    f"What {clue} mean is not shown to be learned.")
         headline = f"{learned} {start}, " + (f"below {bar}" if high < cells.searcher else f"and {bar} is as good")
-    headline += (f"; the ceiling is {cells.ceiling:.2f}"
+    headline += (f"; the Bayes planner has {cells.ceiling:.2f}"
                  + ("." if share is None else f", so its learned share is {share:.0%}."))
     sentences = [headline]
     for size in sizes[:-1]:
@@ -218,7 +218,7 @@ def tell(cells: Cells) -> list[str]:
             sentences.append(
                 f"Trained in {size:,} room{'s' * (size > 1)} it is worse than the searcher, with {mean:.2f}.")
     if high > cells.ceiling + 0.01:
-        sentences.append(f"The interval of the learner ({low:.2f} to {high:.2f}) reaches above the ceiling.")
+        sentences.append(f"The interval of the learner ({low:.2f} to {high:.2f}) reaches above the Bayes planner.")
     mean, low, high = _bound(cells.control - cells.control_searcher)
     control = (f"With {clue} {shuffled} the same learner has {np.mean(cells.control):.2f}, where the searcher has "
                f"{cells.control_searcher:.2f}")
@@ -274,10 +274,10 @@ def tell_all(found: Mapping[str, Cells], tested: int) -> str:
     above = sum(map(is_above, found.values()))
     risen = [title.lower() for title, cells in found.items() if has_risen(cells)]
     others = [title.lower() for title in found if title.lower() not in risen]
-    beaten = (f"In {above} of {len(found)} kinds the learner is better in {tested} rooms that it has never seen than "
-              "the best searcher that learns nothing (intervals are over training seeds in these rooms). ")
+    beaten = (f"In these {tested} unseen rooms the learner is above the best search baseline in {above} of "
+              f"{len(found)} kinds. Intervals are over training seeds, so they do not cover other rooms. ")
     claim = (f"efficiency rises by {RISE} or more from {FEW} to {most:,} training rooms, to above the searcher and "
-             "below the ceiling")
+             "below the Bayes planner")
     if not risen:
         return f"{beaten}In none is it shown that {claim}."
     rest = f"; with {join_words(others)} this is not shown" if others else ""
@@ -300,7 +300,7 @@ def analyse(study: Study, lines: Sequence[MarksRun]) -> Page:
         rows.append([kind["control"], *_describe(cells.control, cells.control_searcher, None)])
         rows += [[f"{rung}, {name}", "", f"{value:.3f}", "", ""] for rung, name, value in (
             (kind["told"], "searcher", cells.searcher), (kind["control"], "searcher", cells.control_searcher),
-            (kind["told"], "ceiling", cells.ceiling))]
+            (kind["told"], "Bayes planner", cells.ceiling))]
     headline = tell_all(found, data["tested"])
     return Page({"headline": headline, "parts": parts, "table": make_table(
         ["", "runs", "efficiency in unseen rooms", "runs from ... to", "learned share"], rows), **data},
@@ -329,7 +329,7 @@ def draw(found: Mapping[str, Cells]) -> Figure:
                       label="true marks or places")
             axes.plot([last + 0.08], [cells.control.mean()], "s", color=palette.LINES[1],
                       label="marks shuffled, places scattered")
-            axes.axhline(cells.ceiling, color=palette.INK, linewidth=1, label="ceiling: knows what they mean")
+            axes.axhline(cells.ceiling, color=palette.INK, linewidth=1, label="Bayes planner: is given what they mean")
             axes.axhline(cells.searcher, color=palette.MUTED, linewidth=1, linestyle="--",
                          label="best searcher that learns nothing")
             axes.set(title=title, xlabel="training rooms", ylim=(0, 1.03))

@@ -41,6 +41,7 @@ from studies.parts.answers import (
     tell_ratio,
 )
 from studies.parts.figure import draw
+from studies.parts.reach import draw_reach
 from studies.parts.runs import Cell, LearnerSettings, play_cell
 from studies.price.words import tell_number
 from studies.running import StudyArgs
@@ -235,7 +236,7 @@ def analyse(study: Study, lines: Sequence[PartsRun]) -> Page:
         "power": make_table(["question", "rooms expected", "spread", "factor seen in 80 %"], [
             [f"{one['more']} against {one['less']}", one["rooms"], one["spread"], f"{one['power']:.2f}"]
             for one in data["questions"]]),
-    }, {"parts": (figure := draw(slices["first"], laws, answers, data)), "parts.pdf": figure},
+    }, {"parts": (figure := draw(slices["first"], laws, answers, data)), "parts.pdf": figure, **draw_reach(lines)},
         [tell_finding(answers), bar, *abstract],
         {"parts.tex": make_latex(HEADER[:5], [row[:5] for row in rows])})
 

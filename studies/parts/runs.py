@@ -174,14 +174,14 @@ class _Player:
         if self._options is not None:
             _, _, terminated, truncated, info = self._options.step(action)
             self._mask = info["action_mask"].astype(bool)
-            return terminated or truncated, bool(info["success"])
+            return terminated or truncated, bool(info["is_success"])
         if self.cell.walks == "learned":
             return self._walk(action, is_training)
         times = 1 if self.cell.walks == "none" else self._draw_times()
         for _ in range(times):
             _, _, terminated, truncated, info = self._watched.step(action)
             if terminated or truncated:
-                return True, bool(info["success"])
+                return True, bool(info["is_success"])
         return False, False
 
     def _walk(self, goal: int, is_training: bool) -> tuple[bool, bool]:
@@ -197,11 +197,11 @@ class _Player:
             _, _, terminated, truncated, info = self._watched.step(primitive)
             there, touched = self._find_place(), self._watched.touched
             if is_training:
-                reached = [*list_touched(touched), *([self._count] if info["success"] else [])]
+                reached = [*list_touched(touched), *([self._count] if info["is_success"] else [])]
                 self._walks.learn(here, primitive, there, reached)
             here = there
             if terminated or truncated:
-                return True, bool(info["success"])
+                return True, bool(info["is_success"])
             if touched >> goal & 1:
                 break
         return False, False

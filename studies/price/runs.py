@@ -214,8 +214,8 @@ def _measure_efficiency(evaluation: Evaluation, fewest: int) -> float:
 
 def _count_episodes(result: TrainResult) -> tuple[int, int]:
     """Training episodes that ended before the budget did, and those of them that escaped."""
-    ended = [(segment.episodes, segment.successes) for segment in result.segments] or [
-        (1, episode.success) for episode in result.episodes if episode.end != "budget"]
+    ended = [(segment.episodes, segment.successes or 0) for segment in result.segments] or [
+        (1, bool(episode.success)) for episode in result.episodes if episode.end != "budget"]
     return sum(number for number, _ in ended), sum(int(escapes) for _, escapes in ended)
 
 

@@ -127,7 +127,7 @@ class EpisodeEnds(gymnasium.Wrapper):
         found = self.env.step(action)
         self.steps += 1
         if found[2] or found[3]:
-            self.ends.append((self.steps, self.steps - self._begin, bool(found[4]["success"])))
+            self.ends.append((self.steps, self.steps - self._begin, bool(found[4]["is_success"])))
         return found
 
 
@@ -225,7 +225,7 @@ def _play_order(env: OptionsEnv, order: Sequence[int]) -> float:
         _, _, terminated, truncated, info = env.step(option)
         steps += int(info["duration"])
         if terminated or truncated:
-            return steps if info["success"] else math.inf
+            return steps if info["is_success"] else math.inf
     return math.inf
 
 

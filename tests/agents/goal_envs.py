@@ -27,7 +27,8 @@ class GoalEnv(gymnasium.Env):
         seen = self.observe()
         goals = seen["achieved_goal"], seen["desired_goal"]
         terminated = self.compute_terminated(*goals, {})
-        return seen, self.compute_reward(*goals, {}), terminated, self.spent >= self.horizon and not terminated, {}
+        return seen, self.compute_reward(*goals, {}), terminated, self.spent >= self.horizon and not terminated, {
+            "is_success": terminated}
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> float:
         return 0.0 if np.array_equal(achieved_goal, desired_goal) else -1.0

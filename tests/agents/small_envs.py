@@ -48,7 +48,7 @@ def compute_shares(outcomes: Sequence[Outcome]) -> NDArray[np.float64]:
 
 
 class SmdpEnv(gymnasium.Env):
-    """Runs an `Smdp`; the observation is the state's number, or a one-hot vector.
+    """Runs an `Smdp`; the observation is the state's number, or a one-hot vector. Every termination is a success.
 
     Args:
         smdp: the tables.
@@ -99,7 +99,8 @@ class SmdpEnv(gymnasium.Env):
         self.state = chosen.next_state if whole else self.state
         terminated = chosen.terminated and whole
         truncated = self.elapsed >= self.horizon and not terminated
-        info: dict[str, Any] = {"duration": duration, "action_mask": self.compute_mask(self.state)}
+        info: dict[str, Any] = {"duration": duration, "action_mask": self.compute_mask(self.state),
+                                "is_success": terminated}
         if self.infos == "rewards":
             info["rewards"] = rewards
         elif self.infos == "discounted":
@@ -231,6 +232,7 @@ class ButtonGrid(gymnasium.Env):
         self.planning_total += PlanningSummary(planner_calls=int(action >= 4))
         info: dict[str, Any] = {
             "duration": len(rewards),
+            "is_success": terminated,
             "rewards": rewards,
             "action_mask": self.compute_mask(self.state),
             "option": {"name": f"action-{action}", "ended": "reached"},

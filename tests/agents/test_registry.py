@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents import Agent, get_recipe, list_agents, make_agent
-from hrl_escape.agents.agent import LearningSettings
-from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class
-from hrl_escape.errors import AgentSettingsError, UnknownNameError, UnsupportedSpaceError
+from hrl_escape.agents.agent import FixedPolicy, LearningSettings
+from hrl_escape.agents.registry import SMDP_PREFIX, agents, get_agent_class, register_agent
+from hrl_escape.errors import AgentSettingsError, ConfigError, PluginError, UnknownNameError, UnsupportedSpaceError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
 from tests.agents.training.test_resuming import SMALL
@@ -260,9 +260,30 @@ def test_a_strangers_class_that_is_no_agent_is_refused(monkeypatch):
     from importlib.metadata import EntryPoint
 
     point = EntryPoint("odd", "collections:OrderedDict", "hrl_escape.agents")
-    monkeypatch.setattr("hrl_escape.agents.registry.entry_points", lambda group: [point])
-    with pytest.raises(AgentSettingsError, match="odd.*hrl_escape.agents.Agent"):
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
+    with pytest.raises(PluginError, match="odd.*hrl_escape.agents.Agent"):
         get_agent_class("smdp-odd")
+
+
+def test_a_registered_agent_is_made_by_its_name_with_and_without_the_prefix(request):
+    class Second(FixedPolicy):
+        def __init__(self, observation_space, action_space, seed, settings):
+            self.settings = settings
+
+        def act(self, observation, action_mask):
+            return int(action_mask.nonzero()[0][0])
+
+    register_agent("first-legal", Second)
+    request.addfinalizer(lambda: agents.unregister("first-legal"))
+    assert "first-legal" in list_agents()
+    for name in ("first-legal", "smdp-first-legal"):
+        env = ButtonGrid()
+        made = make_agent(name, env.observation_space, env.action_space, 0)
+        assert type(made) is Second and made.act(None, np.array([False, True, True])) == 1
+    with pytest.raises(ConfigError, match="no other agent has"):
+        register_agent("dqn", Second)
+    with pytest.raises(ConfigError, match="hrl_escape.agents.Agent"):
+        register_agent("number", int)  # type: ignore[arg-type]
 
 
 def test_tables_and_names_load_no_torch():

@@ -69,14 +69,67 @@ def test_a_reward_that_is_no_number_is_refused(reward):
 @pytest.mark.parametrize("info", [
     {"duration": 2, "rewards": [0.0, float("nan")]},
     {"duration": 2, "discounted_reward": float("inf"), "discount": 0.81},
-    {"duration": float("nan")}, {"duration": float("inf")}, {"duration": "two"},
+    {"duration": 2, "discounted_reward": 0.0, "discount": 0.81, "summed_reward": "none"},
+    {"duration": 2, "rewards": np.zeros((2, 3))},
 ])
-def test_rewards_and_durations_inside_an_option_must_be_numbers_too(info):
+def test_rewards_inside_an_option_must_be_numbers_too(info):
     with pytest.raises(StepContractError, match="the reward of action 1 is"):
         read(info)
 
 
-@pytest.mark.parametrize("reward", [None, "much", [1, 2]])
+@pytest.mark.parametrize("duration", [float("nan"), float("inf"), "two", 0.04, None, True])
+def test_a_duration_that_is_no_whole_number_is_refused_beside_rewards_and_else_the_environments_own(duration):
+    with pytest.raises(StepContractError, match=r"info\['duration'\] of action 1 is .* whole number of primitives"):
+        read({"duration": duration, "rewards": [1.0]}, reward=1.0)
+    assert read({"duration": duration}, reward=1.0)[3:6] == (1.0, 1.0, 1)
+
+
+def test_keys_of_this_contract_that_an_environment_uses_for_something_else_are_left_alone():
+    info = {"rewards": {"speed": 0.5}, "discount": 0.2, "summed_reward": 40.0,
+            "option": {"strike": 3}, "trace": np.zeros(3), "duration": 0.04}
+    transition = read(info, reward=-2.0, truncated=True)
+    assert (transition.reward, transition.summed_reward, transition.duration, transition.discount) == (-2, -2, 1, 0.9)
+    assert transition.trace == () and not transition.cut
+
+
+@pytest.mark.parametrize("option", ["call", 7, {"strike": 3}, {"ended": "at noon"}, {"ended": np.zeros(2)},
+                                    {"name": 3, "ended": "episode-over"}])
+def test_the_option_of_another_contract_says_nothing_of_a_cut(option):
+    info = {"duration": 2, "rewards": [0, 0], "option": option}
+    assert read(info, truncated=True).cut, "as without it"
+    assert not read({"option": option}, truncated=True).cut
+
+
+@pytest.mark.parametrize(("info", "reward"), [
+    ({"duration": 1, "rewards": [3.0]}, 1.5),
+    ({"duration": 3, "rewards": [3.0] * 3}, 1.0),
+    ({"duration": 3, "rewards": [-1.0, 1.0, 0.5]}, 0.5001),
+    ({"duration": 3, "discounted_reward": 8.13, "discount": 0.729, "summed_reward": 9.0}, 4.5),
+    ({"duration": 1, "discounted_reward": 3.0, "discount": 0.9}, 1.5),
+    ({"duration": 2, "rewards": [0.0, 0.0]}, 1e-9),
+])
+def test_a_reward_that_a_wrapper_changed_above_the_options_is_refused(info, reward):
+    with pytest.raises(StepContractError, match=r"the reward of action 1 is .* Put the wrapper below, as in"):
+        read(info, reward=reward)
+
+
+@given(st.lists(st.floats(-1e6, 1e6, width=32), min_size=1, max_size=200))
+def test_a_sum_held_in_float32_is_still_that_of_the_primitives(rewards):
+    narrow = np.float32(0)
+    for reward in rewards:
+        narrow += np.float32(reward)
+    transition = read({"duration": len(rewards), "rewards": rewards}, reward=narrow)
+    assert transition.summed_reward == sum(rewards)
+
+
+def test_the_discounted_sum_may_stand_for_the_reward():
+    rewards = [1.0, 2.0, 4.0]
+    info = {"duration": 3, "discounted_reward": 1 + 0.9 * 2 + 0.81 * 4, "discount": 0.729, "rewards": rewards}
+    transition = read(info, reward=info["discounted_reward"])
+    assert (transition.reward, transition.summed_reward) == (info["discounted_reward"], 7.0)
+
+
+@pytest.mark.parametrize("reward", [None, "much", [1, 2], np.ones(2), {"speed": 1.0}])
 def test_a_reward_of_another_kind_is_refused(reward):
     with pytest.raises(StepContractError, match="must be numbers"):
         read({}, reward=reward)

@@ -100,7 +100,7 @@ class TabularEnv(gymnasium.Env, ABC):
             outcome = possible[-1]
         self.state = State(outcome.next_state, self.state.elapsed + 1)
         truncated = self.state.elapsed == self.horizon and not outcome.terminated
-        info = {"state": outcome.next_state}
+        info = {"state": outcome.next_state, "is_success": outcome.terminated}
         return self.observe(outcome.next_state), outcome.reward, outcome.terminated, truncated, info
 
     def get_state(self) -> State:

@@ -2,7 +2,12 @@
 
 import json
 
-from hrl_escape.agents.registry import list_agents, list_given_agents
+import gymnasium
+import pytest
+
+from hrl_escape.agents.label import TRAITS
+from hrl_escape.agents.recommended import RECOMMENDED
+from hrl_escape.agents.registry import list_agents, list_given_agents, list_stream_agents
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import PRESETS
@@ -13,7 +18,7 @@ from tests.command_line import call
 def test_list_shows_everything_there_is_with_a_line_about_it(capsys):
     code, out, _ = call(capsys, "list", "--json")
     lists = json.loads(out)
-    assert code == 0
+    assert code == 0 and "recipes" not in lists, "what imports every algorithm is not listed unasked"
     assert set(lists["presets"]) == set(PRESETS) and set(lists["cameras"]) == set(CAMERAS)
     assert set(lists["observations"]) == {observation.name for observation in list_observations()}
     assert {"buttons", "bit-flip", "push-block"} <= set(lists["puzzles"])
@@ -32,6 +37,22 @@ def test_each_agent_is_described_by_its_own_file(capsys):
     assert not any(line.startswith("From another package") for line in described.values())
     assert described["q-learning"] == "Tabular Q-learning over decisions of any duration"
     assert len(set(described.values())) == len(described)
+
+
+def test_lists_are_read_from_what_they_list(capsys):
+    lists = json.loads(call(capsys, "list", "environments", "traits", "recommended", "--json")[1])
+    ids = {name for name, spec in gymnasium.registry.items() if spec.namespace == "hrl_escape"}
+    assert set(lists["environments"]) == ids >= {"hrl_escape/EscapeRoom-v1", "hrl_escape/EscapeRoomContinuous-v1"}
+    assert lists["environments"]["hrl_escape/ClutterOptions-v1"] == "preset clutter, with options"
+    assert set(lists["traits"]) == {f"+{name}" for name in TRAITS}
+    assert list(lists["recommended"]) == [choice.label for choice in RECOMMENDED]
+
+
+@pytest.mark.slow  # imports every algorithm
+def test_recipes_and_agents_of_many_rooms_are_listed_where_they_are_asked_for(capsys):
+    lists = json.loads(call(capsys, "list", "recipes", "batched", "--json")[1])
+    assert lists["recipes"]["h-dqn"] == "corrected or table" and lists["recipes"]["dqn"] == "corrected or paper"
+    assert list(lists["batched"]) == list_stream_agents() and "rainbow" in lists["batched"]
 
 
 def test_sentences_are_whole(capsys):

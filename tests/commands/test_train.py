@@ -47,8 +47,20 @@ def test_ctrl_c_saves_the_run_and_the_same_command_goes_on_with_it(tmp_path):
     head = log.read_bytes()
     done = run_program(*command[1:], "--primitives", "4000", cwd=tmp_path)
     assert done.returncode == 0 and log.read_bytes()[:length] == head, "nothing was trained twice"
-    assert f"this run went on from primitive {saved:,}\n" in done.stdout
+    assert f"this run resumed at {saved:,} of 4,000 primitives\n" in done.stdout
     assert "best evaluation: return" in done.stdout and (tmp_path / "run" / "best.npz").exists()
+
+
+def test_a_label_trains_what_options_and_settings_train(capsys, tmp_path):
+    shared = ["--preset", "paper-one-button", "--primitives", "60", "--eval-episodes", "1"]
+    options = ["smdp-ppo", "--settings", "network=objects", "--memory", "--options-only", "--observation", "objects"]
+    said = call(capsys, "train", "smdp-ppo+objects+memory+no-primitives", *shared, "--out", tmp_path / "run")[1]
+    assert "smdp-ppo+objects+memory+no-primitives, seed 0: " in said
+    assert "this run was finished: nothing was trained" in call(capsys, "train", *options, *shared, "--out",
+                                                                tmp_path / "run")[1], "both are one run"
+    assert_refused(capsys, ["train", "smdp-dqn@paper", "--recipe", "table"], "paper, as in smdp-dqn@paper, or left out")
+    assert_refused(capsys, ["train", "hamq+planned", "--leaves", "learned"], "planned, as in hamq+planned, or left out")
+    assert_refused(capsys, ["train", "dqn+memory"], "smdp-dqn with +memory")
 
 
 def test_a_finished_run_says_that_nothing_was_trained(capsys, tmp_path):
@@ -146,7 +158,8 @@ def test_a_batch_trains_in_many_rooms_at_once(capsys, tmp_path, agent):
 def test_what_a_batch_cannot_do_is_refused(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert_refused(capsys, ["train", "intra-option-q", "--batch", "4"], "many environments at once")
-    assert_refused(capsys, ["train", "smdp-ppo", "--batch", "4", "--memory"], "observation='objects'")
+    assert_refused(capsys, ["train", "smdp-ppo+memory", "--batch", "4", "--observation", "features"],
+                   "observation='objects'")
     assert_refused(capsys, ["train", "ppo", "--compile"], "--compile is for many copies of the room: give --batch N")
     assert_refused(capsys, ["train", "ppo", "--device", "cuda"], "--device is for many copies")
 
@@ -166,7 +179,7 @@ def test_compiled_copies_learn_the_same(capsys, tmp_path, agent):
 
 def test_a_batch_trains_given_hierarchies_and_agents_with_a_memory(capsys, tmp_path):
     for number, arguments in enumerate((["maxq-q", "--leaves", "learned"],
-                                        ["smdp-dqn", "--memory", "--observation", "objects"])):
+                                        ["smdp-dqn+objects+memory+no-primitives"])):
         code, out, _ = call(capsys, "train", *arguments, "--batch", "4", "--preset", "paper-one-button",
                             "--primitives", "60", "--eval-episodes", "1", "--out", tmp_path / str(number), "--json")
         report = json.loads(out)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hrl_escape.comparison.inference import (
+    compare_agents,
     compare_pairs,
     compute_interval,
     compute_wilson_interval,
@@ -103,6 +104,33 @@ def test_rooms_are_strata_whose_differences_are_no_noise():
 def test_identical_runs_are_no_difference_and_one_pair_says_nothing():
     assert compare_pairs([np.zeros(8)]).p == 1
     assert compare_pairs([np.array([0.3])]).p == compare_pairs([]).p == 1
+
+
+def test_one_pair_in_some_room_says_nothing_whatever_the_other_rooms_say():
+    """Of one pair there is no spread, so that no mean over rooms has an error that is known."""
+    many = np.array([0.2, 0.21, 0.22, 0.2])
+    for rooms in ([many, np.array([0.4])], [np.array([0.4]), many], [many, np.array([0.4]), np.array([])]):
+        found = compare_pairs(rooms)
+        assert (found.low, found.high, found.p, found.pairs) == (-math.inf, math.inf, 1.0, 5)
+        assert found.difference == pytest.approx((0.2075 + 0.4) / 2)
+    assert compare_pairs([many, np.array([])]).p == compare_pairs([many]).p < 0.01, "a room without pairs is left out"
+
+
+def test_two_agents_are_compared_alike_from_either_side():
+    """Shares of improvement add up to one, differences to nothing, and each interval to that of the other side."""
+    source = rng(5)
+    finals = [{(room, seed): float(source.normal(mean, 0.2)) for room in "ab" for seed in range(6)}
+              for mean in (0.3, 0.5, 0.9)]
+    pairs = compare_agents(finals, [True] * 3, rng(), resamples=200)
+    for first, second in itertools.permutations(range(3), 2):
+        here, there = pairs[first][second], pairs[second][first]
+        gain = np.mean([finals[first][key] - finals[second][key] for key in finals[0]])
+        wins = np.mean([finals[first][key] > finals[second][key] for key in finals[0]])
+        assert (here.difference.value, here.improvement.value) == pytest.approx((gain, wins))
+        assert (here.p, here.count) == (there.p, there.count) == (here.p, 12)
+        for mine, other, total in ((here.difference, there.difference, 0), (here.improvement, there.improvement, 1)):
+            assert mine.low < mine.value < mine.high or mine.value in (0, 1) and mine.low <= mine.value <= mine.high
+            assert [mine.low + other.high, mine.high + other.low] == pytest.approx([total] * 2)
 
 
 @pytest.mark.parametrize("law", [(0.5, 0.5), (0.3, 0.4, 0.3), (0.25, 0.25, 0.25, 0.25), (0.4, 0.1, 0.1, 0.4)])

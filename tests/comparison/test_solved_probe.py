@@ -1,5 +1,10 @@
 """Recovery of a graph: edges that matter, precision and recall, and the longest chain."""
 
+import dataclasses
+
+import numpy as np
+import pytest
+
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec, SolvedRule
@@ -7,8 +12,10 @@ from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.comparison.solved_probe import SolvedProbe, compare_graphs, find_edges_that_matter
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.settings import Between
 from studies.scaling.results import compute_edge_depth
 
 
@@ -51,6 +58,34 @@ def test_a_policy_near_the_best_counts_from_the_first_of_two_checks_after_an_esc
             probe.after_episode(agent, EpisodeRecord(at, at, 0.0, 10, success, "terminated", 0.0))
     assert [probe.solution.near_best for probe in probes] == [400, None]
     assert [probe.is_done for probe in probes] == [True, True]
+
+
+@pytest.mark.parametrize("observation", ["features", "state"])
+def test_a_believed_graph_is_read_by_the_places_of_the_lights(observation):
+    preset = get_preset("four-button-chain")
+    several = dataclasses.replace(preset, puzzle=dataclasses.replace(preset.puzzle, count=Between(2, 4)))
+    room = next(room for room in (generate(several, seed) for seed in range(20)) if len(room.targets) == 3)
+    env = OptionsEnv(EscapeRoomEnv(instance=room, observation=observation), include_primitives=False)
+    known = ScoreRange(-200.0, ((0.0,),), (91.0,), (91.0,), (9.0,), (9.0,), "planner")
+    probe = SolvedProbe(SolvedRule(0.99, graph_every=10), env, room, AgentSpec("smdp-factored-r-max"), known)
+    train("smdp-factored-r-max", env, primitives=600, eval_episodes=0, probe=probe)
+    assert probe.solution.structure[-1][1:] == (1.0, 1.0) and probe.solution.edges == 2
+
+
+@pytest.mark.parametrize(("preset", "observation"), [
+    ("arm-two-button", "state"), ("arm-two-button", "features"), ("clutter", "egocentric"), ("lights-out", "state"),
+    ("clutter", "objects"), ("hanoi", "state")])
+def test_the_places_of_the_lights_are_the_numbers_that_change_with_them(preset, observation):
+    env = EscapeRoomEnv(preset, observation=observation)
+    env.reset(seed=0)
+    puzzle, places, begun = env.instance.puzzle, env.observer.light_places, env.get_state()
+    assert (len(places) == len(puzzle.target_names)) == (observation != "objects" and preset != "hanoi")
+    for target in range(len(puzzle.target_names) if places else 0):
+        state = puzzle.update(begun.puzzle, Contacts((target,), uniform=0.0))
+        after = env.observer.observe(begun._replace(puzzle=state))
+        changed = set(np.flatnonzero(after != env.observer.observe(begun)))
+        lit = np.flatnonzero(np.array(puzzle.get_lit(state)) != puzzle.get_lit(begun.puzzle))
+        assert changed == {places[number] for number in lit} or observation == "egocentric" and not changed
 
 
 def test_a_graph_is_kept_once_until_the_agent_believes_another():

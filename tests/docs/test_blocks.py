@@ -6,8 +6,11 @@ import importlib
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+import tomllib
 import tyro
+from PIL import Image
 
 from hrl_escape.cli import main
 from hrl_escape.env.presets import get_preset
@@ -115,8 +118,64 @@ def test_the_strip_of_the_first_page_is_what_the_planner_does(monkeypatch: pytes
         assert strip.draw_card(scene, column, row, longest) in kept, scene.title
 
 
-def test_the_first_page_shows_the_strip_and_one_table_and_loads_fast():
+def list_pictures(readme: str) -> set[Path]:
+    """Files that the README shows."""
+    return {ROOT / path for path in re.findall(r"(?:src|srcset)=\"(docs/[^\"]+)\"|!\[[^\]]*\]\((docs/\S+)\)", readme)
+            for path in path if path}
+
+
+def test_the_first_page_moves_has_one_table_and_loads_fast():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert "docs/images/strip.svg" in readme and readme.count("\n|---|") == 1, "one table"
-    shown = [ROOT / path for path in re.findall(r"!\[[^\]]*\]\((docs/\S+)\)", readme)]
-    assert sum(path.stat().st_size for path in shown) < 3e6
+    assert readme.count("\n|---|") == 1
+    pictures = list_pictures(readme)
+    assert len(pictures) == 3 and sum(path.stat().st_size for path in pictures) < 1.5e6
+    moving = Image.open(ROOT / "docs/images/escape.webp")
+    assert ROOT / "docs/images/escape.webp" in pictures and getattr(moving, "n_frames") > 100  # noqa: B009  # no type
+
+
+@pytest.mark.slow  # Bullet's software renderer takes a second a picture
+def test_the_moving_picture_is_what_its_script_draws(monkeypatch: pytest.MonkeyPatch):
+    """Its first picture, one in the middle and its last."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    script = importlib.import_module("make_picture")
+    room = generate(script.ROOM, script.SEED)
+    states = script.list_states(room, script.BETWEEN)
+    kept = Image.open(script.KEPT)
+    assert getattr(kept, "n_frames") == len(states)  # noqa: B009  # no type
+    for number in (0, len(states) // 2, len(states) - 1):
+        (drawn,) = script.take_pictures(room, [states[number]])
+        kept.seek(number)
+        assert np.abs(np.asarray(kept.convert("RGBA"), int) - np.asarray(drawn, int)).mean() < 4
+
+
+@pytest.mark.slow  # trains for half a minute
+def test_the_first_page_prints_what_it_shows(capsys: pytest.CaptureFixture[str]):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    program, printed = re.findall(r"```python\n(.+?)```\n\n```text\n(.+?)```", readme, re.S)[0]
+    assert len(program.strip().splitlines()) <= 10
+    exec(compile(program, "README.md", "exec"), {"__name__": "page"})
+    assert printed in capsys.readouterr().out
+
+
+def test_every_page_recommends_the_same_agents():
+    pages = [ROOT / page for page in ("README.md", "docs/index.md", "docs/faq.md", "docs/quickstart.md")]
+    advice = [re.findall(r"In one room start with .+? Compare both with the search baseline `[^`]+`\.",
+                         page.read_text(encoding="utf-8")) for page in pages]
+    assert all(len(found) == 1 for found in advice) and len({*map(tuple, advice)}) == 1
+
+
+def test_every_agent_s_page_says_how_its_settings_are_changed_from_the_shell_too():
+    pages = [page for page in (ROOT / "docs/agents").glob("*.md") if "## Settings" in page.read_text(encoding="utf-8")]
+    assert len(pages) > 20
+    assert [page.name for page in pages if "`--settings name=value`" not in page.read_text(encoding="utf-8")] == []
+
+
+def test_the_table_of_extras_is_what_the_package_declares():
+    page = (ROOT / "docs/installation.md").read_text(encoding="utf-8")
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    table = page.partition("| extra |")[2].partition("\n\n")[0]
+    rows = [row.split("|")[1:3] for row in table.splitlines()[2:]]
+    assert {name for names, _ in rows for name in re.findall(r"`([\w-]+)`", names)} == extras.keys()
+    (dev,) = [text for names, text in rows if "`dev`" in names]
+    (held,) = re.findall(r"^hrl-escape\[(.+)\]$", "\n".join(extras["dev"]), re.M)
+    assert {*re.findall(r"`([\w-]+)`", dev)} == extras.keys() - {"dev", *held.split(",")}

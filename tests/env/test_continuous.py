@@ -77,7 +77,7 @@ def test_a_plan_of_primitives_played_as_velocities_reaches_the_same_states(prese
         assert math.remainder(rules.get_heading(state) - rules.get_heading(expected), math.tau) == pytest.approx(0.0)
         assert rules.get_angles(state) == pytest.approx(rules.get_angles(expected), abs=1e-9)
         assert (state.puzzle, state.touching) == (expected.puzzle, expected.touching)
-    assert terminated and info["success"] and action == plan.primitives[-1] and expected == plan.states[-1]
+    assert terminated and info["is_success"] and action == plan.primitives[-1] and expected == plan.states[-1]
     assert 0.0 <= plan.cost - info["seconds"] < 1.0
     saved = rules.instance.reward.step * (plan.cost - info["seconds"])
     assert total == pytest.approx(plan.compute_return() - saved), "a second costs what a primitive does"

@@ -50,8 +50,7 @@ class Blind:
 def test_an_engine_of_ones_own_takes_one_entry_and_gives_the_same_episodes(tmp_path, monkeypatch):
     (tmp_path / "planted_engine.py").write_text(RULES_ONLY)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(engine.ENGINES, "rules-only",
-                        EngineEntry("planted_engine:RulesOnly", "planted_engine:Blind"))
+    engine.engines.register("rules-only", EngineEntry("planted_engine:RulesOnly", "planted_engine:Blind"))
     config = get_preset("clutter")
     config = dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, noise=0.1))
     envs = [gymnasium.make("hrl_escape/EscapeRoom-v1", config=config, engine=name) for name in ("bullet", "rules-only")]

@@ -169,12 +169,12 @@ def test_info_tells_what_happened():
     env = gymnasium.make("hrl_escape/PaperOneButton-v1")
     _, info = env.reset(seed=0)
     flags = info["pressed"].tolist(), info["buttons_on"].tolist()
-    assert (info["primitives"], info["success"], *flags) == (0, False, [0], [0])
+    assert (info["primitives"], info["is_success"], *flags) == (0, False, [0], [0])
     for _ in range(9):
         _, reward, terminated, _, info = env.step(2)
     assert (reward, terminated) == (99, True)
     flags = info["pressed"].tolist(), info["buttons_on"].tolist()
-    assert (info["primitives"], info["success"], *flags) == (9, True, [1], [1])
+    assert (info["primitives"], info["is_success"], *flags) == (9, True, [1], [1])
     env.close()
 
 

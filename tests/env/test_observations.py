@@ -10,11 +10,11 @@ import pytest
 
 from hrl_escape.env.config import ButtonsConfig, RoomConfig
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.observations import base
 from hrl_escape.env.observations.base import (
     get_observation,
     list_observations,
     make_observer,
+    observations,
     register_observation,
 )
 from hrl_escape.env.observations.state import StateObserver
@@ -55,10 +55,10 @@ register_observation(Compass)
 def compass(tmp_path, monkeypatch):
     (tmp_path / "planted_compass.py").write_text(COMPASS)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(base, "_REGISTRY", dict(base._REGISTRY))
     import planted_compass
 
     yield planted_compass.Compass
+    observations.unregister("compass")
     sys.modules.pop("planted_compass")
 
 

@@ -66,7 +66,7 @@ def test_it_does_what_gymnasiums_own_vector_of_rooms_does(mode):
         assert np.abs(mine[0] - other[0]).max() < 1e-6
         for a, b in zip(mine[1:4], other[1:4], strict=True):
             assert a.tolist() == b.tolist()
-        for key in ("primitives", "success", "buttons_on"):
+        for key in ("primitives", "is_success", "buttons_on"):
             assert to_list(mine[4][key]) == to_list(other[4][key])
             assert to_list(mine[4][f"_{key}"]) == to_list(other[4][f"_{key}"])
         ended = mine[2] | mine[3]
@@ -75,7 +75,7 @@ def test_it_does_what_gymnasiums_own_vector_of_rooms_does(mode):
             assert mine[4]["_final_obs"].tolist() == other[4]["_final_obs"].tolist() == ended.tolist()
             for i in np.flatnonzero(ended):
                 assert np.abs(mine[4]["final_obs"][i] - other[4]["final_obs"][i]).max() < 1e-6
-                for key in ("primitives", "success"):
+                for key in ("primitives", "is_success"):
                     assert mine[4]["final_info"][key][i] == other[4]["final_info"][key][i]
         if ended.any() and mode == AutoresetMode.DISABLED:
             mine, _ = ours.reset(options={"reset_mask": ended})

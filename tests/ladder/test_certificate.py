@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import os
 import subprocess
@@ -15,6 +16,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError, VerificationError
 from hrl_escape.ladder.benchmark import Benchmark, certify_rung, find_overlaps, list_benchmarks, load_benchmark
+from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.keys import RoomKeys, compute_keys, compute_task_key
 from hrl_escape.ladder.manifest import Manifest, RungRecord, SetRecord
 from hrl_escape.ladder.rung import Rung, choose_seeds, derive_hidden_seed, is_held_out, read_beacon
@@ -139,6 +141,21 @@ def test_public_randomness_decides_a_hidden_test_that_meets_no_published_room():
     assert not set(hidden.ids) & set(rung.make_hidden_test(ROUND.replace("4242", "4243"), count=5).ids)
     known = {compute_keys(room).layout for rooms in rung.sets.values() for room in rooms}
     assert not known & {compute_keys(room).layout for room in hidden}
+
+
+def test_a_hidden_test_has_no_task_that_was_held_out():
+    """Those, a tenth of all, are for `test_task` alone; a round is taken that would draw one at once."""
+    rung = Benchmark(make_manifest())["five"]
+    for number in itertools.count(4242):
+        text = f"quicknet {number} {VALUE}"
+        seeds = [derive_hidden_seed(read_beacon(text), "small", "five", index) for index in range(8)]
+        tasks = InstanceSet("all", rung.config, seeds).tasks
+        is_kept = [int(task[:8], 16) % 10 == 0 for task in tasks]
+        if any(is_kept[:4]):
+            break
+    hidden = rung.make_hidden_test(text, count=4)
+    assert list(hidden.seeds) == [seed for seed, kept in zip(seeds, is_kept, strict=True) if not kept][:4]
+    assert not set(hidden.tasks) & {task for task, kept in zip(tasks, is_kept, strict=True) if kept}
 
 
 def test_a_thousand_spellings_of_a_round_give_one_test():

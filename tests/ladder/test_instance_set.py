@@ -1,5 +1,6 @@
 """Sets of rooms: sequences, parts that are the same everywhere, and environments over them."""
 
+import hashlib
 import json
 import pickle
 
@@ -9,8 +10,10 @@ import torch
 
 from hrl_escape.agents import train
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
+from hrl_escape.env.presets import get_preset
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.ladder import InstanceSet
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.options.meta_actions import list_goals
@@ -39,6 +42,18 @@ def test_a_split_is_whole_keyed_and_nested(rooms):
     assert [len(part) for part in rooms.split(0.0)] == [0, 12]
     with pytest.raises(ConfigError, match="from 0 to 1"):
         rooms.split(1.5)
+
+
+def test_a_split_goes_by_the_rooms_seeds_wherever_they_stand():
+    """By SHA-256 of key and seed, the smallest first; in another order of the rooms the parts hold the same ones."""
+    seeds = [int(seed) for seed in np.random.default_rng(0).integers(2**62, size=40)]
+    ranked = sorted(seeds, key=lambda seed: hashlib.sha256(f"3/{seed}".encode()).hexdigest())
+    for order in (seeds, seeds[::-1], sorted(seeds)):
+        few, rest = InstanceSet("some", get_preset("paper-two-button"), order).split(0.3, key=3)
+        assert list(few.seeds) == [seed for seed in order if seed in ranked[:12]], "in their order"
+        assert list(rest.seeds) == [seed for seed in order if seed in ranked[12:]]
+    longer = InstanceSet("more", get_preset("paper-two-button"), [7, 8, 9, *seeds]).split(0.5, key=3)[0]
+    assert set(ranked[:12]) <= set(longer.seeds), "rooms that come first do not move the others"
 
 
 def test_a_filter_keeps_what_it_says(rooms):

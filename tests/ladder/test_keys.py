@@ -9,6 +9,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.keys import compute_keys, compute_task_key
 
 
@@ -42,6 +43,16 @@ def test_names_of_buttons_are_no_part_of_the_task():
     for other in (dataclasses.replace(puzzle, goal=0), dataclasses.replace(puzzle, on_violation="reset"),
                   dataclasses.replace(puzzle, edge_list=puzzle.edge_list[1:])):
         assert compute_task_key(puzzle) != compute_task_key(other)
+
+
+def test_marks_are_part_of_the_room_and_no_part_of_its_task():
+    """They show the order of presses and do not change it: else held-out tasks would come again under other marks."""
+    room = load_benchmark("marks-2")["motifs"].train[0]
+    bare, turned = (dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, marks=marks))
+                    for marks in ((), room.puzzle.marks[::-1]))
+    marked, other, none = map(compute_keys, (room, turned, bare))
+    assert room.puzzle.marks and marked.task == other.task == none.task
+    assert len({marked.content, other.content, none.content}) == 3
 
 
 def test_dead_ends_are_part_of_the_task_and_their_numbers_are_not():

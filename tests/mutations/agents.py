@@ -161,8 +161,8 @@ MUTATIONS = [
     Mutation(
         "progress of an episode is that at its end",
         "agents/training/evaluation.py",
-        'self.progress = max(self.progress, float(info.get("progress", self.success)))',
-        'self.progress = float(info.get("progress", self.success))',
+        "self._progress = max(self._progress or 0.0, share)",
+        "self._progress = share",
         "agents/training/test_train.py::test_progress_of_an_episode_is_the_best_on_its_way",
     ),
     Mutation(

@@ -241,9 +241,23 @@ MUTATIONS = [
     Mutation(
         "enough runs with one rival are enough with all",
         "comparison/verdict.py",
-        "if min(summary.get_pair(leader, agent).count for",
-        "if max(summary.get_pair(leader, agent).count for",
+        "if any(_has_few(summary, leader, agent) for agent in others):",
+        "if all(_has_few(summary, leader, agent) for agent in others):",
         "comparison/test_verdict.py::test_too_few_runs_of_one_rival_are_too_few_whatever_the_others_have",
+    ),
+    Mutation(
+        "nine runs are enough for a verdict",
+        "comparison/inference.py",
+        "return pair.count >= LEAST_RUNS and",
+        "return pair.count >= LEAST_RUNS - 1 and",
+        "comparison/test_pairs.py::test_nine_pairs_decide_nothing_however_clean",
+    ),
+    Mutation(
+        "an interval without width is printed",
+        "comparison/inference.py",
+        "return value if low == high else",
+        "return value if low != low else",
+        "comparison/test_verdict.py::test_no_interval_without_width_is_printed",
     ),
     Mutation(
         "a program is started whether or not it is trusted",

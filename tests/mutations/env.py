@@ -159,7 +159,7 @@ MUTATIONS = [
     ),
     Mutation(
         "the exit's reward never replaces the step's",
-        "env/config.py",
+        "env/rewards.py",
         "return self.exit if self.exit_replaces_step else self.step + self.exit",
         "return self.step + self.exit",
         "env/test_kinematics.py::test_scripted_play_of_the_published_room_returns_what_was_measured",

@@ -81,8 +81,8 @@ MUTATIONS = [
     Mutation(
         "a consistent option's termination is asked at the state left",
         ENV,
-        "found.append((index, option.termination(step.next_state)))",
-        "found.append((index, option.termination(step.state)))",
+        "found.append((index, read_termination(option, step.next_state)))",
+        "found.append((index, read_termination(option, step.state)))",
         TESTS,
     ),
     Mutation(

@@ -4,17 +4,69 @@ from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
     Mutation(
+        "a reward wrapper above options changes what primitives are worth, and not options",
+        "step_info.py",
+        "if not any(is_same(",
+        "if False and not any(is_same(",
+        "options/test_reward_wrappers.py",
+    ),
+    Mutation(
+        "a reward wrapper above options in a vector environment passes",
+        "agents/training/stream_run.py",
+        "if bool((changed := rows & ~is_paid).any()):",
+        "if bool((changed := rows & ~is_paid & False).any()):",
+        "agents/training/test_vector_rewards.py::test_one_above_all_copies_is_refused_too",
+    ),
+    Mutation(
+        "an option holds the state of its run",
+        "options/option.py",
+        "run = copy.copy(self)",
+        "run = self",
+        "options/test_shared_options.py::test_an_option_runs_in_each_environment_as_if_it_were_alone",
+    ),
+    Mutation(
+        "an agent serves one run of its policy at a time",
+        "agents/agent.py",
+        "before, agent._evaluation = agent._evaluation, self._memory",
+        "before = agent._evaluation",
+        "options/test_shared_options.py::test_an_agent_that_remembers_serves_several_runs_of_its_policy",
+    ),
+    Mutation(
+        "a termination may be no probability",
+        "options/execution.py",
+        "if not 0.0 <= beta <= 1.0:",
+        "if False:",
+        "options/test_shared_options.py::test_a_termination_outside_0_and_1_is_refused",
+    ),
+    Mutation(
+        "a reset of some copies makes everything legal in the others",
+        "agents/training/stream_run.py",
+        "torch.where(over[:, None], self._read_masks(infos_begun, over), mask)",
+        "self._read_masks(infos_begun, over)",
+        "agents/training/test_vector_rewards.py::"
+        "test_masks_are_those_of_the_copies_that_give_one_in_each_kind_of_reset",
+    ),
+    Mutation(
+        "a wrapper above a batch of rooms is bypassed",
+        "agents/training/stream_run.py",
+        "    inner: Any = env\n    if isinstance(env, VectorEnv) and not (env is env.unwrapped and "
+        'hasattr(env, "get_streams")):',
+        "    inner: Any = env.unwrapped if isinstance(env, VectorEnv) else env\n    if isinstance(env, VectorEnv) and "
+        'not hasattr(inner, "get_streams"):',
+        "agents/training/test_vector_rewards.py::test_a_wrapper_above_a_batch_of_rooms_with_options_is_stepped_through",
+    ),
+    Mutation(
         "an option cut after its first primitive is taken for whole",
         "agents/agent.py",
-        '(duration > 1 if ended is None else ended == "episode-over")',
+        '(duration > 1 if option is None else option["ended"] == "episode-over")',
         "duration > 1",
         "options/test_options_env.py::test_trap_3_what_the_cap_stops_is_cut_and_what_ends_there_is_not",
     ),
     Mutation(
         "1 summed reward with gamma^k",
-        "agents/agent.py",
-        "discounted = float(primitive_reward) + gamma * discounted",
-        "discounted = float(primitive_reward) + discounted",
+        "step_info.py",
+        "total = reward + gamma * total",
+        "total = reward + total",
         "agents/algorithms/test_tabular.py::test_trap_1_an_option_learned_from_its_primitive_rewards_is_worth_their_discounted_sum",
     ),
     Mutation(
@@ -40,9 +92,9 @@ MUTATIONS = [
     ),
     Mutation(
         "4 the exit's bonus loses its discount",
-        "agents/agent.py",
-        "return discounted, float(sum(rewards))",
-        "return discounted - gamma ** (duration - 1) * rewards[-1] + rewards[-1], float(sum(rewards))",
+        "step_info.py",
+        "return total",
+        "return total - gamma ** (self.duration - 1) * self.rewards[-1] + self.rewards[-1]",
         "agents/test_transition.py::test_trap_4_an_exit_inside_an_option_keeps_its_bonus_at_gamma_to_the_k_minus_1",
     ),
     Mutation(
@@ -124,9 +176,9 @@ MUTATIONS = [
     ),
     Mutation(
         "14 a free self-loop",
-        "agents/agent.py",
-        "    if duration < 1:",
-        "    if duration < 0:",
+        "step_info.py",
+        "        if duration < 1:",
+        "        if duration < 0:",
         "agents/test_transition.py::test_trap_14_an_action_that_costs_no_primitive_is_refused",
     ),
     Mutation(
@@ -234,8 +286,8 @@ MUTATIONS = [
     Mutation(
         "14 a failed plan is free",
         "options/options_env.py",
-        "            if not decision.rewards:\n                rewards",
-        "            if False:\n                rewards",
+        "            if not decision.rewards:\n                run.rewards",
+        "            if False:\n                run.rewards",
         "options/test_options_env.py::test_trap_14_a_failed_plan_costs_one_primitive",
     ),
     Mutation(
@@ -248,8 +300,8 @@ MUTATIONS = [
     Mutation(
         "1 a decision of a level below counts as one primitive",
         "options/execution.py",
-        "    if duration == 1:",
-        "    if True:",
+        "return paid.rewards",
+        "return (float(reward),)",
         "options/test_levels.py::test_durations_discounts_and_rewards_count_the_primitives_of_the_lowest_level",
     ),
     Mutation(

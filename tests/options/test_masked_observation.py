@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.agents.training.env_description import describe_env, make_described_env
+from hrl_escape.errors import ConfigError, UnsupportedSpaceError
 from hrl_escape.options import MaskedObservation, OptionsEnv
 
 
@@ -29,10 +30,18 @@ def test_the_mask_in_the_observation_is_the_one_of_the_next_decision():
     assert len(masks) > 1
 
 
-def test_without_a_mask_every_action_is_legal_and_the_key_can_be_chosen():
-    env = MaskedObservation(gymnasium.make("CartPole-v1"), key="obs")
+def test_without_a_mask_every_action_is_legal_and_both_keys_can_be_chosen():
+    env = MaskedObservation(gymnasium.make("CartPole-v1"), key="obs", mask_key="mask")
     seen, _ = env.reset(seed=3)
-    assert seen["action_mask"].tolist() == [1, 1] and seen["obs"].shape == (4,)
+    assert set(seen) == set(env.observation_space) == {"obs", "mask"}
+    assert seen["mask"].tolist() == [1, 1] and seen["obs"].shape == (4,)
+    described = make_described_env(describe_env(env))
+    assert isinstance(described, MaskedObservation) and (described.key, described.mask_key) == ("obs", "mask")
+
+
+def test_one_key_for_both_is_refused():
+    with pytest.raises(ConfigError, match="mask_key = 'mask'.*another key than that of the observation"):
+        MaskedObservation(gymnasium.make("CartPole-v1"), key="mask", mask_key="mask")
 
 
 @pytest.mark.filterwarnings("ignore:.*different from the unwrapped version")
@@ -41,5 +50,5 @@ def test_gymnasiums_own_checker_accepts_it():
 
 
 def test_continuous_actions_have_no_mask():
-    with pytest.raises(UnsupportedSpaceError, match="which of Discrete actions are legal"):
+    with pytest.raises(UnsupportedSpaceError, match="needs Discrete actions, not Box"):
         MaskedObservation(gymnasium.make("Pendulum-v1"))

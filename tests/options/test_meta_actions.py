@@ -128,7 +128,7 @@ def test_a_key_is_fetched_from_where_it_was_put_down(flavour):
         if action == "release":
             assert room.get_state().puzzle != first, "the key lies elsewhere than at first"
     *_, terminated, _, info = env.step(env.action_names.index(leave))
-    assert terminated and info["success"]
+    assert terminated and info["is_success"]
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)

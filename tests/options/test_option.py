@@ -130,6 +130,25 @@ class Bumping(_Base):
         return float(self.turns >= 12)
 
 
+class Mixing(_Base):
+    """Counts in a list that all runs share."""
+
+    def __init__(self, name):
+        super().__init__(name)
+        self.counts = [0]
+
+    def start(self, state):
+        super().start(state)
+        self.counts[0] = 0
+
+    def policy(self, state):
+        self.counts[0] += 1
+        return self.counts[0] % 2
+
+    def termination(self, state):
+        return float(self.counts[0] >= 4)
+
+
 def test_the_check_accepts_a_correct_option(env):
     check_option(_Base("base"), env)
 
@@ -141,6 +160,7 @@ def test_the_check_accepts_a_correct_option(env):
         (NoProbability("x"), "termination gives a probability"),
         (NoMemoryOfItsStart("x"), "the same run"),
         (NotMarkov("x"), "is_markov"),
+        (Mixing("x"), "a run does not change another one"),
         (Moody("x"), "initiation gives the same answer"),
         (Bumping("x"), "presses no target but its own"),
         (_Base(""), "the name is text"),

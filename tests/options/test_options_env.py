@@ -129,7 +129,7 @@ def test_trap_4_an_exit_inside_an_option_keeps_the_bonus_and_ends_it():
     env = OptionsEnv(make_env(), [ScriptedOption("press and go on", [LEFT] * 9 + [RIGHT] * 20)], discount=GAMMA)
     begin(env)
     _, reward, terminated, truncated, info = env.step(6)
-    assert terminated and not truncated and info["success"]
+    assert terminated and not truncated and info["is_success"]
     k = info["duration"]
     assert k == 9, "the paper's best of this room: nine strafes, the press is inside the exit"
     assert env.unwrapped.get_state().primitives == 9, "nothing ran after the exit"

@@ -39,7 +39,7 @@ def test_random_options_escape_and_each_presses_its_own_target(config):
         assert info["discount"] == pytest.approx(0.999 ** info["duration"])
         if terminated:
             break
-    assert terminated and info["success"] and not truncated
+    assert terminated and info["is_success"] and not truncated
 
 
 @pytest.mark.in_turn_for("taxi-0.1-auto", "foraging-0.0-auto")
@@ -63,7 +63,7 @@ def test_options_carry_until_the_robot_is_out(preset, slip, planner):
         _, _, terminated, truncated, info = env.step(choice)
         assert info["option"]["ended"] == "reached" and not truncated
         assert not steps or room.get_state().puzzle != before.puzzle
-    assert info["success"]
+    assert info["is_success"]
 
 
 @pytest.mark.in_turn

@@ -9,12 +9,16 @@ import math
 import numpy as np
 import pytest
 
+from hrl_escape.env.config import RewardConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.mini_grid import MiniGridConfig
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning import PlanningRequest, find_best_known
 from hrl_escape.planning.best_known import list_start_states
-from hrl_escape.planning.goals import PressGoal
+from hrl_escape.planning.goals import PressGoal, parse_goal
 from hrl_escape.planning.lower_bounds import LegBounds, bound_escape
 from hrl_escape.planning.planner import RoomPlanner
 
@@ -87,3 +91,40 @@ def test_targets_that_one_primitive_presses_are_not_counted_twice():
         if found == 3:
             return
     pytest.fail("no room in which one primitive presses two targets")
+
+
+@pytest.mark.parametrize("gap", [0.3, 0.9, 2.9])
+def test_straight_lines_are_counted_from_the_edge_of_the_reach_to_the_edge_of_the_exit(gap: float):
+    """In the paper's room with one button moves of 1 m lead straight to it, and into the exit, which is all round it.
+
+    So nothing is better than the metres to the touch of the body, or to the exit for its middle, rounded up.
+    """
+    room = generate(get_preset("paper-one-button"), 0)
+    state = list_start_states(room)[0]
+    (button,), exit_, dynamics = room.targets, room.exit, room.dynamics
+    touch = button.y - button.half_y - room.robot.outer_radius - dynamics.press_margin
+    assert exit_.contains(0.0, touch) and exit_.x_min < 0
+    pressed = room.puzzle.update(state.puzzle, Contacts((0,)))
+    for begin in (state._replace(y=touch - gap), state._replace(x=exit_.x_min - gap, puzzle=pressed)):
+        known = find_best_known(room, begin)
+        assert known.upper_bound == known.value == 100 - math.ceil(gap)
+
+
+def test_a_thing_that_was_put_down_elsewhere_is_not_bounded_by_its_first_place():
+    """A key at the far end of a corridor, then beside the start, where the door is."""
+    config = get_preset("door-key")
+    room = generate(dataclasses.replace(
+        config, puzzle=MiniGridConfig("rows", rows=(">      k", " D######", " G######")),
+        room=dataclasses.replace(config.room, width=16.0, depth=6.0), reward=RewardConfig(step=-1.0)), 0)
+    planner, puzzle, cells = RoomPlanner(room), room.puzzle, room.puzzle.blockable_cells
+    state = planner.rules.make_state(room.starts[0])
+    held = puzzle.update(state.puzzle, Contacts((), ahead=cells.index(puzzle.target_cells[1]), grip=1))
+    near = state._replace(puzzle=puzzle.update(held, Contacts((), ahead=cells.index(0), grip=-1)))
+    assert puzzle.list_cells(near.puzzle, "grip", 1) == (cells.index(0),)
+    far, close = (find_best_known(room, each) for each in (state, near))
+    assert far.value <= far.upper_bound < close.value <= close.upper_bound
+    goals = tuple(parse_goal(goal, room) for goal in ("grip key-1", "use door-1"))
+    bounds, costs = ([count(each) for each in (state, near)] for count in (
+        lambda each: LegBounds(room).bound_goals(each, goals),
+        lambda each: planner.answer(PlanningRequest(each, goals)).cost))
+    assert bounds[1] <= costs[1] < bounds[0] <= costs[0]

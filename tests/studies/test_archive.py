@@ -45,7 +45,7 @@ def find_fewest(env: Any) -> int:
             for action in range(env.action_space.n):
                 env.set_state(state)
                 _, _, terminated, _, info = env.env.step(action)
-                if terminated and info["success"]:
+                if terminated and info["is_success"]:
                     return length
                 reached = env.get_state()
                 place = (reached.pose, reached.puzzle, reached.touching)
@@ -65,7 +65,7 @@ def test_every_primitive_is_counted_and_the_moves_escape(env: CountedEnv, return
     assert env.steps == found.primitives, "those of returning too"
     env.reset(seed=0)
     *_, (_, _, terminated, _, info) = map(env.step, found.moves)
-    assert terminated and info["success"] and len(found.moves) == found.lengths[-1][1]
+    assert terminated and info["is_success"] and len(found.moves) == found.lengths[-1][1]
     assert [at for at, _ in found.lengths] == sorted(at for at, _ in found.lengths) and len(found.lengths) == 6
     again = explore(env, ArchiveSettings(cell=1.0, headings=1, returns=returns), 3, 5_000, 1_000)
     assert again == found

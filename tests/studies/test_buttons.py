@@ -22,6 +22,7 @@ from studies.buttons.analysis import (
     advise,
     compare_searchers,
     draw,
+    find_reach,
     fit_growth,
     list_times,
     measure,
@@ -65,6 +66,11 @@ def test_a_power_law_is_found_with_its_exponent_and_told_from_an_exponential():
     assert exact is not None and (exact.exponent, exact.factor) == pytest.approx((2, 2.5), rel=0.02)
 
 
+def test_half_of_the_runs_is_enough_to_reach_a_size_although_their_median_is_infinite():
+    half = [EscapeRun(LEARNER, 12, 20.0, run, BUDGET, 80 if run < 5 else None) for run in range(10)]
+    assert find_reach(half) == 12 and not list_times(half)
+
+
 @pytest.mark.in_turn
 def test_an_exponential_is_told_from_a_power_law():
     growth = fit(make_runs(lambda n: 30 * 1.4**n))
@@ -74,14 +80,15 @@ def test_an_exponential_is_told_from_a_power_law():
 def test_sizes_with_which_fewer_than_half_of_the_runs_escape_do_not_count():
     runs = [run for run in make_runs(lambda n: 10 * n) if run.buttons <= 6]
     failed = [EscapeRun(LEARNER, 8, 20.0, run, BUDGET, 80 if run < 4 else None) for run in range(10)]
-    assert list(list_times(runs + failed)) == [2, 3, 4, 6]
+    assert list(list_times(runs + failed)) == [2, 3, 4, 6] and find_reach(runs + failed) == 6
+    assert find_reach(failed) is None
     assert fit([run for run in runs + failed if run.buttons != 2]) is None, "three sizes give no law"
 
 
 def test_sentences_follow_the_data():
     def write(learner: list[EscapeRun], searcher: list[EscapeRun]) -> list[str]:
         both = {LEARNER: learner, SEARCHER: searcher}
-        largest = {agent: max(list_times(runs), default=None) for agent, runs in both.items()}
+        largest = {agent: find_reach(runs) for agent, runs in both.items()}
         return list(tell_growth({agent: fit(runs) for agent, runs in both.items()}, largest, WORDS, 20))
 
     slow, quick = make_runs(lambda n: 40 * n**1.5), make_runs(lambda n: 10 * n**1.5, SEARCHER)
@@ -102,7 +109,7 @@ def test_the_searcher_is_held_against_learners_room_by_room(learner: float, sent
     of = {LEARNER: make_runs(lambda n: learner * n**1.5), SEARCHER: make_runs(lambda n: 10 * n**1.5, SEARCHER)}
     of[LEARNER] = [dataclasses.replace(run, first_escape=run.first_escape and round(run.first_escape * (
         1 + 0.3 * (-1) ** run.run))) for run in of[LEARNER]]
-    largest = {agent: max(list_times(runs), default=None) for agent, runs in of.items()}
+    largest = {agent: find_reach(runs) for agent, runs in of.items()}
     ratios = compare_searchers(of, largest, 20)
     assert sentence in " ".join(tell_searchers(ratios, WORDS, 20)) and advise(ratios, WORDS, 20).startswith(advice)
 

@@ -291,7 +291,7 @@ def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about():
 @pytest.mark.parametrize(("learner", "nearest", "told"), [
     (0.6, 0.8, ("**No learner matches searching in `pair`: ",
                 "reaches 0.20 less than the best searcher, `smdp-untried-near")),
-    (0.8, 0.6, ("**Training pays beyond searching in 1 of 1 cells of `pair`: ",
+    (0.8, 0.6, ("**In these rooms of `pair`, training pays beyond searching in 1 of 1 cells: ",
                 "reaches 0.20 more than the best searcher, `smdp-untried-near")),
     (0.7, 0.7, ("**No learner is shown to beat searching in `pair`: ",
                 "is not shown to reach more or less than the best se"))])
@@ -301,11 +301,11 @@ def test_learners_are_held_against_the_best_searcher_and_not_against_chance(lear
     lines = [*make_seeds(MEMORY, 1000, learner, 2), *make_seeds(CHANCE, 1, 0.3, 5, primitives=0),
              *make_seeds(untried, 1, nearest - 0.1, 4, primitives=0), *make_seeds(near, 1, nearest, 6, primitives=0)]
     page = tell("generalisation", lines)
-    assert not [words for words in told if words not in page] and "ceiling" not in page, page
+    assert not [words for words in told if words not in page] and "Bayes planner" not in page, page
     (ceiling,) = CEILING
     page = tell("generalisation", [*lines, *make_seeds(ceiling, 1, 0.9, 6, primitives=0)])
     assert not [words for words in told if words not in page], "nobody is held against who knows more than searchers"
-    assert f"The ceiling is 0.90: `{ceiling}`" in page
+    assert f"The Bayes planner, `{ceiling}`, is given how graphs are drawn and has 0.90" in page
     assert "than random choices" not in page
     depths = [dataclasses.replace(line, protocol="depth", rung="6 buttons, layered") for line in lines]
     page = tell("generalisation", [*lines, *depths])
@@ -323,12 +323,12 @@ def test_the_best_of_several_cells_is_corrected_for_the_choice():
                                     efficiency=line.efficiency + gains[(line.seed + shift) % 10]) for line in searched]
 
     said = tell("generalisation", [*searched, *train_in(16, 0)])
-    assert "**Training pays beyond searching in 1 of 1 cells of `pair`: " in said
+    assert "**In these rooms of `pair`, training pays beyond searching in 1 of 1 cells: " in said
     assert f"`{MEMORY}` with 16 training rooms reaches" in said and "in 3 unseen rooms, the best" in said
     assert "(+0.05, +0.00 to +0.09 over training seeds in these rooms)" in said
     other = tell("generalisation", [dataclasses.replace(line, rung="chain", episodes=7)
                                     for line in [*searched, *train_in(16, 0)]])
-    assert "1 of 1 cells of `chain`: " in other and "in 7 unseen rooms, the best" in other
+    assert "In these rooms of `chain`, training pays" in other and "in 7 unseen rooms, the best" in other
     several = [line for shift, rooms in enumerate((1, 4, 16, 64, 256)) for line in train_in(rooms, shift)]
     said = tell("generalisation", [*searched, *several])
     assert f"`{MEMORY}` at its best number of training rooms, " in said, "the number was chosen after a look"

@@ -47,7 +47,7 @@ def say(*args, **changes) -> list[str]:
 def test_a_learner_above_the_searcher_has_learned_and_its_share_is_told():
     headline, *rest = say((0.6, 0.75, 0.91), 0.68)
     assert headline.startswith("What marks mean is learned across rooms. Trained in 1,000 rooms")
-    assert "the best searcher that learns nothing (0.70); the ceiling is 0.98, so its learned share is 7" in headline
+    assert "the best search baseline (0.70); the Bayes planner has 0.98, so its learned share is 7" in headline
     assert rest[0].startswith("From 1 to 1,000 training rooms efficiency rises by +0.3")
     assert rest[1].startswith("Trained in 1 room it is worse than the searcher, with 0.6")
     assert rest[2].startswith("From 16 to 1,000 training rooms efficiency rises by +0.1")
@@ -63,7 +63,7 @@ def test_other_truths_give_other_sentences():
     assert "From 16 to 1,000 training rooms efficiency falls by -0.1" in say((0.8, 0.9, 0.8), 0.7)[2]
     assert "something else carries over" in say((0.6, 0.8, 0.9), 0.85)[-2]
     assert say((0.6, 0.8, 0.9), 0.4)[-2].endswith("below the searcher.")
-    assert "reaches above the ceiling" in say((0.6, 0.8, 0.99), 0.7, ceiling=0.9)[-3]
+    assert "reaches above the Bayes planner" in say((0.6, 0.8, 0.99), 0.7, ceiling=0.9)[-3]
     assert say((0.6, 0.6, 0.6), 0.7)[-1].startswith("True marks are worth -0.1")
     assert "learned share" not in say((0.6, 0.8, 0.9), 0.7, ceiling=0.72)[0], "nothing lies between the two"
 
@@ -105,16 +105,16 @@ def test_the_headline_names_the_kinds_in_which_more_rooms_teach_more():
 
     learned, flat = (0.5, 0.6, 0.9), (0.5, 0.9, 0.9)
     assert summarise(learned, learned, learned) == (
-        "In 3 of 3 kinds the learner is better in 48 rooms that it has never seen than the best searcher that learns "
-        "nothing (intervals are over training seeds in these rooms). With kind 0, kind 1 and kind 2 "
-        "efficiency rises by 0.2 or more from 16 to 1,000 training rooms, to above the searcher and below the ceiling.")
+        "In these 48 unseen rooms the learner is above the best search baseline in 3 of 3 kinds. Intervals are over "
+        "training seeds, so they do not cover other rooms. With kind 0, kind 1 and kind 2 efficiency rises "
+        "by 0.2 or more from 16 to 1,000 training rooms, to above the searcher and below the Bayes planner.")
     two = summarise(flat, learned)
-    assert two.startswith("In 2 of 2 kinds") and "With kind 1 efficiency" in two
+    assert "baseline in 2 of 2 kinds" in two and "With kind 1 efficiency" in two
     assert two.endswith("; with kind 0 this is not shown.")
     for truth, above in ((flat, 1), ((0.5, 0.75, 0.9), 1), ((0.1, 0.3, 0.65), 0), ((0.5, 0.6, 0.99), 1)):
         said = summarise(truth)
-        assert said.startswith(f"In {above} of 1 kinds") and "In none is it shown that efficiency rises" in said, (
-            "no rise, too little, not above the searcher, not below the ceiling")
+        assert f"baseline in {above} of 1 kinds" in said and "In none is it shown that efficiency rises" in said, (
+            "no rise, too little, not above the searcher, not below the Bayes planner")
 
 
 def test_missing_cells_are_refused():

@@ -10,7 +10,7 @@ import pytest
 
 from hrl_escape.env.puzzles.graphs import find_ancestors
 from hrl_escape.errors import PlanningFailed, PluginError, UnknownNameError
-from hrl_escape.text import MANAGERS, ToolCall, ToolsAgent, Turn, make_model
+from hrl_escape.text import ToolCall, ToolsAgent, Turn, make_model, models
 from hrl_escape.text.told_env import ToldEnv
 from tests.text.rooms import get_room, make_env, make_session, play_manager
 
@@ -105,13 +105,14 @@ def test_the_planner_needs_the_model():
 
 
 def test_models_have_names(monkeypatch: pytest.MonkeyPatch):
-    assert list(MANAGERS) == ["uniform", "untried", "untried-nearest", "planner"]
+    assert list(models) == ["uniform", "untried", "untried-nearest", "planner"]
     with pytest.raises(UnknownNameError, match="untried-nearest"):
         make_model("untired-nearest")
     points = (importlib.metadata.EntryPoint("mine", "tests.text.test_managers:leave", "hrl_escape.models"),
               importlib.metadata.EntryPoint("broken", "tests.text.nowhere:leave", "hrl_escape.models"))
-    monkeypatch.setattr("hrl_escape.text.managers.entry_points", lambda group: points)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
     assert make_model("mine")([], []) == leave([], [])
+    models.unregister("mine")
     with pytest.raises(PluginError, match="broken"):
         make_model("broken")
 

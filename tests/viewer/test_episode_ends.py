@@ -105,5 +105,5 @@ def test_agents_over_options_are_told_of_no_success(failed):
     for action in chosen:
         _, _, terminated, _, info = one.step(action)
         _, _, ended, _, infos = many.step(np.array([action, action]))
-    assert terminated and not info["success"]
-    assert np.asarray(ended).all() and not np.asarray(infos.get("final_info", infos)["success"]).any()
+    assert terminated and not info["is_success"]
+    assert np.asarray(ended).all() and not np.asarray(infos.get("final_info", infos)["is_success"]).any()

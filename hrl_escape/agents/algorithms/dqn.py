@@ -7,8 +7,8 @@ to be fitted and n decisions carry values ahead of it (`benchmarks/README.md`).
 
 It is composed of `components/networks.py`, `components/replay.py` and `components/exploration.py`.
 
-One environment is not a batch of one stream: acting and storing in numpy takes about 25 us a decision on one CPU core,
-the same in tensors about 28 times as long.
+One environment is not a batch of one stream: acting and storing in numpy takes about 44 us a decision on one CPU core,
+the same through a stream of tensors 1,090 us.
 """
 
 from __future__ import annotations

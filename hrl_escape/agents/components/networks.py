@@ -74,18 +74,24 @@ class ObservationEncoder:
 
     Images (uint8, three axes with 1, 3 or 4 channels last) stay uint8 and become channels first; every other space
     becomes a float32 vector, by `gymnasium.spaces.flatten` (one-hot for discrete parts) where it is not a Box. An
-    observation with goals becomes the vector of the observation, then that of the desired goal.
+    observation with goals becomes the vector of the observation, then that of the desired goal. Parts of a `Dict` that
+    have no vector form, such as MiniGrid's mission, are left out with a warning that names them.
+
+    Args:
+        space: space of the observations.
+        scale: map components of a Box with finite bounds to [-1, 1].
 
     Attributes:
+        space: the space of the parts that are encoded.
         shape: shape of an encoded observation.
         dtype: uint8 for images, else float32.
 
     Raises:
-        UnsupportedSpaceError: the space has no fixed size, or pictures come with goals.
+        UnsupportedSpaceError: no part of the space has a vector form, or pictures come with goals.
     """
 
     def __init__(self, space: gymnasium.Space, scale: bool) -> None:
-        self.space = space
+        space = self.space = keep_vector_parts(space)
         self._is_box = isinstance(space, spaces.Box)
         self.is_image = is_image_space(space)
         self._parts: dict[str, ObservationEncoder] = {}
@@ -101,8 +107,7 @@ class ObservationEncoder:
             self.shape, self.dtype = (channels, height, width), np.dtype(np.uint8)
             return
         flat = flatten_space(space)
-        if not isinstance(flat, spaces.Box):
-            raise UnsupportedSpaceError(f"networks need observations of fixed size, which {space} does not give")
+        assert isinstance(flat, spaces.Box)
         self.shape, self.dtype = flat.shape, np.dtype(np.float32)
         low, high = flat.low.astype(np.float64), flat.high.astype(np.float64)
         bounded = (scale and self._is_box) & (low > -1e6) & (high < 1e6) & (high > low)
@@ -148,6 +153,47 @@ class ObservationEncoder:
             return flat
         middle, factor = (torch.from_numpy(part).to(flat.device) for part in (self._middle, self._factor))
         return (flat - middle) * factor
+
+
+def keep_vector_parts(space: gymnasium.Space) -> gymnasium.Space:
+    """Return the space without the parts of a Dict that `gymnasium.spaces.flatten` cannot make a vector of.
+
+    Warns which parts are left out.
+
+    Raises:
+        UnsupportedSpaceError: no part of the space has a vector form.
+    """
+    left_out: dict[str, gymnasium.Space] = {}
+    kept = _keep_vector_parts(space, "", left_out)
+    listed = ", ".join(f"{name!r} ({type(part).__name__})" if name else str(part) for name, part in left_out.items())
+    if kept is None:
+        raise UnsupportedSpaceError(
+            f"networks need observations that gymnasium.spaces.flatten turns into a vector, which it cannot for "
+            f"{listed}. Encode it as a Box or a Discrete below, such as by gymnasium.wrappers.TransformObservation")
+    if left_out:
+        warnings.warn(
+            f"the agent does not see these parts of the observation, which have no vector form: {listed}. If the task "
+            "depends on them, encode them as a Box or a Discrete by gymnasium.wrappers.TransformObservation. If not, "
+            "remove them by gymnasium.wrappers.FilterObservation", stacklevel=2)
+    return kept
+
+
+def _keep_vector_parts(space: gymnasium.Space, name: str, left_out: dict[str, gymnasium.Space]
+                       ) -> gymnasium.Space | None:
+    if isinstance(space, spaces.Dict) and len(space):
+        parts = {key: _keep_vector_parts(part, f"{name}.{key}" if name else str(key), left_out)
+                 for key, part in space.items()}
+        if all(parts[key] is part for key, part in space.items()):
+            return space
+        kept = {key: part for key, part in parts.items() if part is not None}
+        return spaces.Dict(kept) if kept else None
+    try:
+        is_vector = isinstance(flatten_space(space), spaces.Box)
+    except NotImplementedError:
+        is_vector = False
+    if not is_vector:
+        left_out[name] = space
+    return space if is_vector else None
 
 
 def is_goal_space(space: gymnasium.Space) -> TypeGuard[spaces.Dict]:
@@ -362,7 +408,8 @@ def _make_convolutions(shape: tuple[int, ...], initialisation: str, generator: t
     if min(height, width) < 36 or extra_inputs:
         raise UnsupportedSpaceError(
             f"pictures of {height} x {width} cannot be used here: convolutions need at least 36 x 36, and an agent "
-            "that feeds actions into its network (ddpg) needs vector observations"
+            "that feeds actions into its network (ddpg) needs vectors. Wrap the environment in "
+            "gymnasium.wrappers.FlattenObservation, or resize its pictures by ResizeObservation"
         )
     layers: list[nn.Module] = [_Unit()]
     gain = nn.init.calculate_gain("relu")

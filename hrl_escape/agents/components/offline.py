@@ -35,8 +35,9 @@ from hrl_escape.agents.state import Kept, pack_keys, unpack_keys
 from hrl_escape.errors import AgentSettingsError, UnsupportedError
 from hrl_escape.settings import Range
 from hrl_escape.spaces import ObjectsBox
+from hrl_escape.step_info import ENDINGS
 
-OPTION_ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
+OPTION_ENDINGS = ENDINGS
 """Endings of decisions, in the words of `info["option"]["ended"]`; `Decisions.ended` is an index into it."""
 FEW_STATES = 0.1
 """States for each decision of the data up to which `values=auto` is a table."""

@@ -77,7 +77,7 @@ def make_cell_finder(space: gymnasium.Space, settings: ResolutionSettings, agent
     if not isinstance(space, spaces.Box) or len(space.shape) != 1:
         raise UnsupportedSpaceError(
             f"{agent} keeps a table and needs Discrete, MultiBinary, MultiDiscrete or flat Box observations, not "
-            f"{space}; for pictures use dqn or ppo"
+            f"{space}; for other observations use dqn or ppo"
         )
     low, high = space.low.astype(np.float64), space.high.astype(np.float64)
     bounded = (low > -1e6) & (high < 1e6) & (high > low)

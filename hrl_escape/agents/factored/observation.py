@@ -40,7 +40,7 @@ class FactorReader:
         else:
             raise UnsupportedSpaceError(
                 f"{agent} learns about discrete factors and needs Discrete, MultiBinary, MultiDiscrete or flat Box "
-                f"observations, not {space}; for pictures use dqn or ppo"
+                f"observations, not {space}; for other observations use dqn or ppo"
             )
         self._is_open = isinstance(space, spaces.Box)
         self._sizes = sizes.astype(np.int64)

@@ -31,13 +31,14 @@ class RunDescription:
     identity: Mapping[str, Any]  # everything that decides its numbers, a JSON value
     folder: Path | None  # of the run; None without one
     first: int  # primitives of the first row to come, 0 for a new run
+    evaluations: tuple[Evaluation, ...] = ()  # made before it was resumed; empty for a new run
 
 
 class Callback:
     """Base of callbacks, which does nothing: override what you want to be told."""
 
-    def on_begin(self, run: RunDescription) -> None:
-        """The run begins, or goes on from its checkpoint."""
+    def on_begin(self, run: RunDescription) -> bool | None:
+        """The run begins, or goes on from its checkpoint; True ends one that goes on."""
 
     def on_row(self, row: Mapping[str, Any]) -> None:
         """A row of the log: an episode, a segment or an evaluation, as `log.jsonl` has it."""
@@ -50,7 +51,10 @@ class Callback:
         """A checkpoint was written into the run's folder."""
 
     def on_end(self, result: TrainResult | None) -> None:
-        """The run is over, with its result, or was interrupted: None. Nothing follows."""
+        """The run is over, with its result, or was interrupted: None. Nothing follows.
+
+        An exception here is reported as a warning: the result is returned, and all other callbacks are called.
+        """
 
 
 def list_numbers(row: Mapping[str, Any]) -> dict[str, float]:
@@ -168,6 +172,13 @@ class OptunaPruning(Callback):
 
     def __init__(self, trial: Any) -> None:
         self.trial, self.is_pruned = trial, False
+
+    def on_begin(self, run: RunDescription) -> bool:
+        """Report the evaluations made before the run was resumed; True where the trial should be pruned."""
+        for evaluation in run.evaluations:
+            self.trial.report(evaluation.mean_return, evaluation.primitives)
+        self.is_pruned = bool(run.evaluations) and bool(self.trial.should_prune())
+        return self.is_pruned
 
     def on_evaluation(self, agent: Agent, evaluation: Evaluation) -> bool:
         """Report the mean return at this many primitives; True where the trial should be pruned."""

@@ -32,8 +32,9 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorWrapper
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, RenderCollection
 
+from hrl_escape.agents.label import AgentLabel
 from hrl_escape.agents.training.checkpoint import compute_state_digest
-from hrl_escape.errors import CheckpointError, TrustError, describe_damage
+from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, describe_damage
 from hrl_escape.settings import Settings
 
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, RenderCollection)
@@ -42,6 +43,8 @@ UNKNOWN = {"unknown": True}
 """Stands for an argument that no attribute keeps."""
 PARTS_GROUP = "hrl_escape.parts"
 """Entry points of other packages: environments, wrappers, settings and functions that run folders may name."""
+
+MEMORY = "hrl_escape.options.memory:DecisionMemory"
 
 OWN = frozenset({
     "hrl_escape.comparison.places:RoomSchedule",
@@ -63,7 +66,7 @@ OWN = frozenset({
     "hrl_escape.options.domain:OptionDomain",
     "hrl_escape.options.domain:RoomDomain",
     "hrl_escape.options.masked_observation:MaskedObservation",
-    "hrl_escape.options.memory:DecisionMemory",
+    MEMORY,
     "hrl_escape.options.options_env:OptionsEnv",
     "hrl_escape.synthesis.hierarchy_env:HierarchyEnv",
     "hrl_escape.text.told_env:ToldEnv",
@@ -111,6 +114,31 @@ def describe_env(env: gymnasium.Env) -> dict[str, Any]:
     else:
         arguments = _read_arguments(env)
     return {"class": name_part(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
+
+
+def check_label(label: AgentLabel, env: gymnasium.Env) -> None:
+    """Require that an environment's options, memory and hierarchy are those of an agent's label.
+
+    Args:
+        label: what it leaves open is not checked.
+        env: ordinary environment in which the agent trains.
+
+    Raises:
+        AgentSettingsError: they disagree; the message says how to make the environment.
+    """
+    asked = {**label.options, **({"leaves": label.leaves} if label.leaves else {})}
+    if not asked:
+        return
+    found: dict[str, Any] = {}
+    for part in describe_env(env)["wrappers"]:
+        found |= part["arguments"] | ({"memory": True} if part["class"] == MEMORY else {})
+    if all(found.get(name) == value for name, value in asked.items()):
+        return
+    arguments = "".join(f", {name}={value!r}" for name, value in asked.items() if name != "memory")
+    needed = f"{'OptionsEnv' if label.leaves is None else 'HierarchyEnv'}(env{arguments})"
+    needed = f"DecisionMemory({needed})" if "memory" in asked else needed
+    raise AgentSettingsError("agent", label.text, f"it needs the environment {needed}; make that, or take {label.name} "
+                             "without these words")
 
 
 def describe_many(env: Any) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from hrl_escape.agents.agent import (
     read_success,
     set_option_discount,
 )
+from hrl_escape.step_info import read_share
 
 LONGEST_EPISODE = 100_000
 """Primitives after which an episode ends that has no time limit."""
@@ -40,9 +41,9 @@ class Evaluation:
     returns: tuple[float, ...]  #: undiscounted return of each episode
     lengths: tuple[int, ...]  #: primitives of each episode
     decision_counts: tuple[int, ...]  #: decisions of each episode
-    successes: tuple[bool, ...]  #: whether each succeeded, by what `read_success` says of its end
-    progress: tuple[float, ...]
-    """Share of the task done at best in each, the largest `info["progress"]` if given, else 1 for success."""
+    successes: tuple[bool | None, ...]  #: whether each succeeded; None where the environment reports no success
+    progress: tuple[float | None, ...]
+    """Share of the task done at best in each: the largest `info["progress"]` if given, else its success."""
     seconds: float = field(default=0.0, compare=False)  #: wall time; left out of comparisons between results
 
     @property
@@ -51,19 +52,24 @@ class Evaluation:
         return statistics.fmean(self.returns)
 
     @property
-    def success_rate(self) -> float:
-        """Share of episodes that succeeded."""
-        return statistics.fmean(self.successes)
+    def success_rate(self) -> float | None:
+        """Share of episodes that succeeded, of those that report it; None where none does."""
+        return _compute_reported_mean(self.successes)
 
     @property
-    def mean_progress(self) -> float:
-        """Mean over episodes of the most progress in each, 0 to 1."""
-        return statistics.fmean(self.progress)
+    def mean_progress(self) -> float | None:
+        """Mean over episodes of the most progress in each, 0 to 1; None where none reports any."""
+        return _compute_reported_mean(self.progress)
 
     @property
     def mean_length(self) -> float:
         """Mean primitives of an episode."""
         return statistics.fmean(self.lengths)
+
+
+def _compute_reported_mean(values: Sequence[float | None]) -> float | None:
+    reported = [value for value in values if value is not None]
+    return statistics.fmean(reported) if reported else None
 
 
 def compute_episode_seed(seed: int, purpose: str, episode: int) -> int:
@@ -165,15 +171,31 @@ class _Sums:
     """Sums over one episode, or one trial of it."""
 
     def __init__(self) -> None:
-        self.total, self.length, self.count, self.success, self.progress = 0.0, 0, 0, False, 0.0
+        self.total, self.length, self.count = 0.0, 0, 0
+        self._progress: float | None = None
+        self._info: Mapping[str, Any] = {"is_success": False}  # of a trial that the episode does not come to
 
     def add(self, transition: SMDPTransition, info: Mapping[str, Any]) -> None:
-        """Count a decision's reward, primitives and progress; success is that of the latest."""
+        """Count a decision's reward, primitives and progress."""
         self.total += transition.summed_reward
         self.length += transition.duration
         self.count += 1
-        self.success = read_success(info, transition.terminated)
-        self.progress = max(self.progress, float(info.get("progress", self.success)))
+        self._info = info
+        share = read_share(info, "progress")
+        if share is not None:
+            self._progress = max(self._progress or 0.0, share)
+
+    @property
+    def success(self) -> bool | None:
+        """Success at the latest decision."""
+        return read_success(self._info)
+
+    @property
+    def progress(self) -> float | None:
+        """Most progress so far, or else the success."""
+        if self._progress is not None:
+            return self._progress
+        return None if (success := self.success) is None else float(success)
 
 
 def _sum_trials(agent: Agent, env: gymnasium.Env, seed: int, episode: int, trials: int,

@@ -99,5 +99,5 @@ class OfflineRun(Run):
             report(self.primitives, self.describe_returns())
             if self.is_over or self.agent.is_table:
                 break
-        none = {"train/episodes": 0, "train/successes": 0, "train/return": None, "train/length": None}
+        none = {"train/episodes": 0, "train/successes": None, "train/return": None, "train/length": None}
         return self.end_segment(none, means, started, before)

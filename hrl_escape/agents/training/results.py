@@ -30,9 +30,9 @@ METRICS = {
     "train/return": "undiscounted return of a training episode, exploration included",
     "train/length": "primitives in a training episode",
     "train/decisions": "decisions in a training episode",
-    "train/success": "1 if the episode succeeded (info['is_success'] or info['success'], else terminated), else 0",
+    "train/success": "1 if the episode succeeded, else 0; absent where the environment reports no success",
     "train/episodes": "episodes that ended in a segment of training in many streams",
-    "train/successes": "episodes that ended in a segment with success",
+    "train/successes": "episodes that ended in a segment with success; absent where none of them reports it",
     "train/end": "how the episode ended: terminated, truncated, or budget where the run's budget cut it",
     "train/loss": "mean loss of the updates in the episode",
     "train/gradient_norm": "mean norm of the loss's gradient at the last update of a decision, before clipping",
@@ -64,13 +64,14 @@ METRICS = {
     "train/option_entropy": "entropy of the learned option that acts, in nats, over the same runs",
     "train/option_collapse": "1 where learned options have collapsed: into one, or into options of one decision",
     "eval/return": "mean undiscounted return of frozen weights",
-    "eval/success": "share of evaluation episodes that succeeded",
+    "eval/success": "share of evaluation episodes that succeeded, of those that report it; absent where none does",
     "eval/length": "mean primitives of an evaluation episode",
     "eval/returns": "return of each evaluation episode",
     "eval/lengths": "primitives of each evaluation episode",
     "eval/decision_counts": "decisions of each evaluation episode",
-    "eval/successes": "whether each evaluation episode succeeded",
-    "eval/progress": "share of the task done at best in each: the largest info['progress'] if given, else its success",
+    "eval/successes": "whether each evaluation episode succeeded; absent where none reports it",
+    "eval/progress": "share of the task done at best in each: the largest info['progress'], else its success; "
+                     "absent where no episode reports either",
     "option/choices": "decisions of the episode by the name of what was chosen, primitives included",
     "option/primitives": "primitives of the episode by the name of what was chosen",
     "option/failures": "decisions of the episode whose planning failed",
@@ -91,7 +92,7 @@ class EpisodeRecord:
     decisions: int  # decisions trained for, at its end
     episode_return: float  # undiscounted sum of primitive rewards
     length: int  # primitives in it
-    success: bool  # what `read_success` says of its end
+    success: bool | None  # info["is_success"], else info["success"], at its end; None where it has neither
     end: str  # `terminated`, `truncated`, or `budget` where the run's budget cut it
     seconds: float = field(compare=False)
     """Seconds of training at its end, without evaluations; left out of comparisons."""
@@ -104,7 +105,7 @@ class SegmentRecord:
     primitives: int  # primitives trained for, at its end, of all streams together
     decisions: int  # decisions trained for, at its end
     episodes: int  # episodes that ended in it
-    successes: int  # of these episodes
+    successes: int | None  # of these episodes; None where none of them reports its success
     mean_return: float | None  # their mean undiscounted return; None where none ended
     mean_length: float | None  # their mean number of primitives; None where none ended
     seconds: float = field(compare=False)
@@ -122,6 +123,15 @@ def make_evaluation_row(evaluation: Evaluation) -> dict[str, Any]:
         "eval/length": evaluation.mean_length,
         **{name: getattr(evaluation, field) for field, name in _ROWS["evaluation"][1].items()},
     }
+
+
+_OPTIONAL = frozenset({"train/success", "train/successes", "eval/success", "eval/successes", "eval/progress"})
+
+
+def omit_absent(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Copy of a row without the success and progress of episodes that report none."""
+    return {name: value for name, value in row.items() if name not in _OPTIONAL or value is not None and (
+        not isinstance(value, tuple) or any(each is not None for each in value))}
 
 
 _ROWS: dict[str, tuple[type, dict[str, str]]] = {
@@ -148,8 +158,13 @@ def read_row(row: Mapping[str, Any]) -> EpisodeRecord | SegmentRecord | Evaluati
         ConfigError: a value is not possible.
     """
     kind, names = _ROWS[row["kind"]]
-    fields = {field: row[name] for field, name in names.items()}
-    return read_record(kind, fields | ({"success": bool(fields["success"])} if "success" in fields else {}))
+    fields = {field: row.get(name) if name in _OPTIONAL else row[name] for field, name in names.items()}
+    if fields.get("success") is not None:
+        fields["success"] = bool(fields["success"])
+    if kind is Evaluation:
+        none = (None,) * len(row["eval/returns"])
+        fields |= {name: none for name in ("successes", "progress") if fields[name] is None}
+    return read_record(kind, fields)
 
 
 @dataclass(frozen=True)
@@ -175,16 +190,28 @@ class TrainResult:
 
     def __repr__(self) -> str:
         first, last = self.first_escape, self.evaluations[-1] if self.evaluations else None
-        end = "" if last is None else f", return {last.mean_return:.4g} in {last.success_rate:.0%} successful episodes"
-        escape = "no success in training" if first is None else f"first success at {first:,}"
-        return f"<TrainResult {self.agent_name}, seed {self.seed}: {self.primitives:,} primitives{end}, {escape}>"
+        words = [f"{self.primitives:,} primitives"]
+        if last is not None:
+            rate = last.success_rate
+            words.append(f"return {last.mean_return:.4g}"
+                         + ("" if rate is None else f" in {rate:.0%} successful episodes"))
+        if self.reports_success:
+            words.append("no success in training" if first is None else f"first success at {first:,}")
+        return f"<TrainResult {self.agent_name}, seed {self.seed}: {', '.join(words)}>"
 
     def _repr_svg_(self) -> str:
         return make_svg(self.plot())
 
     @property
+    def reports_success(self) -> bool:
+        """True if the environment reports the success of an episode, in training or in evaluations."""
+        return (any(episode.success is not None for episode in self.episodes)
+                or any(segment.successes is not None for segment in self.segments)
+                or any(evaluation.success_rate is not None for evaluation in self.evaluations))
+
+    @property
     def first_escape(self) -> int | None:
-        """Primitives trained for at the end of the first episode that succeeded; None if none did.
+        """Primitives trained for at the end of the first episode that succeeded; None without one.
 
         In many streams it is the end of the segment in which it did.
         """
@@ -196,11 +223,11 @@ class TrainResult:
         """Learning curve from the evaluations.
 
         Args:
-            metric: `mean_return`, `success_rate` or `mean_length`.
+            metric: `mean_return`, `success_rate`, `mean_progress` or `mean_length`.
             against: `primitives`, `decisions` or `seconds` (of training).
 
         Returns:
-            x and y, float64 (evaluations,).
+            x and y, float64 (evaluations,). Rates of an environment that reports no success are NaN.
         """
         if against == "seconds":
             ends = {record.primitives: record.seconds for record in (*self.episodes, *self.segments)}

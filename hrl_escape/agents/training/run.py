@@ -14,7 +14,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import Any, Protocol, cast
 
@@ -34,12 +34,21 @@ from hrl_escape.agents.training.evaluation import (
     evaluate,
     walk_episode,
 )
-from hrl_escape.agents.training.results import EpisodeRecord, SegmentRecord, TrainResult, make_evaluation_row, read_row
+from hrl_escape.agents.training.results import (
+    EpisodeRecord,
+    SegmentRecord,
+    TrainResult,
+    make_evaluation_row,
+    omit_absent,
+    read_row,
+)
 from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
+from hrl_escape.signals import end_by_signal
+from hrl_escape.step_info import is_decision, read_option
 from hrl_escape.version import __version__, find_versions
 
-NOTICE = b"\ninterrupted: the run is saved once this episode ends; Ctrl-C again stops it at once\n"
+NOTICE = b"\ninterrupted: the run is saved once this episode ends; interrupt again to stop it at once\n"
 NO_OPTIONS = (
     "{name} chooses options, and this environment's steps have no info['duration'], so that each counts as one "
     "primitive. Where it should have options, give train OptionsEnv(env)"
@@ -166,25 +175,28 @@ class Run(Stateful):
 
         Raises:
             DivergenceError: a loss became NaN; names run and primitive.
-            KeyboardInterrupt: Ctrl-C was pressed; a run with a folder has saved the episode that was running.
+            KeyboardInterrupt: Ctrl-C was pressed; a run with a folder has saved the episode that was running. SIGTERM
+                and SIGHUP save it too, and then end the process as they would have at once.
         """
         folder, resumed_at = self._folder, self.primitives
         if folder is not None and folder.state is not None and (finished := folder.result) is not None:
             self._sign()
             return dataclasses.replace(finished, agent=self.agent, resumed_at=finished.primitives)
+        with nullcontext(lambda: False) if folder is None else _deferring_signals() as is_interrupted:
+            return self._finish(folder, resumed_at, checkpoint_seconds, report, is_interrupted)
+
+    def _finish(self, folder: RunFolder | None, resumed_at: int, checkpoint_seconds: float, report: Reporter,
+                is_interrupted: Callable[[], bool]) -> TrainResult:
         result: TrainResult | None = None
         begun: list[Callback] = []
         try:
             if self.callbacks:
                 described = self._describe()
                 for callback in self.callbacks:
-                    callback.on_begin(described)
+                    stops = bool(callback.on_begin(described))
                     begun.append(callback)
-            if folder is None:
-                self._train(None, checkpoint_seconds, report)
-            else:
-                with _deferring_interrupts() as is_interrupted:
-                    self._train(folder, checkpoint_seconds, report, is_interrupted)
+                    self._is_stopped |= stops and described.first > 0
+            self._train(folder, checkpoint_seconds, report, is_interrupted)
             made = self.make_result()
             if folder is not None and not self._is_stopped:
                 folder.finish(made.to_json())
@@ -197,21 +209,28 @@ class Run(Stateful):
                                   error.gradient_norm) from error
         finally:
             for callback in begun:
-                callback.on_end(result)
+                try:
+                    callback.on_end(result)
+                except Exception as error:
+                    warnings.warn(f"{type(callback).__name__}.on_end raised {type(error).__name__}: {error}. The run "
+                                  f"{'is complete' if result is not None else 'ended'}, and its files and result are "
+                                  "as without this callback", RuntimeWarning, stacklevel=3)
 
     def _describe(self) -> RunDescription:
         rows, path = (self._folder.rows, self._folder.path) if self._folder is not None else ([], None)
         first = rows[-1]["primitives"] + 1 if rows else 0
-        return RunDescription(self.arguments.name, self.arguments.seed, self.key, self.identity, path, first)
+        return RunDescription(self.arguments.name, self.arguments.seed, self.key, self.identity, path, first,
+                              tuple(self.evaluations))
 
     def _log(self, row: Mapping[str, Any], folder: RunFolder | None) -> None:
+        row = omit_absent(row)
         if folder is not None:
             folder.log(row)
         for callback in self.callbacks:
             callback.on_row(row)
 
     def _train(self, folder: RunFolder | None, checkpoint_seconds: float, report: Reporter,
-               is_interrupted: Callable[[], bool] = lambda: False) -> None:
+               is_interrupted: Callable[[], bool]) -> None:
         """Run episodes until the budget is spent, evaluating and saving between them."""
         last_save = time.monotonic()
         if not self.decisions:
@@ -269,7 +288,7 @@ class Run(Stateful):
         agent, words, end = self.agent, self.describe_returns(), "budget"
         seed = compute_episode_seed(self.arguments.seed, "training", len(self.episodes))
         for transition, info in walk_episode(self.env, seed, self.actions, agent.gamma, agent.act):
-            if self.decisions == 0 and "duration" not in info and self.arguments.name.startswith(SMDP_PREFIX):
+            if self.decisions == 0 and not is_decision(info) and self.arguments.name.startswith(SMDP_PREFIX):
                 warnings.warn(NO_OPTIONS.format(name=self.arguments.name), stacklevel=2)
             metrics = agent.observe(transition)
             self.primitives += transition.duration
@@ -294,7 +313,7 @@ class Run(Stateful):
             "train/return": tally.episode_return,
             "train/length": tally.length,
             "train/decisions": tally.decisions,
-            "train/success": int(tally.success),
+            "train/success": None if tally.success is None else int(tally.success),
             "train/end": end,
             **tally.make_row(),
             "option/planner_calls": self.planner_calls,
@@ -380,31 +399,47 @@ class Run(Stateful):
         self.evaluations = [record for record in records if isinstance(record, Evaluation)]
 
 
-@contextmanager
-def _deferring_interrupts() -> Iterator[Callable[[], bool]]:
-    """Note a first Ctrl-C instead of raising `KeyboardInterrupt`; a second one raises it. Yields whether one came.
+_DEFERRED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-    A terminal is told. Where Python's own handler is not in place, as in threads and in workers that ignore the
-    signal, nothing changes.
+
+@contextmanager
+def _deferring_signals() -> Iterator[Callable[[], bool]]:
+    """Note a first Ctrl-C, SIGTERM or SIGHUP, and act on it at the end; a second one acts at once.
+
+    Yields whether one came. A terminal is told. `KeyboardInterrupt` after Ctrl-C is the caller's to raise, as a run may
+    be over by then; the other two always end the process. Handlers of others stay, as do signals that are ignored, and
+    nothing changes in threads.
     """
-    pressed = threading.Event()
+    noted: list[int] = []
+
+    def act(number: int) -> None:
+        handler = before[number]
+        if callable(handler):
+            handler(number, None)
+        else:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
 
     def note(number: int, frame: FrameType | None) -> None:
-        if pressed.is_set():
-            raise KeyboardInterrupt
-        pressed.set()
-        if sys.stderr is not None and sys.stderr.isatty():
+        noted.append(number)
+        if len(noted) > 1:
+            act(number)
+        elif sys.stderr is not None and sys.stderr.isatty():
             os.write(2, NOTICE)  # a handler may run amid a print
 
-    is_main = threading.current_thread() is threading.main_thread()
-    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield pressed.is_set
-        return
-    signal.signal(signal.SIGINT, note)
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        plain = (signal.SIG_DFL, signal.default_int_handler, end_by_signal)
+        before = {number: handler for number in _DEFERRED if (handler := signal.getsignal(number)) in plain}
     try:
-        yield pressed.is_set
+        for number in before:
+            signal.signal(number, note)
+        yield lambda: bool(noted)
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if noted and noted[0] != signal.SIGINT:
+            act(noted[0])
 
 
 class Means:
@@ -432,7 +467,7 @@ class _Tally(Means):
         super().__init__()
         self.episode_return = 0.0
         self.length = self.decisions = 0
-        self.success = False
+        self._info: Mapping[str, Any] = {}  # of the latest decision
         self._choices: dict[str, int] = {}
         self._choice_primitives: dict[str, int] = {}
         self._failures = 0
@@ -447,14 +482,18 @@ class _Tally(Means):
         self._repeat = self._repeat + 1 if transition.action == self._last_action else 1
         self._last_action = transition.action
         self._longest_repeat = max(self._longest_repeat, self._repeat)
-        if transition.terminated or transition.truncated:
-            self.success = read_success(info, transition.terminated)
-        if (option := info.get("option")) is not None:
-            name = option["name"]
+        self._info = info
+        if (option := read_option(info)) is not None:
+            name = option.get("name", "")
             self._choices[name] = self._choices.get(name, 0) + 1
             self._choice_primitives[name] = self._choice_primitives.get(name, 0) + transition.duration
             self._failures += option.get("ended") == "planning-failed"
         self.note(metrics)
+
+    @property
+    def success(self) -> bool | None:
+        """Success at the latest decision."""
+        return read_success(self._info)
 
     def make_row(self) -> dict[str, Any]:
         """Means of the agent's metrics, and counts of its choices, under their logged names."""
@@ -518,7 +557,7 @@ def show_progress(name: str, total: int, done: int, show: bool | None) -> Iterat
     )
     with Progress(*columns, console=console) as progress:
         if done:
-            console.print(f"{name} goes on from primitive {done:,}", markup=False)
+            console.print(f"{name} resumed at {done:,} of {total:,} primitives", markup=False)
         task = progress.add_task(name, total=total, completed=done, rate="", words="")
         started = last = time.monotonic()
         latest = done, ""

@@ -25,7 +25,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import check_observation, check_same_observations, count_actions
+from hrl_escape.agents.agent import (
+    SUCCESS_KEYS,
+    check_observation,
+    check_same_observations,
+    count_actions,
+    read_success_value,
+    set_option_discount,
+)
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.streams import (
@@ -40,7 +47,8 @@ from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.run import NO_OPTIONS, Means, Reporter, Run, RunArguments
 from hrl_escape.agents.training.run_folder import RunFolder
-from hrl_escape.errors import CheckpointError, StepContractError
+from hrl_escape.errors import CheckpointError, DiscountMismatchError, StepContractError, show_value
+from hrl_escape.step_info import CHANGED, FLOAT32_ROUNDING
 
 REMADE = 200_000
 """Most actions, of all streams together, that stand for running episodes."""
@@ -50,11 +58,13 @@ class VectorStreams:
     """Streams of a vector environment, one decision of each a step.
 
     `infos` may hold what `make_transition` reads of `info`, as arrays: `action_mask`, and for decisions of several
-    primitives `duration` and `discounted_reward`; and `success` where not every terminated episode is one.
+    primitives `duration`, `discount`, `discounted_reward` and `summed_reward`; and `is_success`, else `success`, at the
+    end of an episode. An array `_action_mask`, bool (environments,), and so on, says whose entries count; in an
+    environment without a mask every action is legal. Wrappers of the vector environment act on every step.
 
     Args:
         env: numpy arrays, or tensors, which stay on their device.
-        gamma: discount of `discounted_reward`, where the environment gives one.
+        gamma: discount of `discounted_reward`; set in environments of options.
     """
 
     def __init__(self, env: VectorEnv, gamma: float) -> None:
@@ -65,8 +75,9 @@ class VectorStreams:
         self._mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self.observation = self.action_mask = torch.empty(0)
         self._was_over = torch.zeros(self.count, dtype=torch.bool)
-        self._gives_episodes = hasattr(env.unwrapped, "state_dict")
+        self._gives_episodes = env is env.unwrapped and hasattr(env, "state_dict")  # wrappers may have a state, too
         self._made: list[NDArray[np.integer]] = []  # otherwise, actions of every step since `reset`, (streams,) each
+        set_option_discount(env, gamma)
 
     @property
     def device(self) -> torch.device:
@@ -83,7 +94,7 @@ class VectorStreams:
         self._made = []
         observation, infos = self._env.reset(seed=seeds)
         self.observation = self._take(observation)
-        self.action_mask = self._read_mask(infos)
+        self.action_mask = self._read_masks(infos, torch.ones((), dtype=torch.bool, device=self.device))
         self._was_over = torch.zeros(self.count, dtype=torch.bool, device=self.device)
 
     def step(self, action: Tensor) -> EndedDecisions:
@@ -93,25 +104,26 @@ class VectorStreams:
             self._made.append(action.cpu().numpy().astype(np.min_scalar_type(self._actions)))
         given = action if isinstance(before, Tensor) and self._gives_tensors else action.cpu().numpy()
         seen, reward, terminated, truncated, infos = self._env.step(given)
-        now, mask = self._take(seen), self._read_mask(infos)
-        reward, terminated, truncated = (self._take(part, dtype) for part, dtype in (
-            (reward, torch.float32), (terminated, torch.bool), (truncated, torch.bool)))
+        paid = self._take(reward, torch.float64)
+        every = torch.ones((), dtype=torch.bool, device=paid.device)
+        now, mask = self._take(seen), self._read_masks(infos, every)
+        terminated, truncated = self._take(terminated, torch.bool), self._take(truncated, torch.bool)
         over = (terminated | truncated) & where
         reached, reached_mask, final = now, mask, {}
         if self._mode == AutoresetMode.SAME_STEP and "final_obs" in infos:
             final = infos["final_info"]
             reached = self._replace(now, infos["final_obs"], over)
-            reached_mask = (self._replace(mask, final["action_mask"], over) if "action_mask" in final else
-                            mask | over[:, None])
+            reached_mask = torch.where(over[:, None], self._read_masks(final, every), mask)
         elif self._mode == AutoresetMode.DISABLED and bool(over.any()):
             begun, infos_begun = self._env.reset(options={"reset_mask": over if self._gives_tensors else
                                                           over.cpu().numpy()})
-            now, mask = self._take(begun), self._read_mask(infos_begun)
+            now, mask = self._take(begun), torch.where(over[:, None], self._read_masks(infos_begun, over), mask)
         self.observation, self.action_mask = now, mask
         self._was_over = over if self._mode == AutoresetMode.NEXT_STEP else torch.zeros_like(over)
-        duration, discounted = self._read_rewards(reward, infos, final, over)
-        return EndedDecisions(where, before, action, reward, discounted, duration, reached, reached_mask, terminated,
-                          truncated, self._read_success(terminated, final or infos))
+        duration, summed, discounted = self._read_rewards(paid, infos, final, where, over)
+        success = self._read_success(final if self._mode == AutoresetMode.SAME_STEP else infos, over)
+        return EndedDecisions(where, before, action, summed, discounted, duration, reached, reached_mask, terminated,
+                          truncated, success)
 
     # --- what comes from the environment ---------------------------------------------------
 
@@ -132,43 +144,143 @@ class VectorStreams:
             np.stack([np.asarray(values[row]) for row in rows.tolist()]))
         return batch.index_copy(0, rows, new.to(self.device, batch.dtype))
 
-    def _read_mask(self, infos: Mapping[str, Any]) -> Tensor:
-        given = infos.get("action_mask")
-        if given is None:
+    def _read(self, infos: Mapping[str, Any], name: str) -> tuple[Tensor, Tensor] | None:
+        """Numbers of a key (environments, ...), and which environments give them, bool (environments,).
+
+        None where the key is absent, or something else than numbers.
+        """
+        given = infos.get(name)
+        if given is None or isinstance(given, Mapping):
+            return None
+        if isinstance(given, Tensor):
+            values = given
+        else:
+            array = _make_array(given)
+            if array.dtype == object:
+                rows = [None if row is None else _make_array(row) for row in array]
+                shapes = {row.shape for row in rows if row is not None and row.dtype.kind in "biuf"}
+                if len(shapes) != 1 or any(row is not None and row.dtype.kind not in "biuf" for row in rows):
+                    return None
+                empty, told = np.zeros(shapes.pop()), np.array([row is not None for row in rows])
+                return (torch.from_numpy(np.stack([empty if row is None else row for row in rows])).to(self.device),
+                        torch.from_numpy(told).to(self.device))
+            if array.dtype.kind not in "biuf":
+                return None
+            values = torch.from_numpy(np.array(array))
+        who = infos.get(f"_{name}")
+        gives = torch.ones(self.count, dtype=torch.bool) if who is None else torch.as_tensor(who, dtype=torch.bool)
+        return values.to(self.device), gives.to(self.device)
+
+    def _read_masks(self, infos: Mapping[str, Any], rows: Tensor) -> Tensor:
+        """Legal actions, bool (environments, actions); all of them where an environment gives no mask.
+
+        Args:
+            infos: of a step, a reset, or the ends of episodes.
+            rows: the environments whose masks are checked, bool (environments,) or ().
+        """
+        found = self._read(infos, "action_mask")
+        if found is None:
+            told = infos.get("action_mask")
+            if told is not None and not all(row is None for row in told):
+                raise StepContractError(f"infos['action_mask'] is {show_value(told)}; it must have a "
+                                        "number for each action of each environment")
             return torch.ones((self.count, self._actions), dtype=torch.bool, device=self.device)
-        mask = (given if isinstance(given, Tensor) else torch.from_numpy(np.stack(list(given)))) != 0
-        if mask.shape != (self.count, self._actions):
-            raise StepContractError(f"infos['action_mask'] has shape {tuple(mask.shape)}; {self.count} environments "
+        given, gives = found
+        if given.shape != (self.count, self._actions):
+            raise StepContractError(f"infos['action_mask'] has shape {tuple(given.shape)}; {self.count} environments "
                                     f"of {self._actions} actions need ({self.count}, {self._actions})")
-        if mask.device.type == "cpu" and not bool(mask.any(dim=1).all()):
+        mask = (given != 0) | ~gives[:, None]
+        if mask.device.type == "cpu" and not bool((mask.any(dim=1) | ~rows).all()):
             raise StepContractError("infos['action_mask'] is all zero for an environment: at least one action must "
                                     "always be legal")
-        return mask.to(self.device)
+        return mask
 
-    def _read_rewards(self, reward: Tensor, infos: Mapping[str, Any], final: Mapping[str, Any], over: Tensor
-                      ) -> tuple[Tensor, Tensor]:
-        """Duration k and R of each stream's decision; `final` holds those of decisions that ended an episode."""
-        duration, discounted = torch.ones_like(reward, dtype=torch.int64), reward
-        for source, rows in ((infos, ~over if final else torch.ones_like(over)), (final, over)):
-            if "duration" not in source or not bool(rows.any()):
+    def _read_rewards(self, paid: Tensor, infos: Mapping[str, Any], final: Mapping[str, Any], where: Tensor,
+                      over: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Duration k, sum of rewards and R of each environment's decision; see `read_payment`.
+
+        `final` holds those of decisions that ended an episode.
+        """
+        if paid.shape != (self.count,):
+            raise StepContractError(f"rewards have shape {tuple(paid.shape)}; {self.count} environments need one "
+                                    "number each. Where an environment returns several, weigh them in a wrapper below")
+        if paid.device.type == "cpu" and not bool((paid.isfinite() | ~where).all()):
+            raise StepContractError(f"a reward is {float(paid[where & ~paid.isfinite()][0])}; rewards must be finite "
+                                    "numbers")
+        duration = torch.ones(self.count, dtype=torch.int64, device=paid.device)
+        summed = discounted = paid.double()
+        for source, rows in ((infos, where & ~over if final else where), (final, where & over)):
+            if (found := self._read(source, "duration")) is None or found[0].dtype.is_floating_point:
                 continue
-            duration = self._replace(duration, self._take(source["duration"]), rows)
-            if "discounted_reward" in source:
-                discounted = self._replace(discounted, self._take(source["discounted_reward"]), rows)
-            elif bool((duration > 1).any()):
-                raise StepContractError("decisions ran several primitives but infos has no 'discounted_reward', so "
-                                        "their discounted reward is unknown")
-        return duration.clamp(min=1), discounted
+            given, gives = found
+            rows = rows & gives
+            parts = [self._read(source, name) for name in ("discounted_reward", "discount", "summed_reward")]
+            owned = rows
+            for part in parts[:2]:
+                owned = owned & part[1] if part is not None else torch.zeros_like(owned)
+            if bool((rows & ~owned & (given != 1)).any()):
+                raise StepContractError(
+                    f"infos['duration'] is {given[rows & ~owned].tolist()}, but infos has no 'discounted_reward' with "
+                    "'discount', so the discounted rewards of these decisions are unknown. Add them; if the "
+                    "environments mean something else by 'duration', rename the key in a wrapper")
+            if not bool(owned.any()):
+                continue
+            if bool((owned & (given < 1)).any()):
+                raise StepContractError(f"decisions took {given[owned].tolist()} primitives; every action must cost at "
+                                        "least one, or be masked")
+            duration = torch.where(owned, given.to(torch.int64), duration)
+            summed, discounted = self._check_rewards(paid, summed, discounted, duration, owned, parts)
+        return duration, summed.float(), discounted.float()
 
-    def _read_success(self, terminated: Tensor, told: Mapping[str, Any]) -> Tensor:
-        """Success of the episodes that ended, as `read_success` has it; `told` is what their last `info` held."""
-        name = "is_success" if "is_success" in told else "success"
-        if name not in told:
-            return terminated
-        success, is_told = ((part if isinstance(part, Tensor) else torch.from_numpy(np.array(part, dtype=bool)))
-                            .to(self.device, torch.bool)
-                            for part in (told[name], told.get(f"_{name}", [True] * self.count)))
-        return torch.where(is_told, success, terminated)
+    def _check_rewards(self, paid: Tensor, summed: Tensor, discounted: Tensor, duration: Tensor, rows: Tensor,
+                       parts: Sequence[tuple[Tensor, Tensor] | None]) -> tuple[Tensor, Tensor]:
+        """Put in the sums that decisions of some rows give, and refuse rewards that are neither of the two."""
+        (of_r, _), (of_gamma, _) = (part for part in parts[:2] if part is not None)
+        power = torch.as_tensor(self.gamma, dtype=torch.float64, device=paid.device) ** duration
+        rounding = FLOAT32_ROUNDING * duration
+        wrong = rows & (duration > 1) & ((of_gamma.double() - power).abs() > rounding * power + 1e-12)
+        if bool(wrong.any()):
+            row = int(wrong.nonzero()[0])
+            raise DiscountMismatchError(self.gamma, float(of_gamma[row]), int(duration[row]))
+        discounted = torch.where(rows, of_r.double(), discounted)
+        is_paid = self._is_same(paid, discounted, rounding)
+        if parts[2] is None:
+            is_paid |= duration > 1
+        else:
+            summed = torch.where(rows & parts[2][1], parts[2][0].double(), summed)
+            is_paid |= self._is_same(paid, summed, rounding)
+        if bool((changed := rows & ~is_paid).any()):
+            row = int(changed.nonzero()[0])
+            paid_in_sum = summed if parts[2] is not None else discounted
+            raise StepContractError(CHANGED.format(where=f"of environment {row}", reward=float(paid[row]),
+                                                   summed=float(paid_in_sum[row])))
+        return summed, discounted
+
+    @staticmethod
+    def _is_same(reward: Tensor, paid: Tensor, rounding: Tensor) -> Tensor:
+        return (reward.double() - paid).abs() <= rounding * paid.abs()
+
+    def _read_success(self, infos: Mapping[str, Any], over: Tensor) -> Tensor:
+        """Success as `read_success` reads it of each stream whose episode ended, int8 (streams,); -1 where it is None.
+
+        `infos` holds the streams' last steps.
+        """
+        success = torch.full_like(over, -1, dtype=torch.int8)
+        for name in reversed(SUCCESS_KEYS):
+            if name not in infos:
+                continue
+            values, given = infos[name], infos.get(f"_{name}")
+            if isinstance(values, Tensor):
+                shown = over if given is None else over & torch.as_tensor(given, device=self.device)
+                if values.dtype != torch.bool:
+                    for value in values[shown].tolist():
+                        read_success_value(name, value)
+                success = torch.where(shown, values.to(self.device, torch.int8), success)
+                continue
+            for stream in over.nonzero().squeeze(1).tolist():
+                if (given is None or given[stream]) and values[stream] is not None:
+                    success[stream] = read_success_value(name, values[stream])
+        return success
 
     # --- checkpoints -----------------------------------------------------------------------
 
@@ -197,12 +309,26 @@ class VectorStreams:
             raise CheckpointError("the environments do not do the same again for equal seeds and actions")
 
 
+def _make_array(value: Any) -> NDArray[Any]:
+    """An array of a value; an empty one of objects where rows differ in length."""
+    try:
+        return np.asarray(value)
+    except ValueError:
+        return np.empty(0, object)
+
+
 def make_streams(env: VectorEnv | Streams, gamma: float) -> Streams:
-    """The streams of a vector environment: its own, or one decision of each a step; streams stay as they are."""
-    if not isinstance(env, VectorEnv):
-        return env
-    inner: Any = env.unwrapped
-    return inner.get_streams() if hasattr(inner, "get_streams") else VectorStreams(env, gamma)
+    """The streams of a vector environment: its own, or one decision of each a step; streams stay as they are.
+
+    A wrapped vector environment is stepped through its wrappers, all decisions side by side, even if the environment
+    inside has streams of its own.
+    """
+    inner: Any = env
+    if isinstance(env, VectorEnv) and not (env is env.unwrapped and hasattr(env, "get_streams")):
+        return VectorStreams(env, gamma)
+    streams = inner.get_streams() if isinstance(env, VectorEnv) else env
+    set_option_discount(streams, gamma)
+    return streams
 
 
 SEGMENT_PRIMITIVES, SEGMENT_STEPS = 16_384, 16
@@ -304,23 +430,25 @@ class _StreamTally(Stateful):
 
     def __init__(self, count: int, device: torch.device) -> None:
         self._running = torch.zeros((2, count), dtype=torch.float64, device=device)  # return and length so far
-        self._sums = torch.zeros(4, dtype=torch.float64, device=device)  # returns, lengths, successes, episodes
+        self._sums = torch.zeros(5, dtype=torch.float64, device=device)
+        """Returns, lengths, successes, episodes, and episodes that report their success."""
 
     def add(self, decisions: StreamTransitions, success: Tensor) -> int:
-        """Add decisions, and whether each ended an episode in success, bool (n,); returns the primitives that ran."""
+        """Add decisions; returns the primitives that ran. `success`, (n,), is as in `EndedDecisions`."""
         row = torch.stack((decisions.summed_reward.double(), decisions.duration.double()))
         running = self._running[:, decisions.stream] + row
         over = decisions.terminated | decisions.truncated
         self._running[:, decisions.stream] = torch.where(over, 0.0, running)
-        ended = torch.stack((*running, success.double(), torch.ones_like(running[0])))
+        counts = (success == 1, torch.ones_like(over), success >= 0)
+        ended = torch.stack((*running, *(count.double() for count in counts)))
         self._sums += torch.where(over, ended, 0.0).sum(dim=1)
         return int(decisions.duration.sum())
 
     def take_row(self) -> dict[str, Any]:
         """Logged numbers of the episodes that ended since the last call."""
-        returns, lengths, successes, episodes = self._sums.tolist()
+        returns, lengths, successes, episodes, reported = self._sums.tolist()
         self._sums.zero_()
-        return {"train/episodes": int(episodes), "train/successes": int(successes),
+        return {"train/episodes": int(episodes), "train/successes": int(successes) if reported else None,
                 "train/return": returns / episodes if episodes else None,
                 "train/length": lengths / episodes if episodes else None}
 

@@ -9,22 +9,23 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import VectorEnv, VectorRewardWrapper, VectorWrapper
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.label import DEFAULT_RECIPE, AgentLabel
 from hrl_escape.agents.registry import get_agent_class, list_stream_agents, make_agent, read_structure
 from hrl_escape.agents.streams import StreamAgent, Streams
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import (
+    check_label,
     compute_digest,
     hash_large_parts,
     load_part,
@@ -43,11 +44,18 @@ from hrl_escape.agents.training.run import (
 )
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
 from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, UnknownNameError, describe_damage
-from hrl_escape.plugins import RUN_OBSERVERS
+from hrl_escape.registry import Registry
 from hrl_escape.settings import replace_settings
 
 if TYPE_CHECKING:
     from hrl_escape.agents.components.offline import OfflineData
+
+run_observers: Registry[Callable[..., object]] = Registry(
+    "run observer", "a function (env, seeds, evaluations, source)", callable,
+    {"best-known-returns": "hrl_escape.comparison.records:record_escapes"})
+"""Functions that `train` calls at its end, as `observer(env, seeds, evaluations, source)`: the evaluation environment,
+the seeds of an evaluation's episodes, the evaluations, and agent and seed in words. They are imported when a run has
+ended."""
 
 
 def train(
@@ -58,7 +66,7 @@ def train(
     data: str | os.PathLike[str] | OfflineData | None = None,
     decisions: int | None = None,
     seed: int = 0,
-    recipe: str = "corrected",
+    recipe: str = DEFAULT_RECIPE,
     settings: Mapping[str, Any] | None = None,
     eval_env: gymnasium.Env | None = None,
     eval_every: int | None = None,
@@ -77,7 +85,9 @@ def train(
     """Train an agent on an environment, flat or with options, or from a data set.
 
     Args:
-        agent: a name (see `registry.list_agents`, with or without `smdp-`), or an agent of your own, made new.
+        agent: a name (see `registry.list_agents`, with or without `smdp-`), a label such as `smdp-dqn+objects+memory`
+            (see `agents.label`), or an agent of your own, made new. What a label says of options, memory or a hierarchy
+            must hold of the environment.
         env: Discrete actions; what `step` must return is in `agent.make_transition`. It must depend on nothing
             before `reset(seed=...)`, which is called for every episode. Let an environment of your own keep its
             arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
@@ -91,7 +101,7 @@ def train(
         decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
         seed: 0 or more; fixes the agent (if named) and every training episode.
         recipe: `corrected` or `paper`, for a named agent.
-        settings: fields of a named agent's settings to change.
+        settings: fields of a named agent's settings to change; they come after the label's.
         eval_env: evaluation environment; by default `env` itself, between episodes, or one of many.
         eval_every: primitives between evaluations, a twentieth of the budget by default. Each is made at
             the first episode's end from there on, besides one before training and one after.
@@ -99,8 +109,8 @@ def train(
         eval_seed: fixes the evaluation episodes; use one value for all runs that are compared.
         out: folder for log, checkpoints and result; `{key}` in its name becomes a hash of everything that decides
             the run's numbers. The same run found there goes on from its last checkpoint, to the same bits; a
-            finished one is returned at once; any other run is refused. Ctrl-C saves the run at the end of the
-            episode that is running. The agent of the best evaluation is kept beside the last.
+            finished one is returned at once; any other run is refused. Ctrl-C, SIGTERM and SIGHUP save the run
+            at the end of the episode that is running. The agent of the best evaluation is kept beside the last.
         checkpoint_seconds: least wall time between checkpoints; 0 makes one after every episode.
         callbacks: told of rows, evaluations and checkpoints, such as `TensorBoard()`; see `agents.training.callbacks`.
         progress: show a progress line; by default on a terminal only.
@@ -110,19 +120,25 @@ def train(
         until_return: end before the budget, after two evaluations in a row whose mean return is at least this; None
             trains for all of it.
         eval_trials: parts of an evaluation episode that count as episodes of their own; see `evaluate`.
-        observed: call `plugins.RUN_OBSERVERS` at the end. This package's raises the best known return of a room, with a
+        observed: call `run_observers` at the end. This package's raises the best known return of a room, with a
             warning, where an evaluation has beaten it. Not called where `eval_trials` is above 1.
 
     Returns:
         Curves, episodes, totals and the trained agent.
 
     Raises:
-        AgentSettingsError: an argument or setting is impossible.
-        UnknownNameError: no such agent, recipe or setting.
+        AgentSettingsError: an argument or setting is impossible, or the label disagrees with the environment.
+        UnknownNameError: no such agent, trait, recipe or setting.
         StepContractError: the environment breaks the contract.
         DivergenceError: a loss became NaN; names run and primitive.
         RunMismatchError, RunBusyError, CheckpointError, FileWriteError: about `out`.
     """
+    if settings is not None and not isinstance(settings, Mapping):
+        raise AgentSettingsError("settings", settings, "a mapping from names of settings to values, or None")
+    label = None
+    if isinstance(agent, str):
+        label = AgentLabel.parse(agent)
+        agent, recipe, settings = label.name, label.resolve_recipe(recipe), {**label.settings, **(settings or {})}
     material = None
     if data is not None:
         from hrl_escape.agents.training.offline_run import OfflineRun, gather_material  # brings torch in
@@ -146,8 +162,6 @@ def train(
     ):
         if not isinstance(value, (int, np.integer)) or value < least:
             raise AgentSettingsError(name, value, f"a whole number of at least {least}")
-    if settings is not None and not isinstance(settings, Mapping):
-        raise AgentSettingsError("settings", settings, "a mapping from names of settings to values, or None")
     if until_return is not None and (not isinstance(until_return, (int, float)) or not eval_episodes):
         raise AgentSettingsError("until_return", until_return, "a return of evaluations, of which eval_episodes are "
                                  "above 0, or None")
@@ -158,6 +172,8 @@ def train(
         get_agent_class(agent)  # loads torch where it is needed, before its threads are set
     with _using_threads(threads):
         single = env if isinstance(env, gymnasium.Env) else (eval_env or make_single_env(env))
+        if label is not None:
+            check_label(label, single)
         if isinstance(agent, str):
             name = agent
             learner = make_agent(agent, single.observation_space, single.action_space, seed, recipe,
@@ -191,8 +207,8 @@ def train(
             run.close()
         if observed and result.evaluations and eval_trials == 1:
             seeds = [compute_episode_seed(eval_seed, "evaluation", n) for n in range(eval_episodes)]
-            for observer in RUN_OBSERVERS:
-                resolve_name(observer)(eval_env or single, seeds, result.evaluations, f"{name}, seed {seed}")
+            for observer in run_observers.load_all().values():
+                observer(eval_env or single, seeds, result.evaluations, f"{name}, seed {seed}")
         return result
 
 
@@ -214,17 +230,29 @@ def _using_threads(threads: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+_SAME_TASK = ("NormalizeReward", "RecordEpisodeStatistics", "RecordVideo", "HumanRendering", "ArrayConversion",
+              "JaxToNumpy", "JaxToTorch", "NumpyToTorch")
+"""Wrappers of Gymnasium, besides those of rewards, under which an agent sees and does the same as without them."""
+
+
 def make_single_env(env: VectorEnv | Streams) -> gymnasium.Env:
     """An ordinary environment of the same task as many at once, by which they are evaluated.
 
     Raises:
         AgentSettingsError: it cannot be made; give one.
     """
-    source: Any = env
-    inner: Any = env.unwrapped if isinstance(env, VectorEnv) else env
-    for each in (source, inner):
-        if hasattr(each, "make_single_env"):
-            return each.make_single_env()
+    inner: Any = env
+    while isinstance(inner, VectorWrapper) and not hasattr(inner, "make_single_env"):
+        kind = type(inner)
+        is_harmless = kind.__module__.startswith("gymnasium.") and kind.__name__ in _SAME_TASK
+        if not is_harmless and not isinstance(inner, VectorRewardWrapper):
+            raise AgentSettingsError("eval_env", None, f"an ordinary environment that does what {kind.__name__} "
+                                     "does: the vector environment has this wrapper, and the environment made for "
+                                     "evaluation would lack it")
+        inner = inner.env
+    if hasattr(inner, "make_single_env"):
+        maker: Any = inner
+        return maker.make_single_env()
     spec = getattr(inner, "spec", None)
     if spec is None:
         raise AgentSettingsError("eval_env", None, "an ordinary environment of the same task: this vector environment "

@@ -51,7 +51,7 @@ from hrl_escape.errors import FileReadError
 from hrl_escape.figures import save_figure
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from hrl_escape.ladder.manifest import load_references
-from hrl_escape.names import join_words
+from hrl_escape.names import join_words, make_file_name
 
 FROM = {"word": "from"}
 """Word on the command line of a field whose name Python reserves."""
@@ -65,7 +65,8 @@ class RunArgs(LadderSettings, LaunchArgs):
     """Options of `hrl-escape ladder run`."""
 
     agents: Annotated[tuple[str, ...], tyro.conf.Positional] = dataclasses.field(kw_only=True)
-    """Agents, as for `hrl-escape compare`: smdp-dqn, smdp-ppo+objects+memory, planner."""
+    """Agents and references by name or label: smdp-dqn, smdp-ppo+objects+memory, smdp-retrace, planner; `hrl-escape
+    list` names them."""
     rung: tuple[str, ...] = ()
     """Names of rungs; all by default, in a tower those with the same primitives."""
     protocol: Protocol = "per-instance"
@@ -74,13 +75,18 @@ class RunArgs(LadderSettings, LaunchArgs):
     """Rung to train on with transfer."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
-    out: Path = Path("runs/ladder")
-    """Folder of all rungs and protocols."""
+    out: Path | None = None
+    """Folder of all rungs and protocols; runs/ and the benchmark's name by default."""
 
     def format_command(self, rungs: Sequence[str]) -> str:
         """The command line that runs these rungs again."""
         return shlex.join(["hrl-escape", "ladder", "run", *self.agents, "--rung", *rungs,
                            *self.format_options("agents", "rung")])
+
+
+def find_default_folder(bench: Benchmark) -> Path:
+    """Folder of a benchmark's runs: no other command writes there."""
+    return Path("runs") / make_file_name(bench.name)
 
 
 def run(args: RunArgs) -> int:
@@ -100,7 +106,7 @@ def run(args: RunArgs) -> int:
         parts = {TOWER: (floors, make_tower_grid(bench, floors, agents, args))}
     else:
         parts = {rung: ((rung,), make_protocol_grid(bench, rung, args.protocol, agents, args)) for rung in rungs}
-    folder = args.out / name_protocol(args.protocol, args.source)
+    folder = (args.out or find_default_folder(bench)) / name_protocol(args.protocol, args.source)
     for name, (chosen, grid) in parts.items():
         if args.dry_run:
             console.print(f"{name}: {args.describe_work(grid, folder / name)}")
@@ -121,8 +127,8 @@ def run(args: RunArgs) -> int:
 class ReportArgs:
     """Options of `hrl-escape ladder report`."""
 
-    folder: Annotated[Path, tyro.conf.Positional] = Path("runs/ladder")
-    """Folder given to `hrl-escape ladder run --out`."""
+    folder: Annotated[Path | None, tyro.conf.Positional] = None
+    """Folder given to `hrl-escape ladder run --out`; runs/ and the benchmark's name by default."""
     protocol: Protocol = "per-instance"
     """Protocol to sum up."""
     source: Annotated[str | None, tyro.conf.arg(name="from")] = None
@@ -138,22 +144,22 @@ def run_report(args: ReportArgs) -> None:
 
     A rung is passed where the lower end of the escapes' 95 % interval is 0.9 or more and efficiency 0.5 or more. The
     ladder score is the mean over rungs of the interquartile mean of efficiency, over the rungs that every agent was run
-    on. The learned share is 0 for the best searcher that learns nothing, such as smdp-untried-nearest, and 1 for
-    smdp-bayes, which knows how rooms are drawn: run both beside the learners.
+    on. The learned share is 0 for the best search baseline, such as smdp-retrace, and 1 for the Bayes planner,
+    smdp-bayes, which is given how rooms are drawn: run both as well as the learners.
 
     A benchmark with axes, such as ladder-2, gives a profile besides: a table of efficiency by axis, with its
     references, and a radar, profile.svg in the protocol's folder.
 
     Examples:
         hrl-escape ladder report
-        hrl-escape ladder report runs/ladder --protocol generalise --json
-        hrl-escape ladder report runs/ladder --protocol transfer --from chain
-        hrl-escape ladder report runs/ladder --protocol tower
-        hrl-escape ladder report runs/ladder --benchmark ladder-2
+        hrl-escape ladder report --protocol generalise --json
+        hrl-escape ladder report --protocol transfer --from chain
+        hrl-escape ladder report runs/mine --protocol tower
+        hrl-escape ladder report --benchmark ladder-2
     """
     bench = load_benchmark(args.benchmark)
     rungs = [TOWER] if args.protocol == TOWER else [rung.name for rung in bench]
-    base = args.folder / name_protocol(args.protocol, args.source)
+    base = (args.folder or find_default_folder(bench)) / name_protocol(args.protocol, args.source)
     folders = {rung: base / rung for rung in rungs}
     found = {rung: folder for rung, folder in folders.items() if (folder / "grid.json").exists()}
     if not found:

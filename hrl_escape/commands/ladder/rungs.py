@@ -34,8 +34,8 @@ def run_list(args: LadderListArgs) -> None:
 
     Core hours are those of smdp-dqn by published rates, with ten seeds in each of ten test rooms (protocol
     per-instance); the other protocols take a tenth for each number of training rooms. `hrl-escape ladder run --dry-run`
-    tells any other. Where references were measured they follow: efficiency of random choices, of the best searcher that
-    learns nothing and of smdp-bayes, and how many bits of the hidden graph marks and places tell.
+    prints any other. Where references were measured they follow: efficiency of random options, of the best search
+    baseline and of the Bayes planner, smdp-bayes, and how many bits of the hidden graph marks and places reveal.
 
     Examples:
         hrl-escape ladder list
@@ -57,7 +57,8 @@ def run_list(args: LadderListArgs) -> None:
         print(json.dumps({"benchmark": bench.name, "rungs": rows}, indent=2))
         return
     table = Table("rung", "rooms", "/".join(ROLES), "task overlap", "core hours",
-                  *(("chance", "searcher", "ceiling", "bits told") if known else ()), box=None, pad_edge=False)
+                  *(("random options", "best search", "Bayes planner", "bits told") if known else ()), box=None,
+                  pad_edge=False)
     for row in rows:
         counts = "/".join(str(row["sets"].get(role, "-")) for role in ROLES)
         table.add_row(row["rung"], row["rooms"], counts, f"{row['task_overlap']:.0%}",

@@ -1,11 +1,13 @@
-"""The searcher that knows how graphs are drawn: fewest expected primitives until the exit, without learning.
+"""The Bayes planner, given how graphs are drawn: fewest expected primitives until the exit, without learning.
 
 It knows the schematic, what marks mean included, the room and what every press showed, and nothing else of the graph.
 Up to six buttons (one fewer where wrong presses do more than nothing, and where some marks deceive, unless the graphs
 are few) its choices are optimal in expectation over the schematic's graphs and rules, with the lengths of ways from
 button to button as the planner finds them; a puzzle that is failed costs as much as the exit is worth. With more it
-takes the button with the best odds per primitive, odds estimated by a sample of graphs. Nobody who must discover the
-graph can need fewer primitives in the mean, but for what these lengths leave out.
+takes the button with the best odds per primitive, odds estimated by a sample of graphs.
+
+Its mean is a lower bound, in expectation, for any agent that has to discover the graph within one episode, up to the
+approximation of path lengths. An agent that keeps what it found in earlier episodes of the room can need fewer.
 
 Every graph and rule that a schematic can draw is listed with its exact probability by running the schematic's own
 generator once for each sequence of outcomes that its draws can have, so that a change to the generator is a change here

@@ -1,6 +1,6 @@
 """The references by name, evaluated on the same episodes as the learners, without training.
 
-| name | what it does | what it is told |
+| name | what it does | what it is given |
 |---|---|---|
 | `smdp-index-order` | presses buttons 1, 2, ..., n, leaves, over and over | nothing |
 | `smdp-shuffled-round` | the same in an order drawn for the episode | nothing |
@@ -10,8 +10,9 @@
 | `smdp-bayes` | fewest expected primitives over the graphs that the schematic can draw | lights, places, schematic |
 | `planner` | follows the best known plan | everything |
 
-A searcher is told neither the graph nor how rooms are drawn: what the best of them reaches without learning, learning
-has to beat. `smdp-bayes`, which is told how rooms are drawn, is the ceiling of whoever has to discover the graph.
+A search baseline is given neither the graph nor how rooms are drawn, and starts every episode anew. The Bayes planner,
+`smdp-bayes`, is given how rooms are drawn and plans for the fewest expected primitives. A learner that trains in the
+room where it is tested can exceed both, because it keeps what it found.
 """
 
 from __future__ import annotations

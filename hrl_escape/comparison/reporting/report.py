@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.inference import ALPHA, Estimate, Pair
+from hrl_escape.comparison.inference import Estimate, Pair, is_better
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
 from hrl_escape.comparison.runs import RunResult, get_room_file, get_training_folder, read_episodes
@@ -303,7 +303,8 @@ def _list_odds_cells(summary: Summary, number: int) -> list[_Cell]:
 def _make_odds_cell(first: AgentSummary, second: AgentSummary, pair: Pair) -> _Cell:
     odds, gain = pair.improvement, pair.difference
     tint = _tint(BETTER if odds.value > 0.5 else WORSE if odds.value < 0.5 else EVEN, abs(odds.value - 0.5) * 2)
-    return _Cell(f"{odds.value:.2f}", tint + (";font-weight:700" if pair.p < ALPHA else ""),
+    is_clear = is_better(pair) or is_better(pair.turn())
+    return _Cell(f"{odds.value:.2f}", tint + (";font-weight:700" if is_clear else ""),
                  f"{first.label} above {second.label} in {odds.value:.3f} of {pair.count} pairs; difference of "
                  f"efficiency {gain:+.3f}, corrected p {pair.p:.3g}")
 
@@ -322,7 +323,7 @@ def _describe_room(room: RoomSummary, number: int, entries: Sequence[_Entry]) ->
               if len(entry.agent.efficiencies[number])]
     puzzle = instance.puzzle
     edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in get_trait(puzzle, Graphed).edges]
-    words = [f"{2 * instance.half_width:g} \N{MULTIPLICATION SIGN} {2 * instance.half_depth:g} m"]
+    words = [f"{2 * instance.half_width:.3g} \N{MULTIPLICATION SIGN} {2 * instance.half_depth:.3g} m"]
     words += [", ".join(edges)] if 0 < len(edges) <= 6 else []
     split = "" if room.place.split is None else f" One of the rooms tested in: {describe_place(room.place)}."
     ends = ("" if np.isnan(room.best) else

@@ -1,7 +1,8 @@
 """Bases of robots: the outline on the floor, in numbers and in tensors, one file each.
 
 No other module depends on a robot's shape: rules, engines, certificate and planners ask its `Base` where it fits,
-what it meets first and what blocks its turns. A new base is one file and one line in `BASES`.
+what it meets first and what blocks its turns. A new base is one file and one call of `bases.register`, or an entry
+point in the group `hrl_escape.bases`.
 """
 
 from __future__ import annotations
@@ -9,8 +10,12 @@ from __future__ import annotations
 from hrl_escape.env.bases.base import Base, TensorBase
 from hrl_escape.env.bases.disc import Disc
 from hrl_escape.env.bases.rectangle import RectangularBase
+from hrl_escape.registry import Registry
 
-__all__ = ["BASES", "Base", "Disc", "RectangularBase", "TensorBase"]
+__all__ = ["Base", "Disc", "RectangularBase", "TensorBase", "bases"]
 
-BASES: dict[str, type[Base]] = {"disc": Disc, "rectangle": RectangularBase}
+bases: Registry[type[Base]] = Registry(
+    "base", "a subclass of Base", lambda part: isinstance(part, type) and issubclass(part, Base))
 """Base classes, keyed by the values of `robot.footprint`."""
+bases.register("disc", Disc)
+bases.register("rectangle", RectangularBase)

@@ -23,13 +23,14 @@ from hrl_escape.env.batched.poses import (
     make_joint_column,
     place_base,
 )
-from hrl_escape.env.batched.puzzles.base import TensorContacts
+from hrl_escape.env.batched.puzzles.base import TensorContacts, pack_bits, unpack_bits
 from hrl_escape.env.batched.tables import Layout, Tables, pick, pick_column, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.kinematics import ROUNDING
 from hrl_escape.env.noise import CHANCE_PURPOSE, NOISE_PURPOSE, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH, USE
+from hrl_escape.env.rewards import Events, RewardState
 from hrl_escape.env.tensor_geometry import RoomSolids, Shapes, as_flags, compute_distance, store
 from hrl_escape.env.velocities import GRIPPER_LEVEL, count_levels
 
@@ -271,7 +272,28 @@ def _complete_motion(layout: Layout, tables: Tables, before: TensorState, moved:
                            has_ended=(terminated | truncated).to(torch.int32))
     reward = torch.where(escaped, final, each)
     reward = reward if more is None else (reward + torch.where(is_told, more, 0.0)).to(torch.float32)
+    if layout.reward is not None:
+        reward = (reward + _compute_extra(layout, tables, before, state, pressed, escaped,
+                                          terminated & ~escaped)).to(torch.float32)
     return TensorTransition(state, reward, terminated, truncated, pressed, escaped)
+
+
+def _compute_extra(layout: Layout, tables: Tables, before: TensorState, after: TensorState, pressed: Tensor,
+                   escaped: Tensor, failed: Tensor) -> Tensor:
+    """What the layout's reward pays beside steps and exits, (rooms,)."""
+    assert layout.reward is not None
+    form, columns = pick_rules(layout, tables, after.instance)
+    was_lit, is_lit = (form.get_lit(columns, state.puzzle) for state in (before, after))
+    none = torch.zeros_like(pressed)
+    was_shut, is_shut = ((pack_bits(find_shut(layout, tables, state)) for state in (before, after))
+                         if layout.inner_doors else (none, none))
+    events = Events(pressed, is_lit & ~was_lit, was_lit & ~is_lit, was_shut & ~is_shut, is_shut & ~was_shut, escaped,
+                    failed)
+    count = pick(layout, tables.target_counts, after.instance)[0].clamp(min=1)
+    seen = [RewardState(state.x, state.y, state.heading_steps,
+                        unpack_bits(lit, layout.targets, torch.float64).sum(0) / count,
+                        form.is_solved(columns, state.puzzle)) for state, lit in ((before, was_lit), (after, is_lit))]
+    return layout.reward.compute_extra(*seen, events)
 
 
 def find_shut(layout: Layout, tables: Tables, state: TensorState) -> Tensor:

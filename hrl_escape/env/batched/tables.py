@@ -21,6 +21,7 @@ from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.primitives import ActionTable
 from hrl_escape.env.puzzles.marks import make_mark_rows
 from hrl_escape.env.puzzles.traits import Mapped, Marked, Pushing, get_trait
+from hrl_escape.env.rewards import RewardConfig
 from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.env.sight import list_hiders
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, stack_shapes
@@ -50,6 +51,7 @@ class Layout:
     draws: bool  # True if anything is random in an episode
     resample: bool  # True if a new episode draws another instance
     velocities: Velocities | None = None  # what actions mean, where they are no primitives
+    reward: RewardConfig | None = None  # where it pays beside steps and exits, the same for all rooms
 
     @property
     def arm(self) -> Robot:
@@ -149,7 +151,8 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool, velocities: V
     """Derive the layout that instances share.
 
     Raises:
-        UnsupportedError: physics dynamics, or instances that differ in robot, dynamics, or kind or size of puzzle.
+        UnsupportedError: physics dynamics, or instances that differ in robot, dynamics, reward beside steps and exits,
+            or kind or size of puzzle.
     """
     first = instances[0]
     if first.dynamics.kind != "kinematic":
@@ -160,6 +163,8 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool, velocities: V
                                    ("kind of puzzle", first.puzzle.kind, other.puzzle.kind),
                                    ("number of targets", len(first.frame.target_names),
                                     len(other.frame.target_names)),
+                                   ("reward", *(None if one.reward.is_sparse else one.reward
+                                                for one in (first, other))),
                                    ("marks on targets", *(bool(get_trait(one.puzzle, Marked).marks)
                                                           for one in (first, other)))):
             if mine != theirs:
@@ -186,6 +191,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool, velocities: V
                or any(len(i.starts) > 1 or len(i.puzzle.list_starts()) > 1 for i in instances)),
         resample=resample,
         velocities=velocities,
+        reward=None if first.reward.is_sparse else first.reward,
     )
 
 

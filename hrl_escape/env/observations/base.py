@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeAlias
 
 from numpy.typing import NDArray
 
 from hrl_escape.env.engine import Renderer
 from hrl_escape.env.kinematics import RoomState, Rules
-from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
-from hrl_escape.plugins import load_entry_points
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.registry import Registry
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -104,6 +103,15 @@ class Observer(ABC):
         """Parts of the observation of every room of a batch, float32 (numbers, rooms) each; none by default."""
         raise UnsupportedError("this observation is not for batches")
 
+    @property
+    def light_places(self) -> tuple[int, ...]:
+        """Place in the observation of each target's light, in the order of the targets; empty without such numbers."""
+        names = {name: place for place, name in enumerate(self.names)}
+        if "puzzle-1" in names:
+            return tuple(names["puzzle-1"] + number for number in self._puzzle.light_numbers)
+        lights = [f"{name}-lit" for name in self._puzzle.target_names]
+        return tuple(names[light] for light in lights) if not self.rows and names.keys() >= set(lights) else ()
+
     def _get_puzzle(self, state: RoomState) -> tuple[float, ...]:
         """The puzzle's numbers in the form of this observation, cached, as a puzzle changes rarely."""
         numbers = self._seen.get(state.puzzle)
@@ -126,7 +134,9 @@ def clip(value: float) -> float:
 
 # --- the registry --------------------------------------------------------------------------
 
-_REGISTRY: dict[str, type[Observer]] = {}
+observations: Registry[type[Observer]] = Registry(
+    "observation", "a subclass of Observer", lambda part: isinstance(part, type) and issubclass(part, Observer))
+"""All observations by name."""
 
 
 def register_observation(observer: type[Observer]) -> None:
@@ -135,20 +145,7 @@ def register_observation(observer: type[Observer]) -> None:
     Raises:
         ConfigError: another observation has that name.
     """
-    if _REGISTRY.setdefault(observer.name, observer) is not observer:
-        raise ConfigError("observation.name", observer.name, "a name that no other observation has")
-
-
-def _check_entry(loaded: Any) -> type[Observer]:
-    if not (isinstance(loaded, type) and issubclass(loaded, Observer)):
-        raise TypeError(loaded)
-    return loaded
-
-
-@cache
-def _load_entry_points(wanted: str | None = None) -> None:
-    load_entry_points("hrl_escape.observations", "observation", "a subclass of Observer",
-                      lambda loaded: register_observation(_check_entry(loaded)), wanted)
+    observations.register(observer.name, observer)
 
 
 def get_observation(name: str) -> type[Observer]:
@@ -157,17 +154,12 @@ def get_observation(name: str) -> type[Observer]:
     Raises:
         UnknownNameError: no observation of that name; the message lists those there are.
     """
-    if isinstance(name, str) and name not in _REGISTRY:
-        _load_entry_points(name)
-    if not isinstance(name, str) or name not in _REGISTRY:
-        raise UnknownNameError("observation", name, _REGISTRY)
-    return _REGISTRY[name]
+    return observations.get(name)
 
 
 def list_observations() -> tuple[type[Observer], ...]:
     """Return all observations, entry points of other packages included."""
-    _load_entry_points()
-    return tuple(_REGISTRY.values())
+    return tuple(observations.load_all().values())
 
 
 def make_observer(name: str, rules: Rules, renderer: Renderer | None = None) -> Observer:

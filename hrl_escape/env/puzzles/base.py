@@ -2,7 +2,7 @@
 
 A puzzle sees contacts and keeps state; it declares its observation numbers, what is lit, and
 whether it is solved. It knows no engine and no geometry beyond the panels it asks the room to place.
-Third-party puzzles register through the entry-point group `hrl_escape.puzzles`.
+A puzzle of your own is registered by `register_puzzle`, or by an entry point in the group `hrl_escape.puzzles`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from typing_extensions import Self
@@ -20,8 +20,8 @@ from hrl_escape.env.puzzles.contacts import PUSH, USE, Contacts
 from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
 from hrl_escape.env.schema import Schematic
-from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
-from hrl_escape.plugins import load_entry_points
+from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.registry import Registry
 from hrl_escape.settings import Range
 
 __all__ = ["MOST_DERIVED", "PUSH", "SOLVED", "USE", "Contacts", "DerivedModel", "Pads", "Panels", "Place", "Prop",
@@ -230,12 +230,23 @@ class Puzzle(_OfKind):
         """Return the N_p observation numbers, within `bounds`; by default one a target, 1 while it is on."""
         return tuple(map(float, self.get_lit(state)))
 
+    @property
+    def light_numbers(self) -> tuple[int, ...]:
+        """Place of each target's light among the observation numbers; empty where these are no lights.
+
+        By default one a target where `observe` is the default too.
+        """
+        return tuple(range(len(self.target_names))) if type(self).observe is Puzzle.observe else ()
+
     def get_lit(self, state: PuzzleState) -> tuple[bool, ...]:
         """Return for each target whether it is on; by default none is."""
         return (False,) * len(self.target_names)
 
     def describe(self, state: PuzzleState) -> tuple[str, ...]:
-        """Sentences on what `observe` shows beyond the lights; by default its numbers, unless they are the lights."""
+        """Sentences on what `observe` shows beyond the lights; by default its numbers, unless they are the lights.
+
+        They name no places, which are for the room to describe. A puzzle that observes places overrides this.
+        """
         numbers = self.observe(state)
         return () if numbers == self.get_lit(state) else (f"The display reads {' '.join(f'{n:g}' for n in numbers)}.",)
 
@@ -311,15 +322,28 @@ class DerivedModel(Modelled):
         return SymbolicModel(propositions, operators, frozenset({SOLVED})), facts
 
 
-@dataclasses.dataclass(frozen=True)
-class PuzzleKind:
-    """A registered puzzle: its schematic part and its rules."""
+class PuzzleKind(NamedTuple):
+    """A registered puzzle: its part of the room configuration and its rules."""
 
     config_type: type[PuzzleConfig]
     puzzle_type: type[Puzzle]
 
 
-_REGISTRY: dict[str, PuzzleKind] = {}
+def _is_kind(value: Any) -> bool:
+    """True for a config type and a puzzle type; raises `ConfigError` if the two do not belong together."""
+    if not (isinstance(value, tuple) and len(value) == 2 and all(isinstance(part, type) for part in value)
+            and issubclass(value[0], PuzzleConfig) and issubclass(value[1], Puzzle)):
+        return False
+    kind, puzzle_type = value[0].kind, value[1]
+    if puzzle_type.kind != kind:
+        raise ConfigError("puzzle.kind", puzzle_type.kind, f"the same name as its config's, {kind!r}")
+    if puzzle_type.target_names is Puzzle.target_names and not hasattr(puzzle_type, "fixed_names"):
+        raise ConfigError(f"{puzzle_type.__name__}.fixed_names", None, "the targets' names, or a property target_names")
+    return True
+
+
+puzzles: Registry[PuzzleKind] = Registry("puzzle", "a pair (config type, puzzle type)", _is_kind)
+"""All puzzles by name."""
 
 
 def register_puzzle(config_type: type[PuzzleConfig], puzzle_type: type[Puzzle]) -> None:
@@ -328,35 +352,18 @@ def register_puzzle(config_type: type[PuzzleConfig], puzzle_type: type[Puzzle]) 
     Raises:
         ConfigError: the two types differ in `kind`, another puzzle has that name, or the targets have none.
     """
-    kind = config_type.kind
-    if puzzle_type.kind != kind:
-        raise ConfigError("puzzle.kind", puzzle_type.kind, f"the same name as its config's, {kind!r}")
-    if puzzle_type.target_names is Puzzle.target_names and not hasattr(puzzle_type, "fixed_names"):
-        raise ConfigError(f"{puzzle_type.__name__}.fixed_names", None, "the targets' names, or a property target_names")
-    entry = PuzzleKind(config_type, puzzle_type)
-    if _REGISTRY.setdefault(kind, entry) != entry:
-        raise ConfigError("puzzle.kind", kind, "a name that no other puzzle has")
+    puzzles.register(config_type.kind, PuzzleKind(config_type, puzzle_type))
 
 
 def get_puzzle_kind(kind: Any) -> PuzzleKind:
-    """Return the puzzle of a name; third-party entry points are loaded when needed.
+    """Return the puzzle of a name.
 
     Raises:
         UnknownNameError: no puzzle of that name; the message lists those there are.
     """
-    if isinstance(kind, str) and kind not in _REGISTRY:
-        _load_entry_points(kind)
-    if not isinstance(kind, str) or kind not in _REGISTRY:
-        raise UnknownNameError("puzzle", kind, _REGISTRY)
-    return _REGISTRY[kind]
+    return PuzzleKind(*puzzles.get(kind))
 
 
 def list_puzzles() -> tuple[str, ...]:
-    """Return the names of all puzzles, third-party ones included."""
-    _load_entry_points()
-    return tuple(sorted(_REGISTRY))
-
-
-def _load_entry_points(wanted: str | None = None) -> None:
-    load_entry_points("hrl_escape.puzzles", "puzzle", "a pair (config type, puzzle type)",
-                      lambda loaded: register_puzzle(*loaded), wanted)
+    """Return the names of all puzzles in alphabetical order; one that cannot be loaded is left out with a warning."""
+    return tuple(sorted(puzzles.load_all()))

@@ -137,6 +137,11 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
         """The lights, then the goal's: 1 on, 0 off."""
         return tuple(float(word >> i & 1) for word in (state, self.goal) for i in range(self.count))
 
+    @property
+    def light_numbers(self) -> tuple[int, ...]:
+        """The lights come first."""
+        return tuple(range(self.count))
+
     def describe(self, state: int) -> tuple[str, ...]:
         """The lights that are on in the goal."""
         wanted = [self.target_names[i] for i in self.goal_targets]

@@ -22,6 +22,7 @@ from hrl_escape.env.puzzles.maps import HEADINGS, GridMap
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
 from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.errors import ConfigError
+from hrl_escape.names import join_words
 from hrl_escape.settings import Range
 
 PLACE_BITS = 10
@@ -190,6 +191,11 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
             row, column = (0, 0) if place == HELD else divmod(place, self.grid.columns)
             numbers += float(place == HELD), row / len(self.rows), column / self.grid.columns
         return tuple(numbers)
+
+    def describe(self, state: int) -> tuple[str, ...]:
+        """The doors that have been opened, those shut again included."""
+        opened = [name for door, name in enumerate(self.target_names[: len(self.grid.doors)]) if state >> 2 * door & 2]
+        return (f"Doors opened so far: {join_words(opened) or 'none'}.",)
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
         """Lit targets: open doors, and the thing that is held."""

@@ -125,6 +125,11 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
             numbers += [block.yaw, float(is_on)]
         return tuple(numbers)
 
+    def describe(self, state: tuple[BlockPose, ...]) -> tuple[str, ...]:
+        """One sentence a block: whether it is on its plate."""
+        return tuple(f"{block.name} is {'on' if is_on else 'off'} {plate.name}."
+                     for (block, plate), is_on in zip(self.pairs, self._list_on_plate(state), strict=True))
+
     def get_facts(self, state: tuple[BlockPose, ...]) -> frozenset[str]:
         """`on-plate(block-i)` for every block on its plate."""
         return frozenset(f"on-plate({block.name})"

@@ -115,6 +115,11 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return tuple(self.count(state, name) / (MOST_KEPT if number < MATERIALS else 1)
                      for number, name in enumerate(NAMES))
 
+    @property
+    def light_numbers(self) -> tuple[int, ...]:
+        """One a target: above 0 where it is lit."""
+        return tuple(range(len(NAMES)))
+
     def get_lit(self, state: int) -> tuple[bool, ...]:
         """Lit panels: materials in store, and things placed or made."""
         return tuple(self.count(state, name) > 0 for name in NAMES)

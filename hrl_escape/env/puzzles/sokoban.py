@@ -160,6 +160,10 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         shares = [share for row, column in places for share in (row / len(self.rows), column / self.level.columns)]
         return (*shares, *(float(goal in cells) for goal in self.level.goals))
 
+    def describe(self, state: int) -> tuple[str, ...]:
+        """Nothing: beyond the lights, `observe` shows only places."""
+        return ()
+
     def get_lit(self, state: int) -> tuple[bool, ...]:
         """Lit targets: boxes on goals, and goals with a box on them."""
         cells, goals = self.decode(state), self.level.goals

@@ -239,7 +239,7 @@ class BatchedOptionsEnv:
         device: device of all tensors.
         action_names: names of the actions.
         actions: their number.
-        gamma: discount per primitive.
+        gamma: discount per primitive; see `set_option_discount`.
         observation_space: of one room.
         action_space: of one room.
 
@@ -293,13 +293,22 @@ class BatchedOptionsEnv:
         self._view: AgentView | None = None
         self._running: OpenDecisions | None = None
         self._chooser = PostureChooser(self.room, self._fields, self.rooms.compile) if presses_by_hand(layout) else None
-        self._kernel: DecisionKernel | None = None
-        if self.rooms.compile:
-            check_compiler(self.device)
-            shapes = (num_envs, *list_shapes(self.room.tables), *list_shapes(self._fields))
-            compiled = compile_step(step_decisions, (layout, self._settings), self.device.type,
-                                    torch.get_num_threads(), shapes)
-            self._kernel = compiled.bind(self.room.tables, self._fields)
+        self._kernel = self._compile() if self.rooms.compile else None
+
+    def _compile(self) -> DecisionKernel:
+        check_compiler(self.device)
+        shapes = (self.count, *list_shapes(self.room.tables), *list_shapes(self._fields))
+        compiled = compile_step(step_decisions, (self.room.layout, self._settings), self.device.type,
+                                torch.get_num_threads(), shapes)
+        return compiled.bind(self.room.tables, self._fields)
+
+    def set_option_discount(self, gamma: float) -> None:
+        """Set the discount per primitive, in [0, 1]; decisions in progress keep what they have gathered."""
+        if not 0.0 <= gamma <= 1.0:
+            raise ConfigError("BatchedOptionsEnv.discount", gamma, "a number from 0 to 1")
+        if gamma != self.gamma:
+            self.gamma, self._settings = float(gamma), self._settings._replace(gamma=float(gamma))
+            self._kernel = self._compile() if self.rooms.compile else None
 
     # --- observations and masks --------------------------------------------------------------
 

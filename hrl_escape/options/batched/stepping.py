@@ -41,9 +41,7 @@ from hrl_escape.options.batched.successors import (
 )
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 from hrl_escape.options.degraded import FAILURE, STOP, OptionDegradation
-
-ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
-"""Endings of decisions, in the words of `info["option"]["ended"]`; `Transitions.ended` is an index into it."""
+from hrl_escape.step_info import ENDINGS
 
 PLAN_LENGTH = 64
 """Longest plan that a room keeps, primitives."""

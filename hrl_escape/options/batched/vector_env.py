@@ -28,7 +28,7 @@ _ELSEWHERE = {
     "option_features": "infos['action_mask'] tells what is legal",
     "planner": "options follow cost-to-go fields",
 }
-_TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives", "success")
+_TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives")
 
 
 class OptionsVectorEnv(BatchVectorEnv):
@@ -36,8 +36,8 @@ class OptionsVectorEnv(BatchVectorEnv):
 
     `infos` holds arrays over rooms: `action_mask` (bool); `duration`, `discount`, `summed_reward`, `discounted_reward`
     and `pressed`, as `OptionsEnv` gives them; `ended` (an index into `ENDINGS`), `primitives` (of the episode so far)
-    and `success`. At a reset they are those of a decision in which nothing ran. The three kinds of automatic reset are
-    those of `EscapeRoomVectorEnv`.
+    and `is_success`. At a reset they are those of a decision in which nothing ran. The three kinds of automatic reset
+    are those of `EscapeRoomVectorEnv`.
 
     Args:
         num_envs: number of rooms.
@@ -93,7 +93,13 @@ class OptionsVectorEnv(BatchVectorEnv):
             raise UnsupportedError(f"max_episode_steps = {self._most_steps} counts decisions, and training in many "
                                    "rooms at once counts primitives: set the horizon of the rooms' `config` instead")
         arguments: dict[str, Any] = {**self._arguments, "instance": self._batch.rooms.instances}
-        return BatchedOptionsEnv(**arguments)
+        streams = BatchedOptionsEnv(**arguments)
+        streams.set_option_discount(self._batch.gamma)
+        return streams
+
+    def set_option_discount(self, gamma: float) -> None:
+        """Set the discount per primitive, in [0, 1]."""
+        self._batch.set_option_discount(gamma)
 
     def make_single_env(self) -> gymnasium.Env:
         """Make an `OptionsEnv` of the same rooms and options."""
@@ -177,11 +183,11 @@ class OptionsVectorEnv(BatchVectorEnv):
             told = {"duration": none, "discount": none.float() + 1, "summed_reward": none.float(),
                     "discounted_reward": none.float(),
                     "ended": none.to(torch.int8) - 1, "primitives": self._batch.room.state.primitives,
-                    "success": none.bool()}
+                    "is_success": none.bool()}
             pressed = none.long()
         else:
             told, pressed = {name: getattr(done, name) for name in _TOLD}, done.pressed
-            told["summed_reward"] = done.reward
+            told |= {"summed_reward": done.reward, "is_success": done.success}
         told["pressed"] = unpack_bits(pressed, self._batch.room.layout.targets, torch.int8).T
         return self._mark({name: self._give(field) for name, field in ({"action_mask": mask} | told).items()}) | more
 

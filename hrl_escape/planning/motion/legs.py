@@ -269,14 +269,15 @@ class Mover:
             turn = math.remainder(heading - rules.get_heading(state), math.tau)
             joints = tuple(a - b for a, b in zip(angles, rules.get_angles(state), strict=True))
             before = state.touching
-            state, _, _, _, pressed = rules.glide(state, Glide(x - state.x, y - state.y, turn, joints, 0.0))
+            done = rules.glide(state, Glide(x - state.x, y - state.y, turn, joints, 0.0))
+            state = done.state
             if before & ~state.touching:
                 touching = state.touching | before & self._near.compute_touching(*state.pose)
                 state = state._replace(touching=touching)
             if (math.hypot(x - state.x, y - state.y) > _LOST
                     or abs(math.remainder(heading - rules.get_heading(state), math.tau)) > _LOST):
                 return None
-            contacts += [Contact(time, target) for target in pressed]
+            contacts += [Contact(time, target) for target in done.pressed]
         return tuple(contacts), state
 
 
@@ -303,12 +304,14 @@ class _Legs(Mover):
                 played = self._play(motion, states[begin])
                 if played is None or sorted(c.target for c in played[0]) != list(list_touched(wanted)):
                     continue
+                if wanted & (wanted - 1) and played[1].puzzle != states[end].puzzle:
+                    continue  # a plan's primitive touches several targets at once, in the order of their numbers
                 if not differ_in_boxes(self._room, states[end], played[1]):
                     return Press(rest(motion) if wanted else motion, played[0])
         targets = ", ".join(self._room.targets[t].name for t in list_touched(wanted)) or "nothing"
         raise UnsupportedError(f"no trajectory was found for the leg {name!r} of {self._plan.name!r} that presses "
-                               f"{targets} and nothing else on its way, and pushes the same: follow its primitives "
-                               "instead")
+                               f"{targets} to the same effect and nothing else on its way, and pushes the same: "
+                               "follow its primitives instead")
 
     # --- ways ----------------------------------------------------------------------------
 

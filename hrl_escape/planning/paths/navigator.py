@@ -24,7 +24,7 @@ from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.areas import compute_goal_area, sample_places
 from hrl_escape.planning.goals import FARTHEST, Goal, PressGoal, check_goal
-from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path, get_factory
+from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path, path_planners
 from hrl_escape.planning.paths.problem import (
     CHECKER_CALLS,
     DEFAULT_PLANNER,
@@ -96,7 +96,7 @@ class Navigator:
             UnsupportedError: the goal is a push, or the planner knows no poses and the base is a rectangle.
             PathPlannerError: the planner failed, or returned no path.
         """
-        factory = get_factory(planner)
+        factory = path_planners.get(planner)
         turns_anywhere = self.instance.robot.base.turns_anywhere
         if not turns_anywhere and planner not in OMPL_PLANNERS:
             raise UnsupportedError(f"path planner {planner!r} plans places of a disc; poses of a rectangular base are "

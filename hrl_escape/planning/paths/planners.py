@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.errors import MissingPackageError, PathPlannerError, UnknownNameError
+from hrl_escape.errors import MissingPackageError
 from hrl_escape.planning.paths.problem import CheckerBudget, PathProblem, PlannerFactory, Spent
+from hrl_escape.registry import Registry
 
 try:
     from ompl import base, geometric, util
@@ -43,22 +44,14 @@ def register_planner(name: str, factory: PlannerFactory) -> None:
             same problem must give the same path, independent of earlier queries.
 
     Raises:
-        PathPlannerError: another planner has that name.
+        ConfigError: another planner has that name, or the factory cannot be called.
     """
-    if _FACTORIES.setdefault(name, factory) is not factory:
-        raise PathPlannerError(f"a path planner named {name!r} is registered already; choose another name")
+    path_planners.register(name, factory)
 
 
 def list_planners() -> tuple[str, ...]:
-    """Names of all path planners, OMPL's and registered ones."""
-    return tuple(sorted(_FACTORIES))
-
-
-def get_factory(name: str) -> PlannerFactory:
-    """The factory registered under a name. Raises `UnknownNameError`."""
-    if not isinstance(name, str) or name not in _FACTORIES:
-        raise UnknownNameError("path planner", name, _FACTORIES)
-    return _FACTORIES[name]
+    """Names of all path planners: OMPL's, registered ones and those of installed packages."""
+    return tuple(sorted(path_planners))
 
 
 def find_line_path(planner: str, problem: PathProblem) -> NDArray[np.float64] | None:
@@ -86,8 +79,10 @@ def _find_plane_path(planner: str, problem: PathProblem, is_move_free: Callable[
                    problem.optimise, is_move_free)
 
 
-_FACTORIES: dict[str, PlannerFactory] = {
-    name: lambda collision, name=name: partial(_find_plane_path, name) for name in OMPL_PLANNERS}
+path_planners: Registry[PlannerFactory] = Registry("path planner", "a function of a CollisionMap", callable)
+"""Factories of path planners by name."""
+for _name in OMPL_PLANNERS:
+    path_planners.register(_name, lambda collision, name=_name: partial(_find_plane_path, name))
 
 
 def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: NDArray[np.float64],

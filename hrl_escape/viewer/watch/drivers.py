@@ -149,31 +149,33 @@ class Driver:
         return make_meta_options(instance, self.flavour, get_planner(instance))
 
 
-def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: str = "features", seed: int = 0,
-                trust: bool = False) -> Driver:
-    """Open the driver that a user names: `planner`, a searcher, the folder of a run, or an agent to train.
+def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: str | None = None,
+                seed: int = 0, trust: bool = False) -> Driver:
+    """Open the driver that a user names: `planner`, a searcher, the folder of a run, or an agent to train by its label.
 
-    Observation and seed are those of an agent to train; a run's own observation is found out. With `trust` a run's
-    environment may import whatever code its folder names.
+    Observation and seed are those of an agent to train, by default the observation that it needs; a run's own is found
+    out. With `trust` a run's environment may import whatever code its folder names.
 
     Raises:
-        UnknownNameError: neither a folder nor an agent has this name.
+        UnknownNameError: neither a folder nor an agent has this name, or no trait of an agent.
+        AgentSettingsError: the label contradicts itself.
         FileReadError: the folder holds no run.
         CheckpointError: the run is damaged.
         TrustError: the run needs code from elsewhere, and `trust` is false.
         RunMismatchError: the run was made in a room with other spaces.
         UnsupportedError: no hierarchy is synthesised for this agent.
     """
-    spec = AgentSpec(agent) if isinstance(agent, str) else agent
+    if isinstance(agent, str) and is_run(agent):
+        return _open_run(Path(agent), instance, trust)
+    spec = AgentSpec.parse(agent) if isinstance(agent, str) else agent
     name, flavour = spec.name, spec.options.flavour
+    observation = observation or spec.default_observation
     if name == PLANNER_NAME:
         recorder, plan = _make_room(instance, observation), EscapePlan(get_planner(instance))
         env = OptionsEnv(recorder, options=lambda _: make_legs(plan), include_primitives=False)
         return _make_driver("the planner", PlannerAgent(env, plan), env, "press", plan=plan)
     if name in (*SEARCHERS, BAYES):
         spec = dataclasses.replace(spec, options=dataclasses.replace(spec.options, include_primitives=False))
-    elif Path(name).exists() or "/" in name:
-        return _open_run(Path(name), instance, trust)
     if not spec.is_reference:
         _check_agent(name)
     env, recorder = make_env(spec, instance, observation)
@@ -182,7 +184,12 @@ def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: 
         return _make_driver(words, make_player(spec, env, recorder), env, flavour)
     learner = make_agent(name, env.observation_space, env.action_space, seed, spec.recipe, read_structure(env),
                          **spec.settings)
-    return _make_driver(f"{name}, learning", learner, env, flavour, trains=True)
+    return _make_driver(f"{spec.label}, learning", learner, env, flavour, trains=True)
+
+
+def is_run(text: str) -> bool:
+    """Return whether the name of a driver is the path of a run's folder."""
+    return text != PLANNER_NAME and (Path(text).exists() or "/" in text)
 
 
 def find_driver(text: str) -> tuple[str, RoomInstance | None]:

@@ -21,6 +21,7 @@ from hrl_escape.agents.training.evaluation import compute_episode_seed, play_epi
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.comparison.references.by_lights import Searcher
+from hrl_escape.comparison.solved_probe import find_target_edges
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.env.noise import check_seed
@@ -61,7 +62,8 @@ class Previewer:
             return Preview(name, (state,), problem="it cannot start here")
         states, pressed, rng = [state], [], np.random.default_rng(0)
         try:
-            run = OptionExecution(0, option, state, rng)
+            run = OptionExecution(0, option, rng)
+            run.start(state)
             while len(states) <= MOST:
                 step = rules.step(states[-1], run.choose(states[-1]))
                 states.append(step.state)
@@ -246,11 +248,8 @@ class Watch:
 
     def read_graph(self) -> frozenset[tuple[int, int]] | None:
         """Edges (parent, child) among targets that the agent believes in now; None where it has no graph."""
-        shape, graph = self.driver.env.observation_space.shape, self.driver.agent.get_graph()
-        if graph is None or shape is None or len(shape) != 1:
-            return None
-        first = shape[0] - len(self.driver.room.instance.targets)  # the puzzle's bits end the observation
-        return frozenset((parent - first, child - first) for parent, child in graph if min(parent, child) >= first)
+        graph, places = self.driver.agent.get_graph(), self.driver.room.observer.light_places
+        return find_target_edges(graph, places) if graph is not None and places else None
 
     def note_choice(self, choice: ObservedChoice) -> None:
         """Record a choice, and predict the course of a chosen option."""
@@ -284,7 +283,7 @@ class Watch:
         self.decisions.append(CompletedDecision(name, transition, option["ended"]))
         if option["ended"] != "reached":
             self._log(f"{name}: {option['ended']}" + (f", {option['reason']}" if option["reason"] else ""))
-        end = EpisodeEnd.of_step(bool(info["success"]), transition.terminated, transition.truncated)
+        end = EpisodeEnd.of_step(bool(info["is_success"]), transition.terminated, transition.truncated)
         if end.is_over:
             self._log(f"{end.words}, return {self.total:g}")
         self.gate.end_decision()

@@ -304,7 +304,7 @@ def test_states_that_do_not_fit_into_a_word_are_refused():
 
 @pytest.mark.parametrize("name", ["r-max", "factored-r-max", "monte-carlo-model"])
 def test_pictures_are_refused(name):
-    with pytest.raises(UnsupportedSpaceError, match="for pictures use dqn or ppo"):
+    with pytest.raises(UnsupportedSpaceError, match="for other observations use dqn or ppo"):
         make_agent(name, spaces.Box(0, 255, (84, 84, 3), np.uint8), spaces.Discrete(2), 0)
 
 

@@ -128,7 +128,7 @@ def test_ties_are_drawn_so_that_a_goal_is_found_where_steps_cost_nothing():
         assert {agent.act_greedy(0, np.ones(4, np.bool_), np.random.default_rng(n)) for n in range(40)} == set(range(4))
         learn(agent, env, 10_000, seed)
         first, again = (evaluate(agent, env, 2, seed=3) for _ in range(2))
-        assert first.success_rate == 1.0 and first == again
+        assert first.mean_return == 1.0 and first == again
 
 
 # --- intra-option learning ----------------------------------------------------------------

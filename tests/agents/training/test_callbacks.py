@@ -72,6 +72,25 @@ def test_callbacks_hear_of_runs_in_many_environments():
     assert {row["kind"] for row in notes.rows} == {"segment", "evaluation"}
 
 
+def test_a_callback_that_fails_at_the_end_is_reported_and_costs_neither_the_result_nor_the_others(tmp_path):
+    class Down(Callback):
+        def on_end(self, result):
+            raise OSError("tracker is down")
+
+    notes = Notes()
+    with pytest.warns(RuntimeWarning, match=r"Down\.on_end raised OSError: tracker is down\. The run is complete"):
+        result = run(callbacks=[Down(), notes], out=tmp_path)
+    assert result == run() == load_result(tmp_path) and notes.ends == [result]
+
+    class Fails(Callback):
+        def on_row(self, row):
+            raise RuntimeError("no space")
+
+    with pytest.raises(RuntimeError, match="no space"), pytest.warns(RuntimeWarning, match="The run ended"):
+        run(callbacks=[notes, Down(), Fails()])
+    assert notes.ends == [result, None]
+
+
 def test_every_callback_that_began_is_told_of_the_end_when_a_run_fails():
     class Fails(Callback):
         def on_row(self, row):
@@ -131,3 +150,33 @@ def test_optuna_hears_of_evaluations_and_prunes(is_pruned):
     assert trial.state.name == ("PRUNED" if is_pruned else "COMPLETE")
     assert trial.intermediate_values == {one.primitives: one.mean_return for one in result.evaluations}
     assert (result.primitives < 1_200) == is_pruned
+
+
+def test_a_resumed_run_is_pruned_by_all_of_its_evaluations(tmp_path):
+    optuna = pytest.importorskip("optuna")
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+
+    class Third(optuna.pruners.BasePruner):
+        """Prunes at the third evaluation that it is shown."""
+
+        def prune(self, study, trial):
+            return len(trial.intermediate_values) >= 3
+
+    def ask():
+        return optuna.create_study(direction="maximize", pruner=Third()).ask()
+
+    def prune(out, trial, *others):
+        pruning = OptunaPruning(trial)
+        return run(out=tmp_path / out, callbacks=[pruning, *others]), pruning
+
+    whole, pruned = prune("whole", ask())
+    assert pruned.is_pruned and len(whole.evaluations) == 3
+    first, pruned = prune("cut", ask(), Notes(last=2))
+    assert not pruned.is_pruned and len(first.evaluations) == 2
+    trial = ask()
+    resumed, pruned = prune("cut", trial)
+    assert pruned.is_pruned and resumed == whole
+    reported = trial.study.trials[0].intermediate_values
+    assert reported == {one.primitives: one.mean_return for one in whole.evaluations}
+    again, pruned = prune("cut", ask())
+    assert pruned.is_pruned and again == whole, "nothing more was trained"

@@ -195,6 +195,17 @@ def test_a_file_of_another_run_is_never_taken_for_this_ones(whole, tmp_path, nam
         run(tmp_path / "here", seed=5)
 
 
+@pytest.mark.parametrize(("name", "best"), [("checkpoint.npz", False), ("best.npz", True)])
+def test_an_agent_of_another_run_is_never_loaded_as_this_ones(whole, tmp_path, name, best):
+    """The two runs differ in their seed alone, so that the other's arrays would fit."""
+    run(tmp_path / "here", seed=5)
+    load_agent(tmp_path / "here", Grid(), best=best)
+    shutil.copy(whole / name, tmp_path / "here" / name)
+    for env in (Grid(), None):
+        with pytest.raises(CheckpointError, match="the checkpoint belongs to another run"):
+            load_agent(tmp_path / "here", env, best=best, trust=True)
+
+
 @pytest.mark.parametrize("kept", ["result.json", "checkpoint.npz", "log.jsonl"])
 def test_a_folder_without_its_description_is_not_adopted(whole, tmp_path, kept):
     shutil.copy(whole / kept, tmp_path / kept)

@@ -16,15 +16,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hrl_escape.agents import load_agent, load_result, make_agent, train
+from hrl_escape.agents import Callback, load_agent, load_result, make_agent, train
 from hrl_escape.agents.registry import list_agents, list_recipes
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.run_folder import RunFolder
 from hrl_escape.errors import CheckpointError, FileReadError, FileWriteError, RunBusyError, RunMismatchError
+from hrl_escape.signals import Ended, end_by_signal
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
 from tests.covering import thin
+from tests.forks import run_fork
 
 SMALL = {
     "dqn": {
@@ -236,16 +238,16 @@ def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path):
 
 
 class Pressing(ButtonGrid):
-    """Ctrl-C is pressed once, or at every step, from the n-th step of its life on."""
+    """Ctrl-C is pressed once, or at every step, from the n-th step of its life on; or another signal comes."""
 
-    def __init__(self, after, again=False):
+    def __init__(self, after, again=False, number=signal.SIGINT):
         super().__init__(trace=True, horizon=40)
-        self.left, self.again = after, again
+        self.left, self.again, self.number = after, again, number
 
     def step(self, action):
         self.left -= 1
         if self.left == 0 or (self.left < 0 and self.again):
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), self.number)
         return super().step(action)
 
 
@@ -265,6 +267,61 @@ def test_a_second_ctrl_c_stops_at_once(tmp_path, heeding_ctrl_c):
     with pytest.raises(KeyboardInterrupt):
         run("q-learning", "corrected", {}, env, tmp_path, checkpoint_seconds=1e9, eval_episodes=0)
     assert env.left == -1 and not (tmp_path / "checkpoint.npz").exists()
+
+
+@pytest.fixture(params=[signal.SIGTERM, signal.SIGHUP])
+def ending_signal(request):
+    """A signal that raises `Ended`, as in the command line."""
+    before = signal.signal(request.param, end_by_signal)
+    yield request.param
+    signal.signal(request.param, before)
+
+
+def test_a_signal_to_end_saves_the_episode_that_is_running_and_is_acted_on_after_that(tmp_path, ending_signal):
+    ends = []
+
+    class Watch(Callback):
+        def on_end(self, result):
+            ends.append((result, signal.getsignal(ending_signal)))
+
+    with pytest.raises(Ended) as ended:
+        run("q-learning", "corrected", {}, Pressing(13, number=ending_signal), tmp_path, checkpoint_seconds=1e9,
+            eval_episodes=0, callbacks=[Watch()])
+    assert ended.value.number == ending_signal and signal.getsignal(ending_signal) is end_by_signal
+    ((result, handler),) = ends
+    assert result is None and handler is not end_by_signal, "callbacks end their own work before the process does"
+    saved, rows = load_checkpoint(tmp_path / "checkpoint.npz"), read_log(tmp_path)
+    assert 0 < saved["primitives"] == rows[-1]["primitives"] < 300
+    assert rows[-1]["train/end"] in ("terminated", "truncated"), "the episode that ran has ended"
+    resumed = run("q-learning", "corrected", {}, Pressing(10**9, number=ending_signal), tmp_path, eval_episodes=0)
+    assert resumed == run("q-learning", "corrected", {}, make_env(), eval_episodes=0)
+
+
+def test_a_second_signal_to_end_is_acted_on_at_once(tmp_path, ending_signal):
+    env = Pressing(13, again=True, number=ending_signal)
+    with pytest.raises(Ended):
+        run("q-learning", "corrected", {}, env, tmp_path, checkpoint_seconds=1e9, eval_episodes=0)
+    assert env.left == -1 and not (tmp_path / "checkpoint.npz").exists()
+
+
+def test_a_signal_in_the_last_episode_ends_the_process_once_the_result_is_written(tmp_path, ending_signal):
+    with pytest.raises(Ended):
+        run("q-learning", "corrected", {}, Pressing(1, number=ending_signal), tmp_path, primitives=9,
+            eval_episodes=0)
+    assert load_result(tmp_path) == run("q-learning", "corrected", {}, make_env(), primitives=9, eval_episodes=0)
+
+
+def test_a_signal_without_a_handler_kills_the_process_after_the_checkpoint(tmp_path):
+    script = """if True:
+        import signal, sys
+        from hrl_escape.agents import train
+        from tests.agents.training.test_resuming import Pressing
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        train("q-learning", Pressing(13, number=signal.SIGTERM), primitives=300, out=sys.argv[1], eval_episodes=0,
+              checkpoint_seconds=1e9)
+        """
+    assert run_fork(script, str(tmp_path)).returncode == -signal.SIGTERM
+    assert 0 < load_checkpoint(tmp_path / "checkpoint.npz")["primitives"] < 300
 
 
 def test_the_best_checkpoint_is_that_of_the_best_evaluation(tmp_path):

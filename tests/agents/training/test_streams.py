@@ -387,8 +387,27 @@ def test_a_rollout_longer_than_the_time_between_evaluations_is_learned_from_and_
     assert sum(int(rollout.over.sum()) for rollout in learned) > 8, "some were cut"
 
 
-def test_options_discounted_by_another_gamma_than_the_agents_are_refused():
+def test_training_sets_the_discount_of_options_to_the_agents():
     env = BatchedOptionsEnv(4, "paper-one-button", discount=0.9, include_primitives=False)
+    train("smdp-ppo", env, primitives=200, settings={**SMALL, "gamma": 0.5}, eval_episodes=0)
+    assert env.gamma == 0.5
+    env.reset(0)
+    ended = env.step(torch.full((4,), env.actions - 2))
+    while not bool(ended.where.any()):
+        ended = env.step(torch.full((4,), -1))
+    k, summed, discounted, discount = (field[ended.where].double() for field in (
+        ended.duration, ended.reward, ended.discounted_reward, ended.discount))
+    bonus = summed + k  # 100 with the last primitive of an episode that left
+    torch.testing.assert_close(discount, 0.5**k, rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(discounted, -(1 - 0.5**k) / 0.5 + 0.5 ** (k - 1) * bonus, rtol=1e-5, atol=1e-5)
+
+
+def test_options_whose_discount_cannot_be_set_to_the_agents_are_refused():
+    class Fixed(BatchedOptionsEnv):
+        def set_option_discount(self, gamma):
+            pass
+
+    env = Fixed(4, "paper-one-button", discount=0.9, include_primitives=False)
     with pytest.raises(DiscountMismatchError):
         train("smdp-ppo", env, primitives=200, settings=SMALL, eval_episodes=0)
 
@@ -447,6 +466,7 @@ def test_decisions_of_options_arrive_through_a_vector_environment_with_their_dur
             *rest, info = super().step(action)
             rewards = info["rewards"]
             info = {"duration": info["duration"], "action_mask": info["action_mask"],
+                    "discount": 0.99 ** info["duration"],
                     "discounted_reward": sum(0.99**n * reward for n, reward in enumerate(rewards))}
             return *rest, info
 

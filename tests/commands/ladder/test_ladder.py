@@ -52,6 +52,17 @@ def test_an_option_of_other_protocols_is_refused(capsys, protocol, option, value
     assert f"{option} does nothing with --protocol {protocol}; it is for {suits}" in err
 
 
+def test_runs_of_each_benchmark_have_a_folder_that_no_other_command_writes_to(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    _, out, _ = call(capsys, "run", "smdp-random", "--rung", "doormat", "--dry-run")
+    assert "runs/ladder-1/per-instance/doormat" in out
+    _, out, _ = call(capsys, "run", "smdp-random", "--rung", "depth-1", "--benchmark", "ladder-2", "--dry-run")
+    assert "runs/ladder-2/per-instance/depth-1" in out
+    code, _, err = call(capsys, "report")
+    assert code == 2 and "runs/ladder-1/per-instance: no rung was run here" in err
+    assert main(["compare", "ladder", "--dry-run"]) == 0 and "runs/ladder-1" not in capsys.readouterr().out
+
+
 def test_mistakes_are_one_line(capsys):
     code, _, err = call(capsys, "show", "latice")
     assert code == 2 and err.count("\n") == 1 and "did you mean 'lattice'" in err

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from benchmarks.conformance import compare
-from hrl_escape.env.bases import BASES
+from hrl_escape.env.bases import bases
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import ConfigError, DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.drawing.meshes import compute_base_outline, make_base_column
@@ -34,9 +34,10 @@ ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture
-def diamond(monkeypatch):
-    monkeypatch.setitem(BASES, "diamond", Diamond)
-    return RobotConfig(footprint="diamond", body_radius=0.5, turn_step_deg=15)
+def diamond():
+    bases.register("diamond", Diamond)
+    yield RobotConfig(footprint="diamond", body_radius=0.5, turn_step_deg=15)
+    bases.unregister("diamond")
 
 
 def make_room(robot, seed=0, **parts):
@@ -100,9 +101,9 @@ def test_a_base_that_comes_after_the_planners_is_refused_by_them(diamond):
 
 PROGRAM = """
 import dataclasses
-from hrl_escape.env.bases import BASES
+from hrl_escape.env.bases import bases
 from tests.env.bases.diamond import Diamond
-BASES["diamond"] = Diamond  # the line
+bases.register("diamond", Diamond)  # the line
 from hrl_escape import OptionsEnv, RoomPlanner
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv

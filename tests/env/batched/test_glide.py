@@ -129,7 +129,7 @@ def test_a_vector_of_rooms_is_the_single_environment_many_times(preset):
     many.action_space.seed(0)
     seen, infos = many.reset(seed=5)
     single.reset(options={"state": many.unwrapped.room.get_room_state(1)})
-    assert set(infos) >= {"seconds", "time_step", "success", "pressed"} and "primitives" not in infos
+    assert set(infos) >= {"seconds", "time_step", "is_success", "pressed"} and "primitives" not in infos
     actions = np.zeros(())
     for step in range(31):
         actions = 1.5 * many.action_space.sample()  # beyond the bounds, too

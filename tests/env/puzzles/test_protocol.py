@@ -137,7 +137,7 @@ def test_an_episode_that_failed_is_over_and_no_success():
         wrong = "abc"[(state.puzzle[0] + 1) % 3]
         for primitive in planner.plan(state, wrong).primitives:
             _, reward, terminated, _, info = env.step(primitive)
-        endings.add((reward, terminated, info["success"]))
+        endings.add((reward, terminated, info["is_success"]))
     assert endings == {(-51.0, True, False), (-1.0, False, False)}
 
 

@@ -9,8 +9,7 @@ import torch
 from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle, tabulate
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles import base as puzzles
-from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.base import Contacts, puzzles, register_puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
 from hrl_escape.env.puzzles.taxi import Ride
 from hrl_escape.env.sampling.generation import generate
@@ -109,10 +108,10 @@ def test_each_room_does_what_options_env_does(name, arguments):
 
 
 @pytest.mark.parametrize("flavour", ["press", "press-with-ancestors"])
-def test_what_is_gripped_behind_shut_doors_waits_for_its_ancestors(flavour, monkeypatch):
+def test_what_is_gripped_behind_shut_doors_waits_for_its_ancestors(flavour, request):
     """A puzzle with presses, grips and doors between rooms, which is none of the package's."""
-    monkeypatch.setattr(puzzles, "_REGISTRY", dict(puzzles._REGISTRY))  # later tests do not know it
-    puzzles.register_puzzle(GrippedConfig, GrippedButtons)
+    register_puzzle(GrippedConfig, GrippedButtons)
+    request.addfinalizer(lambda: puzzles.unregister(GrippedConfig.kind))
     config = get_preset("inner-doors")
     puzzle = GrippedConfig(**{field.name: getattr(config.puzzle, field.name)
                               for field in dataclasses.fields(config.puzzle)})

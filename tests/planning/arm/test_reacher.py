@@ -478,8 +478,9 @@ def test_joint_steps_are_ordered_round_other_targets_wherever_that_can_be():
         for joint, (a, b) in enumerate(zip(steps, goal, strict=True)):
             straight += [kinematics.actions.joints[joint][b < a]] * abs(b - a)
         for action in straight:
-            here, _, _, _, pressed = kinematics.step(here, action)
-            hard += pressed == (1,)
+            transition = kinematics.step(here, action)
+            here = transition.state
+            hard += transition.pressed == (1,)
         orders += (possible := can_order(room, state, goal))
         assert not possible or (actions is not None and len(actions) <= fewest)
         if actions is not None:
@@ -506,8 +507,9 @@ def test_target_that_is_touched_already_is_left_and_touched_again():
         actions = reacher.order_steps(here, (), steps, 0)
         assert actions is not None and len(actions) >= 2
         for action in actions:
-            here, _, _, _, pressed = kinematics.step(here, action)
-        assert pressed == (0,)
+            transition = kinematics.step(here, action)
+            here = transition.state
+        assert transition.pressed == (0,)
         again += 1
     assert again >= 30
 

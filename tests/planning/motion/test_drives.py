@@ -148,4 +148,4 @@ def test_options_of_a_rectangle_that_drives_escape():
         assert info["option"]["ended"] == "reached" and not info["also_pressed"].any()
         if terminated:
             break
-    assert terminated and info["success"]
+    assert terminated and info["is_success"]

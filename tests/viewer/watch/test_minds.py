@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import pytest
@@ -11,6 +12,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.settings import Between
 from hrl_escape.viewer.recording import record_driver
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.watch import Gate, ObservedChoice, Watch
@@ -75,3 +77,20 @@ def test_a_learned_graph_is_that_of_the_room_once_the_agent_escapes_at_will(two_
     watch.run()
     assert watch.read_graph() == set(get_trait(two_buttons.puzzle, Graphed).edges)
     assert Watch(open_driver("smdp-q-learning", two_buttons), Gate(None)).read_graph() is None
+
+
+@pytest.mark.parametrize("observation", ["features", "state"])
+def test_a_learned_graph_names_the_targets_of_a_room_with_fewer_than_others_of_its_set_have(observation):
+    preset = get_preset("four-button-chain")
+    several = dataclasses.replace(preset, puzzle=dataclasses.replace(preset.puzzle, count=Between(2, 4)))
+    room = next(room for room in (generate(several, seed) for seed in range(20)) if len(room.targets) == 2)
+    assert len(room.frame.target_names) == 4
+    watch = Watch(open_driver("smdp-factored-r-max", room, observation=observation), Gate(None))
+
+    def note(step: PrimitiveStep | None) -> None:
+        if watch.primitives > 300:
+            watch.gate.stop()
+
+    watch.on_change = note
+    watch.run()
+    assert watch.read_graph() == set(get_trait(room.puzzle, Graphed).edges)

@@ -125,7 +125,7 @@ function interpolate(s, x, step) {
 // The reading under the pointer.
 function read(box, svg, series, X, place) {
   const { left, right, top, bottom, width, height, showX, showY, options } = place;
-  const line = draw("line", { y1: top, y2: height - bottom, stroke: "#22262e", "stroke-opacity": 0.35, visibility: "hidden" }, svg);
+  const line = draw("line", { y1: top, y2: height - bottom, stroke: "currentColor", "stroke-opacity": 0.35, visibility: "hidden" }, svg);
   const tip = document.createElement("div");
   tip.className = "tip";
   tip.hidden = true;

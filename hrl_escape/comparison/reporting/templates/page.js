@@ -3,6 +3,7 @@
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const hidden = new Set();
+const isDark = matchMedia("screen and (prefers-color-scheme: dark)").matches; // names are darker than their lines on white alone
 
 function pick(role, then) {
   const group = document.querySelector(`[data-role="${role}"]`);
@@ -44,7 +45,7 @@ function drawCurves() {
     const curve = room < 0 ? agent.curve : agent.room_curves[room];
     if (!curve) return [];
     const [y, low, high] = curve[metric.source].map((values) => values.map(turn));
-    return [{ name: agent.label, colour: agent.colour, text: agent.text, dash: agent.dash, thin: agent.is_level, x: curve[against], y, low, high }];
+    return [{ name: agent.label, colour: agent.colour, text: isDark ? agent.colour : agent.text, dash: agent.dash, thin: agent.is_level, x: curve[against], y, low, high }];
   });
   const all = series.flatMap((s) => (s.thin ? s.y : [...s.low, ...s.high]));
   const range = metric.yRange || (metric.yLog ? [Math.max(1, Math.min(...all)) * 0.85, Math.max(...all) * 1.15]
@@ -92,7 +93,7 @@ function drawProfile() {
     const y = kept.map((i) => agent.profile[i]);
     const order = close ? [...kept.keys()].reverse() : [...kept.keys()];
     const ys = order.map((i) => y[i]);
-    return { name: agent.label, colour: agent.colour, text: agent.text, dash: agent.dash, thin: agent.is_level, x: order.map((i) => x[i]), y: ys, low: ys, high: ys };
+    return { name: agent.label, colour: agent.colour, text: isDark ? agent.colour : agent.text, dash: agent.dash, thin: agent.is_level, x: order.map((i) => x[i]), y: ys, low: ys, high: ys };
   });
   const box = document.getElementById("profile-chart");
   drawChart(box, series, {

@@ -1,0 +1,48 @@
+"""The agents to begin with: one answer to "which agent?", which the command line, the site and the README quote.
+
+Each label trains under this name in every command and in Python. The numbers are those of `docs/results`: *one room*
+from `canon.md`, *unseen rooms* from `marks.md` and `generalisation.md`, the search baseline from `canon.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """An agent to begin with."""
+
+    use: str  # what it is for
+    label: str  # label, as every command takes it
+    title: str  # display name
+    reason: str  # what was measured, in Markdown-free sentences
+
+
+RECOMMENDED = (
+    Recommendation(
+        "one room", "smdp-r-max+no-primitives", "R-MAX over options",
+        "Efficiency 0.91 to 1.00 after 20,000 primitives in the room where it is tested, in seven kinds of rooms with "
+        "two to ten buttons. The search baseline, which starts every episode anew, has 0.35 to 0.84. Four learners of "
+        "structure show no significant difference. The best agent with a network is smdp-rainbow+no-primitives.",
+    ),
+    Recommendation(
+        "unseen rooms", "smdp-ppo+objects+memory+no-primitives", "PPO over options, with memory",
+        "Efficiency 0.76 to 0.96 in unseen rooms where marks reveal the order, after 1,000 training rooms and up to "
+        "two million primitives. The search baseline has 0.38 to 0.76. Without such marks no gain over the search "
+        "baseline is shown that holds in fresh rooms.",
+    ),
+    Recommendation(
+        "to compare with", "smdp-retrace", "search baseline",
+        "The most efficient of three search baselines, or level with it, in each of the seven kinds of rooms. It "
+        "learns nothing from one episode to the next.",
+    ),
+)
+"""What to train in one room, what to train for unseen rooms, and what to compare either with."""
+
+
+def format_answer() -> str:
+    """The answer as one line of Markdown, which the README and the pages on agents quote."""
+    room, unseen, baseline = (f"`{choice.label}`" for choice in RECOMMENDED)
+    return (f"In one room start with {room}. For unseen rooms start with {unseen}. Compare both with the search "
+            f"baseline {baseline}.")

@@ -1,0 +1,54 @@
+"""Recommended agents: their labels run, and what is said of them is what the pages of results say."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.agents.recommended import RECOMMENDED, format_answer
+from hrl_escape.comparison.grid import AgentSpec
+
+ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "docs" / "results"
+ROOM, UNSEEN, BASELINE = RECOMMENDED
+SEARCHERS = ("smdp-untried", "smdp-untried-nearest", "smdp-retrace")
+
+
+def read_row(page: str, start: str) -> list[float]:
+    """Numbers of the first row of a table that begins so."""
+    row = next(line for line in (RESULTS / page).read_text().splitlines() if line.startswith(start))
+    return [float(number) for number in re.findall(r"(?<=\| )\d\.\d+(?= )", row)]
+
+
+def tell_range(numbers: list[float]) -> str:
+    return f"{min(numbers):.2f} to {max(numbers):.2f}"
+
+
+@pytest.mark.parametrize("choice", RECOMMENDED, ids=lambda choice: choice.use)
+def test_each_recommended_label_names_an_agent(choice):
+    spec = AgentSpec.parse(choice.label)
+    spec.resolve_settings()
+    assert spec.is_reference == (choice is BASELINE)
+
+
+def test_what_is_said_of_one_room_is_what_was_measured():
+    rows = {name: read_row("canon.md", f"| `{name}+no-primitives` |")[:7] for name in ("smdp-r-max", *SEARCHERS)}
+    assert all(len(row) == 7 for row in rows.values())
+    assert f"Efficiency {tell_range(rows['smdp-r-max'])} after 20,000 primitives" in ROOM.reason
+    assert f"has {tell_range(rows['smdp-retrace'])}." in ROOM.reason
+    assert rows["smdp-retrace"] == [max(found) for found in zip(*(rows[name] for name in SEARCHERS), strict=True)]
+
+
+def test_what_is_said_of_unseen_rooms_is_what_was_measured():
+    kinds = ("marks-1/told", "marks-2/motifs", "marks-3/deceived", "marks-4/rules", "marks-4/wires")
+    learner = [read_row("marks.md", f"| {kind}, 1,000 rooms | 10 |")[0] for kind in kinds]
+    searcher = [read_row("marks.md", f"| {kind}, searcher |")[0] for kind in kinds]
+    assert all(own > other for own, other in zip(learner, searcher, strict=True))
+    assert f"Efficiency {tell_range(learner)} in unseen rooms" in UNSEEN.reason
+    assert f"has {tell_range(searcher)}." in UNSEEN.reason
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/faq.md", "docs/agents/index.md"])
+def test_every_page_that_says_which_agent_quotes_the_one_answer(page):
+    text = " ".join((ROOT / page).read_text().split())
+    assert format_answer() in text or "```{recommended}" in text
