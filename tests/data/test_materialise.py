@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -116,6 +118,33 @@ def test_a_tape_whose_episodes_end_elsewhere_here_is_refused_with_the_episode():
                                 and name not in ("about", "action")}, action=flipped)
     with pytest.raises(FileReadError, match="episode 0 ends cut.*recorded as terminated"):
         load_data(wrong, observation="features").read()
+
+
+@pytest.mark.parametrize("changed", [1, -1])
+def test_a_tape_whose_episode_is_longer_or_shorter_than_what_was_recorded_is_refused(changed):
+    """One primitive more after the end, which the replay never comes to, or one fewer, after which it goes on."""
+    tape = make_tape()
+    decision = int(tape.decisions[0]) - 1
+    length = int(tape.duration[: decision + 1].sum())
+    assert tape.end[0] == 1 and tape.duration[decision] > 1
+    action = np.insert(tape.action, length, 0) if changed == 1 else np.delete(tape.action, length - 1)
+    duration = tape.duration.copy()
+    duration[decision] = length + changed - duration[:decision].sum()
+    words = (rf"episode 0 ends terminated after {length} .* recorded as terminated after {length + 1}" if changed == 1
+             else rf"episode 0 ends cut after {length - 1} .* recorded as terminated after {length - 1}")
+    for level in ("decisions", "primitives"):
+        with pytest.raises(FileReadError, match=words):
+            load_data(dataclasses.replace(tape, action=action, duration=duration), "features", level).read()
+
+
+@pytest.mark.parametrize("level", ["decisions", "primitives"])
+def test_an_episode_that_the_horizon_ends_is_a_trajectorys_last_and_does_not_terminate(level):
+    """In two rooms of `pair`, explored for a horizon each."""
+    whole = make_tape("explore")
+    assert whole.end.tolist() == [2, 2] and len(whole.action) == 2 * whole.rooms[0].horizon
+    data = load_data(whole, observation="features", level=level).read()
+    assert np.flatnonzero(data.last).tolist() == [999, 1999] and not data.terminated.any()
+    assert np.flatnonzero(np.diff(data.trajectory)).tolist() == [999]
 
 
 @pytest.mark.parametrize(("arguments", "error"), [

@@ -58,6 +58,14 @@ def test_noisy_options_fail_as_often_as_is_said_and_experts_escape_in_the_fewest
     assert play.decisions.mean() > 2 * expert.decisions.mean()
 
 
+def test_stitched_episodes_are_cut_after_every_one_or_two_decisions_until_they_end():
+    tape = make_tape("stitch")
+    pieces = [np.diff([0, *np.flatnonzero(cut) + 1]) for cut in np.split(tape.cut, np.cumsum(tape.decisions)[:-1])]
+    assert set(np.concatenate(pieces)) == {1, 2} and max(map(len, pieces)) > 3
+    assert all(count - piece.sum() <= 1 for count, piece in zip(tape.decisions, pieces, strict=True)), "to the end"
+    assert not make_tape("play").cut.any()
+
+
 def test_exploration_is_of_primitives_alone():
     tape = make_tape("explore")
     assert tape.primitive_count == len(tape.about["actions"]) == 6

@@ -266,6 +266,8 @@ def _make_plain(value: Any) -> Any:
         return {str(name): _make_plain(part) for name, part in value.items()}
     if isinstance(value, (list, tuple)):
         return [_make_plain(part) for part in value]
+    if isinstance(value, (set, frozenset)):  # their order differs from process to process
+        return sorted((_make_plain(part) for part in value), key=lambda part: json.dumps(part, sort_keys=True))
     if isinstance(value, Settings):
         return {"settings": name_part(type(value)), "fields": value.to_dict()}
     if inspect.ismethod(value) and not isinstance(value.__self__, type):
@@ -296,10 +298,15 @@ def _list_code(function: Any) -> dict[str, Any]:
     code = getattr(function, "__code__", None)
     if code is None:
         return {"name": name_part(function)}
-    bound = [cell.cell_contents for cell in function.__closure__ or ()]
-    constants = [constant for constant in code.co_consts if not inspect.iscode(constant)]
-    return {"name": name_part(function), "code": code.co_code.hex(), "names": list(code.co_names),
-            "values": _make_plain([constants, list(function.__defaults__ or ()), bound])}
+    bound = [cell.cell_contents for cell in function.__closure__ or () if cell.cell_contents is not function]
+    defaults = [list(function.__defaults__ or ()), function.__kwdefaults__ or {}]
+    return {"name": name_part(function), "code": _list_instructions(code), "values": _make_plain([defaults, bound])}
+
+
+def _list_instructions(code: Any) -> list[Any]:
+    """Instructions of code with the names and constants that they use, and those of functions made in it."""
+    constants = [_list_instructions(each) if inspect.iscode(each) else _make_plain(each) for each in code.co_consts]
+    return [code.co_code.hex(), list(code.co_names), constants]
 
 
 def _is_value(name: str, value: Any) -> bool:

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hrl_escape.agents import make_agent, make_transition
 from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup
 from hrl_escape.agents.components.replay import Experience, NStep, ReplayBuffer
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
@@ -113,3 +115,19 @@ def test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends(decisions,
     assert len(got) == len(expected)
     for one, other in zip(sorted(got), sorted(expected), strict=True):
         assert one == pytest.approx(other, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(("name", "settings", "metric"), [
+    ("dqn", {"warmup": 5}, "loss"), ("sarsa", {"warmup": 5}, "loss"),
+    ("sarsa", {"warmup": 5, "replay_capacity": 0}, "loss"),
+    ("ddpg", {"warmup": 5, "actor_warmup": 0}, "loss"), ("ddpg", {"warmup": 0, "actor_warmup": 5}, "actor_loss"),
+], ids=["dqn", "sarsa", "sarsa without replay", "critic", "actor"])
+def test_a_warm_up_of_five_primitives_ends_with_the_fifth_and_the_sixth_is_learned_from(name, settings, metric):
+    space = spaces.Box(-1, 1, (2,), np.float32)
+    agent = make_agent(name, space, spaces.Discrete(3), 0, hidden=(8,), batch_size=2, updates_per_step=1.0, **settings)
+    learned, mask = [], np.ones(3, np.bool_)
+    for duration in (2, 2, 1, 1, 2):
+        step = (space.sample(), -float(duration), False, False, {"duration": duration, "rewards": [-1.0] * duration})
+        transition = make_transition(space.sample(), agent.act(space.sample(), mask), mask, step, agent.gamma)
+        learned.append(metric in agent.observe(transition))
+    assert learned == [False, False, False, True, True]

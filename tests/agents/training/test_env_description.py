@@ -115,10 +115,26 @@ def test_options_given_as_objects_are_told_apart():
         make_described_env(describe_env(press))
 
 
+def make_scaling(factor, kind=float):
+    """A function with bound values, and one that is called by itself."""
+    def scale(reward):
+        return kind(reward) * factor if reward < 9 else scale(reward - 9)
+    return scale
+
+
 @pytest.mark.parametrize(("one", "other"), [
     (lambda reward: reward, lambda reward: 2 * reward), (lambda reward: reward + 1, lambda reward: reward + 2),
+    (lambda reward: reward.real, lambda reward: reward.imag), (lambda reward: abs(reward), lambda reward: int(reward)),
+    (make_scaling(2.0), make_scaling(3.0)), (make_scaling(2.0), make_scaling(2.0, int)),
+    (lambda reward, by=2: reward * by, lambda reward, by=3: reward * by),
+    (lambda reward, *, by=2: reward * by, lambda reward, *, by=3: reward * by),
+    (lambda reward: (lambda more: more + 1)(reward), lambda reward: (lambda more: more + 2)(reward)),
+    (lambda reward: (lambda more: more.real)(reward), lambda reward: (lambda more: more.imag)(reward)),
+    (lambda reward: reward in {1, 2}, lambda reward: reward in {1, 3}),
     (functools.partial(max, 1), functools.partial(max, 2)), (functools.partial(max, 1), functools.partial(min, 1)),
-], ids=["code", "constant", "argument", "function"])
+    (functools.partial(make_scaling(2.0)), functools.partial(make_scaling(3.0))),
+], ids=["code", "constant", "attribute", "global", "bound", "bound class", "default", "default by name",
+        "constant of a function within", "name in a function within", "set", "argument", "function", "bound argument"])
 def test_functions_without_a_name_are_told_apart_by_their_content(one, other):
     first, second, again = (describe_env(gymnasium.wrappers.TransformReward(ButtonGrid(), function))
                             for function in (one, other, one))
@@ -136,6 +152,15 @@ def test_environment_and_agent_of_a_run_are_made_from_its_folder(tmp_path):
     chosen = [a.act_greedy(observation, info["action_mask"].astype(bool), np.random.default_rng(0))
               for a in (agent, trained)]
     assert chosen[0] == chosen[1]
+
+
+def test_a_set_is_the_same_in_whatever_order_it_was_filled():
+    """8 and 0 fall into one place of a small set, so that the first of them comes first."""
+    one, other = ({8, 0}, {0, 8})
+    assert repr(one) != repr(other)
+    first, second, third = (describe_env(gymnasium.wrappers.TransformReward(ButtonGrid(), functools.partial(max, each)))
+                            for each in (one, other, {0, 7}))
+    assert first == second != third
 
 
 class Named(QLearning):

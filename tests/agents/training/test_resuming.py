@@ -18,7 +18,7 @@ from hypothesis.extra import numpy as hnp
 
 from hrl_escape.agents import Callback, load_agent, load_result, make_agent, train
 from hrl_escape.agents.registry import list_agents, list_recipes
-from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
+from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint, save_checkpoint
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.run_folder import RunFolder
 from hrl_escape.errors import CheckpointError, FileReadError, FileWriteError, RunBusyError, RunMismatchError
@@ -142,6 +142,19 @@ def test_any_state_tree_survives_a_checkpoint(tmp_path_factory, tree):
     path = tmp_path_factory.mktemp("checkpoint") / "x.npz"
     save_checkpoint(path, tree)
     assert flatten(load_checkpoint(path)) == flatten(tree)
+
+
+def test_state_trees_with_the_same_bytes_of_another_kind_or_shape_have_another_digest():
+    """Sixteen bytes of zeros each, and lists of zeros; the order in memory is no part of the values."""
+    arrays = [np.zeros(shape, kind) for shape, kind in (
+        (4, np.float32), (4, np.int32), (2, np.float64), (2, np.int64), (16, np.uint8), (16, np.bool_), ((2, 2), "f4"),
+        ((4, 1), "f4"), ((1, 4), "f4"))]
+    digests = {compute_state_digest({"weights": each}) for each in [*arrays, [0.0] * 4, [0] * 4, [False] * 4]}
+    assert len(digests) == len(arrays) + 3
+    table = np.arange(6.0).reshape(2, 3)
+    assert compute_state_digest({"weights": table}) == compute_state_digest({"weights": np.asfortranarray(table)})
+    pair = {"a": arrays[0], "b": np.ones(4, np.float32)}
+    assert compute_state_digest(pair) != compute_state_digest({"a": pair["b"], "b": pair["a"]})
 
 
 def test_a_state_tree_with_something_else_is_refused_with_its_place(tmp_path):

@@ -174,6 +174,7 @@ def test_the_best_share_is_taken_among_trajectories_that_ended():
     data = make_decisions(rows, 1.0, 1)
     assert list_best(data, 0.25).tolist() == [False, False, True, False]
     assert list_best(data, 0.5).tolist() == [False, False, True, True]
+    assert list_best(data, 0.75).tolist() == [False, True, True, True], "three of four, not of the three that ended"
     assert list_best(data, 1.0).all()
 
 
