@@ -20,7 +20,7 @@ DEFAULT_RECIPE = "corrected"
 
 
 @dataclass(frozen=True)
-class Trait:
+class AgentTrait:
     """Effect of a word behind `+`."""
 
     about: str  # effect, for help texts
@@ -29,17 +29,17 @@ class Trait:
     leaves: Literal["planned", "learned"] | None = None  # leaves of a hierarchy that is synthesised from the room
 
 
-TRAITS: dict[str, Trait] = {
-    "objects": Trait("a network over rows of objects, with the observation `objects`", {"network": "objects"}),
-    "memory": Trait("a memory of the episode in these rows", options={"memory": True}),
-    "gru": Trait("a recurrent network", {"memory": "gru"}),
-    "no-primitives": Trait("options only, without primitives", options={"include_primitives": False}),
-    "markov": Trait("options that are functions of the state", options={"flavour": "press-markov"}),
-    "patient": Trait("longer exploration and a larger replay memory, for dqn",
+TRAITS: dict[str, AgentTrait] = {
+    "objects": AgentTrait("a network over rows of objects, with the observation `objects`", {"network": "objects"}),
+    "memory": AgentTrait("a memory of the episode in these rows", options={"memory": True}),
+    "gru": AgentTrait("a recurrent network", {"memory": "gru"}),
+    "no-primitives": AgentTrait("options only, without primitives", options={"include_primitives": False}),
+    "markov": AgentTrait("options that are functions of the state", options={"flavour": "press-markov"}),
+    "patient": AgentTrait("longer exploration and a larger replay memory, for dqn",
                      {"learning_rate": 1e-3, "epsilon_end": 0.1, "epsilon_steps": 30_000, "replay_capacity": 100_000}),
-    "three-parents": Trait("up to three parents a button, for learners of structure", {"max_parents": 3}),
-    "planned": Trait("a hierarchy synthesised from the room, with planned walks", leaves="planned"),
-    "learned": Trait("the same, with walks that are learned", leaves="learned"),
+    "three-parents": AgentTrait("up to three parents a button, for learners of structure", {"max_parents": 3}),
+    "planned": AgentTrait("a hierarchy synthesised from the room, with planned walks", leaves="planned"),
+    "learned": AgentTrait("the same, with walks that are learned", leaves="learned"),
 }
 """Words behind `+` in a label."""
 

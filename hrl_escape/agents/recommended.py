@@ -38,7 +38,7 @@ RECOMMENDED = (
         "learns nothing from one episode to the next.",
     ),
 )
-"""What to train in one room, what to train for unseen rooms, and what to compare either with."""
+"""Agents for one room and for unseen rooms, and the search baseline to compare them with."""
 
 
 def format_answer() -> str:

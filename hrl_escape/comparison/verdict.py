@@ -20,7 +20,7 @@ from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.names import join_words
 
-MOST_NAMED = 4
+MOST_LABELS = 4
 """Agents that a headline names."""
 SETTLED = 0.9
 """From this share of escapes on, it is said how many primitives an escape takes."""
@@ -97,8 +97,8 @@ def _has_few(summary: Summary, first: AgentSummary, second: AgentSummary) -> boo
 def _join_labels(agents: Sequence[AgentSummary]) -> str:
     """`a`, `b` and `c`; of more than four the first three and how many others."""
     labels = [f"`{agent.label}`" for agent in agents]
-    if len(labels) > MOST_NAMED:
-        labels = [*labels[:MOST_NAMED - 1], count_things(len(labels) - MOST_NAMED + 1, "other")]
+    if len(labels) > MOST_LABELS:
+        labels = [*labels[:MOST_LABELS - 1], count_things(len(labels) - MOST_LABELS + 1, "other")]
     return join_words(labels)
 
 

@@ -44,7 +44,7 @@ UNKNOWN = {"unknown": True}
 PARTS_GROUP = "hrl_escape.parts"
 """Entry points of other packages: environments, wrappers, settings and functions that run folders may name."""
 
-MEMORY = "hrl_escape.options.memory:DecisionMemory"
+MEMORY_WRAPPER = "hrl_escape.options.memory:DecisionMemory"
 
 OWN = frozenset({
     "hrl_escape.comparison.places:RoomSchedule",
@@ -66,7 +66,7 @@ OWN = frozenset({
     "hrl_escape.options.domain:OptionDomain",
     "hrl_escape.options.domain:RoomDomain",
     "hrl_escape.options.masked_observation:MaskedObservation",
-    MEMORY,
+    MEMORY_WRAPPER,
     "hrl_escape.options.options_env:OptionsEnv",
     "hrl_escape.synthesis.hierarchy_env:HierarchyEnv",
     "hrl_escape.text.told_env:ToldEnv",
@@ -131,7 +131,7 @@ def check_label(label: AgentLabel, env: gymnasium.Env) -> None:
         return
     found: dict[str, Any] = {}
     for part in describe_env(env)["wrappers"]:
-        found |= part["arguments"] | ({"memory": True} if part["class"] == MEMORY else {})
+        found |= part["arguments"] | ({"memory": True} if part["class"] == MEMORY_WRAPPER else {})
     if all(found.get(name) == value for name, value in asked.items()):
         return
     arguments = "".join(f", {name}={value!r}" for name, value in asked.items() if name != "memory")
