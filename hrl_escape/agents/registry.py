@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from pkgutil import walk_packages
@@ -64,17 +64,31 @@ def get_agent_class(name: str) -> type[Agent]:
         (found,) = (thing for thing in defined if _is_agent(thing) and thing.__module__ == shipped[base]
                     and not inspect.isabstract(thing))
         return found
-    others = _find_others()
-    if base not in others:
-        prefix = name[: len(name) - len(base)]
-        note = "" if prefix else f"; each also with {SMDP_PREFIX} in front"
-        known = (*list_agents(), *list_given_agents(), *list_offline_agents())
-        raise UnknownNameError("agent", name, [prefix + other for other in known], note)
+    check_agent_name(name)
     loaded: list[Any] = []
-    load_entry_point(others[base], "agent", "an Agent", loaded.append)
+    load_entry_point(_find_others()[base], "agent", "an Agent", loaded.append)
     if not _is_agent(loaded[0]):
         raise AgentSettingsError("agent", name, "a class derived from hrl_escape.agents.Agent")
     return loaded[0]
+
+
+def check_agent_name(name: str, others: Iterable[str] = ()) -> None:
+    """Refuse a name that no agent has, with or without the prefix `smdp-`, without importing any.
+
+    Args:
+        name: to be checked.
+        others: further names that the caller takes.
+
+    Raises:
+        UnknownNameError: no agent has this name; the message names the closest.
+    """
+    base = name.removeprefix(SMDP_PREFIX)
+    if base in _find_shipped() or base in _find_others() or name in (others := tuple(others)):
+        return
+    prefix = name[: len(name) - len(base)]
+    note = "" if prefix else f"; each also with {SMDP_PREFIX} in front"
+    known = (*list_agents(), *list_given_agents(), *list_offline_agents())
+    raise UnknownNameError("agent", name, [*(prefix + each for each in known), *others], note)
 
 
 def _is_agent(thing: Any) -> bool:

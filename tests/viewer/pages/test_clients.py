@@ -149,6 +149,19 @@ def test_the_graph_is_whole_hidden_or_beside_what_an_agent_believes(server: Serv
     assert page._graph.content == make_graph(puzzle, state.puzzle, WIDTH, found, True)
 
 
+def test_a_hidden_graph_is_shown_at_the_escape_and_not_when_the_exit_opens(server: Server, two_buttons):
+    plan, puzzle = get_planner(two_buttons).solve(Episode(two_buttons).state), two_buttons.puzzle
+    hidden = Episode(two_buttons, is_hidden=True)
+    page = RoomPage(server, two_buttons, hidden.state, discovery=hidden.discovery)
+    assert hidden.discovery is not None and puzzle.is_solved(plan.states[-2].puzzle)
+    for state in plan.states[:-1]:
+        page.show(state)
+        found = KnownEdges(*hidden.discovery.list_edges())
+        assert page._graph.content == make_graph(puzzle, state.puzzle, WIDTH, found, True)
+    page.show(plan.states[-1])
+    assert page._graph.content == make_graph(puzzle, plan.states[-1].puzzle, WIDTH)
+
+
 @pytest.mark.in_turn
 def test_a_client_that_goes_while_everything_is_busy_leaves_no_buttons(server: Server, game: PlayPage):
     """Buttons of a client that had gone before they were made stood in the page's folder for ever, and it with them."""
