@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache, partial
 from pkgutil import walk_packages
 from typing import Any
@@ -55,11 +55,7 @@ def get_agent_class(name: str) -> type[Agent]:
         PluginError: a third party's class cannot be loaded.
     """
     base = name.removeprefix(SMDP_PREFIX)
-    if base not in agents:
-        prefix = name[: len(name) - len(base)]
-        note = "" if prefix else f"; each also with {SMDP_PREFIX} in front"
-        known = (*list_agents(), *list_given_agents(), *list_offline_agents())
-        raise UnknownNameError("agent", name, [prefix + other for other in known], note)
+    check_agent_name(name)
     return agents.get(base)
 
 
@@ -74,6 +70,26 @@ def register_agent(name: str, agent_class: type[Agent]) -> None:
         ConfigError: the class is no `Agent`, or another agent has that name.
     """
     agents.register(name, agent_class)
+
+
+def check_agent_name(name: str, others: Iterable[str] = ()) -> None:
+    """Refuse a name that no agent has, with or without the prefix `smdp-`, without importing any.
+
+    Args:
+        name: to be checked.
+        others: further names that the caller takes.
+
+    Raises:
+        UnknownNameError: no agent has this name; the message names the closest.
+    """
+    base = name.removeprefix(SMDP_PREFIX)
+    others = tuple(others)
+    if base in agents or name in others:
+        return
+    prefix = name[: len(name) - len(base)]
+    note = "" if prefix else f"; each also with {SMDP_PREFIX} in front"
+    known = (*list_agents(), *list_given_agents(), *list_offline_agents())
+    raise UnknownNameError("agent", name, [*(prefix + each for each in known), *others], note)
 
 
 def _is_agent(thing: Any) -> bool:

@@ -19,20 +19,24 @@ from hrl_escape.env.robot import load_urdf
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, UnsupportedError
 from hrl_escape.files import parse_json, read_json, read_toml
+from hrl_escape.settings import Settings
+
+DEFAULT_PRESET = "paper-two-button"
 
 
 @dataclasses.dataclass(frozen=True)
 class RoomChoice:
     """Options that choose a room; dataclasses of commands inherit them."""
 
-    preset: str = "paper-two-button"
-    """Named schematic; `hrl-escape list presets` names them all."""
+    preset: str | None = None
+    """Named schematic, paper-two-button by default; `hrl-escape list presets` names them all."""
     arguments: tuple[str, ...] = ()
     """Arguments of the preset, as name=value: size=4 seed=3 for larg-2019."""
     config: Path | None = None
     """Schematic in a TOML or JSON file, in place of a preset."""
     set: tuple[str, ...] = ()
-    """Fields of the schematic to change, as path=value: room.width=30 obstacles.count=40; robot.urdf takes a file."""
+    """Fields of the schematic to change, as path=value: room.width=30 obstacles.count=40; robot.urdf takes a file.
+    Without --preset or --config all others have the defaults of `RoomConfig`."""
     seed: int = 0
     """Instance seed: selects one room of the schematic."""
     load: Path | None = None
@@ -42,7 +46,8 @@ class RoomChoice:
         """Build the schematic; `EscapeError` for an unknown preset or field, or an impossible value."""
         if self.config is None:
             arguments = dict(split_assignment(text, "--arguments", "size=3") for text in self.arguments)
-            config = get_preset(self.preset, **arguments)
+            is_bare = self.preset is None and self.set and not arguments
+            config = RoomConfig() if is_bare else get_preset(self.preset or DEFAULT_PRESET, **arguments)
         else:
             refuse_options(self, ("preset", "arguments"), "is about presets, and --config is a schematic of its own: "
                            "change its fields by --set")
@@ -58,7 +63,10 @@ class RoomChoice:
         fields = config.to_dict()
         for text in self.set:
             path, value = split_assignment(text, "--set", "room.width=30")
+            _check_path(config, path)
             change_field(fields, path, value)
+            if path in ("puzzle.kind", "puzzle"):
+                config = RoomConfig.from_dict(fields)  # whose other paths are those of the kind
         _read_urdf(fields, Path())
         return RoomConfig.from_dict(fields)
 
@@ -69,6 +77,27 @@ class RoomChoice:
         refuse_options(self, ("preset", "arguments", "config", "set", "seed"),
                        "chooses a room to make, and --load takes a finished one: give one of them")
         return RoomInstance.load(self.load)
+
+
+def list_paths(settings: Any, prefix: str = "") -> list[str]:
+    """Dotted paths of the fields of settings, and of the sections in them."""
+    paths: list[str] = []
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        paths.append(prefix + field.name)
+        if isinstance(value, Settings):
+            paths += list_paths(value, f"{prefix}{field.name}.")
+    return paths
+
+
+def _check_path(config: RoomConfig, path: str) -> None:
+    """Refuse a path that cannot be set, with those of its section and of its name elsewhere."""
+    known = [*list_paths(config), "puzzle.kind"]
+    if path in known or not path:
+        return
+    section, _, name = path.rpartition(".")
+    near = [each for each in known if each.rpartition(".")[0] == section or each.rpartition(".")[2] == name]
+    raise UnknownNameError("path of --set", path, near or [each for each in known if "." not in each])
 
 
 def _read_urdf(fields: dict[str, Any], folder: Path) -> None:

@@ -27,7 +27,7 @@ from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.play import PageAddress
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
-from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, is_run, open_driver
+from hrl_escape.viewer.watch.drivers import PLANNER_NAME, check_driver, find_driver, names_run, open_driver
 from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
@@ -53,8 +53,8 @@ def run(args: WatchArgs) -> None:
     torch.set_num_threads(1)
     text, own = find_driver(args.driver)
     instance = (None if args.load else own) or args.make_instance()
-    driver = open_driver(text if is_run(text) else args.make_spec(text), instance, observation=args.observation,
-                         seed=args.episode_seed, trust=args.trust)
+    chosen = text if names_run(text) else args.make_spec(check_driver(text))
+    driver = open_driver(chosen, instance, observation=args.observation, seed=args.episode_seed, trust=args.trust)
     gate = Gate(args.pace or None, args.paused)
     watch = Watch(driver, gate, args.episode_seed)
     server = args.open_server()

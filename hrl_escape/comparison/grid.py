@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from typing_extensions import Self
 
 from hrl_escape.agents.label import DEFAULT_RECIPE, SMDP_PREFIX, AgentLabel
-from hrl_escape.agents.registry import get_agent_class, get_recipe
+from hrl_escape.agents.registry import check_agent_name, get_agent_class, get_recipe
 from hrl_escape.comparison.places import RoomSpec, RunPlace
 from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.env.observations.base import get_observation
@@ -72,7 +72,8 @@ class AgentSpec(Settings):
     """Leaves of the hierarchy that is synthesised from the room, for agents such as maxq-q or hamq; None for none."""
 
     def check(self) -> None:
-        """Fill in the label."""
+        """Refuse an unknown agent, and fill in the label."""
+        check_agent_name(self.name, (*REFERENCES, TOOLS))
         if not self.label:
             recipe = f"@{self.recipe}" if self.recipe != "corrected" else ""
             object.__setattr__(self, "label", self.name + recipe + (f"+{self.leaves}" if self.leaves else ""))

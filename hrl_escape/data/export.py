@@ -7,7 +7,9 @@ OGBench gets a training file and one of every tenth trajectory for validation.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,8 @@ from hrl_escape.data.materialise import DataLevel, DataSet
 from hrl_escape.errors import MissingExtraError, UnsupportedError
 from hrl_escape.files import atomic_writer
 
+MINARI_FOLDER = "MINARI_DATASETS_PATH"
+"""Variable of the environment by which Minari finds its data sets."""
 VALIDATION = 10
 """One trajectory in this many is for validation."""
 
@@ -40,11 +44,17 @@ def iterate_trajectories(data: DataSet, level: DataLevel | None = None) -> Itera
             yield kind(*(field[begin:end] for field in block))
 
 
-def to_minari(data: DataSet, namespace: str = "hrl_escape") -> tuple[Any, Any]:
-    """Write two sets into Minari's folder, `NAMESPACE/RUNG/KIND-primitives-v1` and `-decisions-v1`; returns both.
+def to_minari(data: DataSet, namespace: str = "hrl_escape", folder: str | PathLike[str] | None = None
+              ) -> tuple[Any, Any]:
+    """Write two sets for Minari, `NAMESPACE/RUNG/KIND-primitives-v1` and `-decisions-v1`; returns both.
 
     Their environments are `hrl_escape/Ladder-v1` over the rooms of the tape, and over its test rooms for evaluation.
     The scores of reference are chance over options and the best known return.
+
+    Args:
+        data: what to write.
+        namespace: first part of the sets' names.
+        folder: folder of data sets, which Minari finds by `MINARI_DATASETS_PATH`; None for Minari's own.
 
     Raises:
         MissingExtraError: Minari is not installed.
@@ -69,16 +79,33 @@ def to_minari(data: DataSet, namespace: str = "hrl_escape") -> tuple[Any, Any]:
         scores = data.tape.about["scores"]
         buffers = [_make_buffer(EpisodeBuffer, number, part)
                    for number, part in enumerate(iterate_trajectories(data, level))]
-        made.append(minari.create_dataset_from_buffers(
-            f"{place}-{level}-v1", buffers, env=env.spec, eval_env=test.spec, algorithm_name=data.tape.about["kind"],
-            author="hrl-escape", author_email="none@example.org", code_permalink=data.tape.about["command"],
-            description=f"{data.name}, {level} of the same trajectories; tape {data.tape.digest}",
-            ref_min_score=scores.get("chance"), ref_max_score=scores.get("best_known"),
-            num_episodes_average_score=20, observation_space=env.observation_space, action_space=env.action_space,
-            requirements=["hrl-escape"]))
+        with _using_minari_folder(folder):
+            made.append(minari.create_dataset_from_buffers(
+                f"{place}-{level}-v1", buffers, env=env.spec, eval_env=test.spec,
+                algorithm_name=data.tape.about["kind"], author="hrl-escape", author_email="none@example.org",
+                code_permalink=data.tape.about["command"],
+                description=f"{data.name}, {level} of the same trajectories; tape {data.tape.digest}",
+                ref_min_score=scores.get("chance"), ref_max_score=scores.get("best_known"),
+                num_episodes_average_score=20, observation_space=env.observation_space,
+                action_space=env.action_space, requirements=["hrl-escape"]))
         env.close()
         test.close()
     return made[0], made[1]
+
+
+@contextmanager
+def _using_minari_folder(folder: str | PathLike[str] | None) -> Iterator[None]:
+    """Let Minari keep its data sets in a folder for the time being; nothing changes for None."""
+    before = os.environ.get(MINARI_FOLDER)
+    if folder is not None:
+        os.environ[MINARI_FOLDER] = str(Path(folder).absolute())
+    try:
+        yield
+    finally:
+        if before is not None:
+            os.environ[MINARI_FOLDER] = before
+        else:
+            os.environ.pop(MINARI_FOLDER, None)
 
 
 def _make_buffer(kind: Any, number: int, part: Any) -> Any:

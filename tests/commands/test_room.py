@@ -5,8 +5,10 @@ from xml.etree import ElementTree
 
 import pytest
 
+from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from tests.command_line import assert_refused, call, run_program
 from tests.forks import run_fork
@@ -86,6 +88,17 @@ ARM = ("robot.kind=urdf", "robot.joints=1", "robot.body_radius=0.4", "dynamics.p
        "puzzle.buttons.centre_height=1.0")
 
 
+def test_a_bare_room_starts_from_the_defaults_of_a_schematic_and_a_preset_from_its_own(capsys):
+    report = json.loads(call(capsys, "room", "--set", "puzzle.count=12", "--json", "--check")[1])
+    room = generate(RoomConfig(puzzle=ButtonsConfig(count=12)), 0)
+    assert (report["id"], report["name"], report["check"]) == (room.id, "custom", "solvable")
+    assert json.loads(call(capsys, "room", "--json")[1])["name"] == "paper-two-button"
+    wide = json.loads(call(capsys, "room", "--preset", "paper-two-button", "--set", "horizon=5", "--json")[1])
+    assert wide["name"] == "paper-two-button" and wide["horizon"] == 5
+    graph = json.loads(call(capsys, "room", "--set", "puzzle.kind=hanoi", "puzzle.discs=2", "--json")[1])
+    assert graph["puzzle"] == "hanoi"
+
+
 def test_a_section_at_its_defaults_can_be_set(capsys, tmp_path):
     path = tmp_path / "room.json"
     assert call(capsys, "room", "--preset", "four-button-chain", "--set", "puzzle.marks.kind=rank",
@@ -142,9 +155,13 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     (["--preset", "cluter"], "did you mean 'clutter'"),
     (["--arguments", "size=4"], "paper-two-button"),
     (["--set", "room.width=3000"], "from 5 to 200 m"),
-    (["--set", "room.widht=30"], "did you mean 'width'?"),
-    (["--set", "rom.width=30"], "unknown config section 'rom'; did you mean 'room'?"),
-    (["--set", "puzzle.marcs.kind=rank"], "unknown puzzle section 'marcs'; did you mean 'marks'?"),
+    (["--set", "room.widht=30"], "unknown path of --set 'room.widht'; did you mean 'room.width'?"),
+    (["--set", "rom.width=30"], "did you mean 'room.width'?"),
+    (["--set", "rom=30"], "did you mean 'room'?"),
+    (["--set", "puzzle.marcs.kind=rank"], "did you mean 'puzzle.marks.kind'?"),
+    (["--set", "puzzle.buttons.count=12"], "'puzzle.count'"),
+    (["--set", "puzzle.count=12", "puzzle.buttons.count=12"], "puzzle.buttons.width"),
+    (["--set", "puzzle.kind=hanoi", "puzzle.count=3"], "puzzle.discs"),
     (["--set", "room.width"], "name=value"),
     (["--set", "=30"], "name=value"),
     (["--set", "horizon=" + "9" * 5_000], "--set horizon: this value cannot be read: it has a number of thousands"),

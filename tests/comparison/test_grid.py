@@ -136,6 +136,16 @@ def test_an_impossible_grid_is_refused_with_its_reason(changes: dict, message: s
         make_runs(change(**changes))
 
 
+@pytest.mark.parametrize(("name", "message"), [
+    ("dqqn", "unknown agent 'dqqn'; did you mean 'dqn'"), ("smdp-untired", "did you mean 'smdp-untried'"), ("", "dqn")])
+def test_an_unknown_agent_is_refused_where_it_is_named(name: str, message: str):
+    for make in (lambda: AgentSpec(name), lambda: Grid(agents=(AgentSpec.parse(name),)),
+                 lambda: Grid.from_dict({"agents": [name]})):
+        with pytest.raises(UnknownNameError, match=message):
+            make()
+    assert AgentSpec("smdp-iql").name == "smdp-iql", "an agent that learns from data is one too"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -77,6 +77,15 @@ def test_minari_reads_both_sets_recovers_their_environments_and_normalises_score
     assert minari.get_normalized_score(options, returns) == pytest.approx([0, 1])
 
 
+def test_the_sets_lie_in_the_folder_that_is_given(tmp_path, monkeypatch):
+    minari = pytest.importorskip("minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "own"))
+    made = to_minari(load_data(make_tape(), observation="features"), folder=tmp_path / "there")
+    assert not (tmp_path / "own").exists() and list((tmp_path / "there").rglob("*.hdf5"))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "there"))
+    assert {each.spec.dataset_id for each in made} == set(minari.list_local_datasets())
+
+
 def test_decisions_of_primitives_alone_are_a_set_over_primitives(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     pytest.importorskip("minari")

@@ -166,6 +166,20 @@ MUTATIONS = [
         "agents/training/test_train.py::test_progress_of_an_episode_is_the_best_on_its_way",
     ),
     Mutation(
+        "an episode that terminates is a success where the environment reports none",
+        "agents/agent.py",
+        "            return read_success_value(name, value)\n    return None",
+        "            return read_success_value(name, value)\n    return True",
+        "agents/training/test_success.py",
+    ),
+    Mutation(
+        "copies report the success of the next episode's first info",
+        "agents/training/stream_run.py",
+        "success = self._read_success(final if self._mode == AutoresetMode.SAME_STEP else infos, over)",
+        "success = self._read_success(infos, over)",
+        "agents/training/test_success.py::test_copies_report_their_success_at_their_own_last_steps",
+    ),
+    Mutation(
         "a budget of decisions ends no run",
         "agents/training/run.py",
         "or (most is not None and self.decisions >= most)",

@@ -215,6 +215,14 @@ MUTATIONS = [
         "planning/motion/test_trajectory.py::test_a_trajectory_that_would_press_more_than_its_plan_is_refused",
     ),
     Mutation(
+        "a trajectory presses two targets in another order than its plan, with another effect",
+        "planning/motion/legs.py",
+        "if wanted & (wanted - 1) and played[1].puzzle != states[end].puzzle:",
+        "if False:",
+        "planning/motion/test_trajectory.py::"
+        "test_targets_that_a_plan_touches_in_one_primitive_are_pressed_with_the_same_effect",
+    ),
+    Mutation(
         "the weight of the arm counts twice against its effort",
         "planning/motion/trajectory.py",
         "spare = efforts - np.sign(moved) * held",

@@ -8,6 +8,7 @@ algorithm says how a state's value follows from its actions' (`improve`), or giv
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -39,6 +40,8 @@ from hrl_escape.step_info import ENDINGS
 
 OPTION_ENDINGS = ENDINGS
 """Endings of decisions, in the words of `info["option"]["ended"]`; `Decisions.ended` is an index into it."""
+FEW_DECISIONS = 2_000
+"""Decisions of the data below which networks are warned of."""
 FEW_STATES = 0.1
 """States for each decision of the data up to which `values=auto` is a table."""
 
@@ -247,6 +250,11 @@ class OfflineAgent(Agent):
                 if len(self.q) != len(found):
                     self.q = self.scores = np.full(self._data.shape, self._data.worst)
                 return
+        if len(data.action) < FEW_DECISIONS:
+            advice = ("settings={'values': 'table'} makes exact backups over the states that they show"
+                      if self._find_cell is not None else "give it more data")
+            warnings.warn(f"{self.name} fits networks to {len(data.action):,} decisions, which is little: below "
+                          f"{FEW_DECISIONS:,} they often learn nothing. {advice[0].upper()}{advice[1:]}", stacklevel=2)
         scale = settings.reward_scale
         self._data = Experience(
             encode_all(self._encoder, data.observation), torch.from_numpy(data.mask), torch.from_numpy(data.action),

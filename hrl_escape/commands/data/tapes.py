@@ -24,13 +24,13 @@ class ExportArgs:
     name: Annotated[str, tyro.conf.Positional]
     """Data set, or the path of a tape."""
     to: Literal["minari", "ogbench"] = "ogbench"
-    """Form: Minari's two sets in its own folder, or OGBench's two files."""
+    """Form: Minari's two sets, or OGBench's two files."""
     level: Literal["decisions", "primitives"] = "decisions"
     """Rows of OGBench's files; Minari gets both."""
     observation: str = "features"
     """Observation, by name."""
-    out: Path = Path("exported")
-    """Folder of OGBench's files."""
+    out: Path | None = None
+    """Folder; by default Minari's own, and `exported` for OGBench's files."""
 
 
 def run_export(args: ExportArgs) -> None:
@@ -38,17 +38,19 @@ def run_export(args: ExportArgs) -> None:
 
     Examples:
         hrl-escape data export pair-play-v1 --to ogbench --out exported
-        hrl-escape data export pair-play-v1 --to minari --observation features
+        hrl-escape data export pair-play-v1 --to minari --out minari
     """
-    from hrl_escape.data.export import to_minari, to_ogbench  # these load torch
+    from hrl_escape.data.export import MINARI_FOLDER, to_minari, to_ogbench  # these load torch
     from hrl_escape.data.materialise import load_data
 
     data = load_data(args.name, observation=args.observation, level=args.level)
     if args.to == "minari":
-        written = [f"{made.spec.dataset_id} ({made.total_episodes:,} episodes)" for made in to_minari(data)]
+        made = to_minari(data, folder=args.out)
+        written = [f"{each.spec.dataset_id} ({each.total_episodes:,} episodes)" for each in made]
+        place = "" if args.out is None else f" into {args.out}; set {MINARI_FOLDER}={args.out.absolute()} to load them"
     else:
-        written = [str(path) for path in to_ogbench(data, args.out)]
-    Console(soft_wrap=True, highlight=False).print("wrote " + " and ".join(written), markup=False)
+        written, place = [str(path) for path in to_ogbench(data, args.out or Path("exported"))], ""
+    Console(soft_wrap=True, highlight=False).print("wrote " + " and ".join(written) + place, markup=False)
 
 
 @dataclasses.dataclass(frozen=True)

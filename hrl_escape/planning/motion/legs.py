@@ -310,7 +310,7 @@ class _Legs(Mover):
                     return Press(rest(motion) if wanted else motion, played[0])
         targets = ", ".join(self._room.targets[t].name for t in list_touched(wanted)) or "nothing"
         raise UnsupportedError(f"no trajectory was found for the leg {name!r} of {self._plan.name!r} that presses "
-                               f"{targets} to the same effect and nothing else on its way, and pushes the same: "
+                               f"{targets} and nothing else on its way, with the same effect, and pushes the same: "
                                "follow its primitives instead")
 
     # --- ways ----------------------------------------------------------------------------

@@ -96,11 +96,11 @@ class RoomPage:
 
     def _draw_graph(self, state: RoomState) -> None:
         puzzle = self.scene.instance.puzzle
-        is_hidden = self._discovery is not None and not puzzle.is_solved(state.puzzle)
+        is_hidden = self._discovery is not None and not self.scene.rules.has_escaped(state)
         believed, words = self._belief or (None, "")
         if is_hidden and self._discovery is not None:
             believed = KnownEdges(*self._discovery.list_edges())
-        key = (self.scene.instance.id, state.puzzle, believed, words)
+        key = (self.scene.instance.id, state.puzzle, believed, words, is_hidden)
         if key != self._shown:
             self._shown = key
             if words and believed is not None:

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, FixedPolicy
-from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, make_agent, read_structure
+from hrl_escape.agents.label import SMDP_PREFIX, AgentLabel
+from hrl_escape.agents.registry import check_agent_name, make_agent, read_structure
 from hrl_escape.agents.training.env_description import make_described_env, name_part
 from hrl_escape.agents.training.run import refusing_damage
 from hrl_escape.agents.training.run_folder import read_run
@@ -30,7 +31,7 @@ from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.places import RoomSchedule
 from hrl_escape.comparison.pretrained import list_pretrained, unpack_pretrained
-from hrl_escape.comparison.references.registry import BAYES, SEARCHERS
+from hrl_escape.comparison.references.registry import BAYES, REFERENCES, SEARCHERS
 from hrl_escape.comparison.runs import make_env, make_player
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
@@ -165,9 +166,9 @@ def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: 
         RunMismatchError: the run was made in a room with other spaces.
         UnsupportedError: no hierarchy is synthesised for this agent.
     """
-    if isinstance(agent, str) and is_run(agent):
+    if isinstance(agent, str) and names_run(agent):
         return _open_run(Path(agent), instance, trust)
-    spec = AgentSpec.parse(agent) if isinstance(agent, str) else agent
+    spec = AgentSpec.parse(check_driver(agent)) if isinstance(agent, str) else agent
     name, flavour = spec.name, spec.options.flavour
     observation = observation or spec.default_observation
     if name == PLANNER_NAME:
@@ -176,8 +177,6 @@ def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: 
         return _make_driver("the planner", PlannerAgent(env, plan), env, "press", plan=plan)
     if name in (*SEARCHERS, BAYES):
         spec = dataclasses.replace(spec, options=dataclasses.replace(spec.options, include_primitives=False))
-    if not spec.is_reference:
-        _check_agent(name)
     env, recorder = make_env(spec, instance, observation)
     if spec.is_reference:
         words = f"{name}, {spec.resolve_settings()['model']}" if name == TOOLS else name
@@ -185,11 +184,6 @@ def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: 
     learner = make_agent(name, env.observation_space, env.action_space, seed, spec.recipe, read_structure(env),
                          **spec.settings)
     return _make_driver(f"{spec.label}, learning", learner, env, flavour, trains=True)
-
-
-def is_run(text: str) -> bool:
-    """Return whether the name of a driver is the path of a run's folder."""
-    return text != PLANNER_NAME and (Path(text).exists() or "/" in text)
 
 
 def find_driver(text: str) -> tuple[str, RoomInstance | None]:
@@ -240,12 +234,20 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
     return _make_driver(f"{name}, as trained", load_agent(folder, env), env, flavour)
 
 
-def _check_agent(name: str) -> None:
+def names_run(text: str) -> bool:
+    """Return whether a driver's name is that of a run's folder."""
+    return text not in (PLANNER_NAME, *REFERENCES) and (Path(text).exists() or "/" in text)
+
+
+def check_driver(label: str) -> str:
+    """Return the label of an agent or of a reference; `UnknownNameError` if its name is neither's."""
+    name = AgentLabel.parse(label).name
     try:
-        get_agent_class(name)
+        check_agent_name(name, (*REFERENCES, TOOLS))
     except UnknownNameError as error:
         note = f"; or the folder of a run. Each agent also has {SMDP_PREFIX} in front"
-        raise UnknownNameError("driver", name, [PLANNER_NAME, *SEARCHERS, BAYES, TOOLS, *error.known], note) from None
+        raise UnknownNameError("driver", name, error.known, note) from None
+    return label
 
 
 def _make_room(instance: RoomInstance, observation: str) -> Any:

@@ -17,6 +17,7 @@ from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, UnsupportedError
@@ -95,6 +96,18 @@ def test_a_trajectory_that_would_press_more_than_its_plan_is_refused():
     plan = solve(generate(dataclasses.replace(config, robot=robot), 0))
     with pytest.raises(UnsupportedError, match="leg 'press-pad-1' .* presses pad-1 and nothing else"):
         make_trajectory(plan)
+
+
+@pytest.mark.in_turn
+def test_targets_that_a_plan_touches_in_one_primitive_are_pressed_with_the_same_effect():
+    """Here the shortest way touches button 6 before button 3, which it locks, so that the exit stays shut."""
+    plan = solve(generate(get_preset("dead-ends"), 78))
+    assert (2, 5) in list_presses(plan)
+    puzzle, pressed = plan.instance.puzzle, [contact.target for contact in make_trajectory(plan).contacts]
+    state = puzzle.make_state()
+    for target in pressed:
+        state = puzzle.update(state, Contacts((target,)))
+    assert puzzle.is_solved(state) and pressed == [target for each in list_presses(plan) for target in each]
 
 
 def test_under_physics_nothing_is_pressed_by_a_margin():

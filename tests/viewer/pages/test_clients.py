@@ -20,6 +20,7 @@ import viser
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
+from hrl_escape.planning.planner import get_planner
 from hrl_escape.viewer.pages.panels import WIDTH, KnownEdges, make_graph, make_pair
 from hrl_escape.viewer.pages.play import PlayPage
 from hrl_escape.viewer.pages.room import VIEWS, RoomPage
@@ -147,6 +148,19 @@ def test_the_graph_is_whole_hidden_or_beside_what_an_agent_believes(server: Serv
     assert hidden.discovery is not None
     found = KnownEdges(*hidden.discovery.list_edges())
     assert page._graph.content == make_graph(puzzle, state.puzzle, WIDTH, found, True)
+
+
+def test_a_hidden_graph_is_shown_at_the_escape_and_not_when_the_exit_opens(server: Server, two_buttons):
+    plan, puzzle = get_planner(two_buttons).solve(Episode(two_buttons).state), two_buttons.puzzle
+    hidden = Episode(two_buttons, is_hidden=True)
+    page = RoomPage(server, two_buttons, hidden.state, discovery=hidden.discovery)
+    assert hidden.discovery is not None and puzzle.is_solved(plan.states[-2].puzzle)
+    for state in plan.states[:-1]:
+        page.show(state)
+        found = KnownEdges(*hidden.discovery.list_edges())
+        assert page._graph.content == make_graph(puzzle, state.puzzle, WIDTH, found, True)
+    page.show(plan.states[-1])
+    assert page._graph.content == make_graph(puzzle, plan.states[-1].puzzle, WIDTH)
 
 
 @pytest.mark.in_turn

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.algorithms.offline.hiql import cut_everywhere
+from hrl_escape.agents.components.offline import FEW_DECISIONS
 from hrl_escape.agents.registry import get_agent_class, list_agents, list_offline_agents
 from hrl_escape.agents.training.train import load_agent, train
 from hrl_escape.data.materialise import load_data
@@ -70,6 +71,19 @@ def test_a_clone_of_experts_escapes_where_the_clone_of_random_play_does_not():
         result = train("smdp-behaviour-cloning", data=data, settings={"values": "table"}, eval_episodes=6)
         rates[kind] = result.evaluations[-1].success_rate
     assert rates["expert"] == 1.0 > rates["play"]
+
+
+def test_networks_on_little_data_are_warned_of_with_the_setting_that_suits_it(recwarn):
+    data = load_data(make_tape(), observation="features", rooms="own")
+    assert len(data.read_decisions(0.9).action) < FEW_DECISIONS
+    message = r"smdp-fitted-q|fitted-q fits networks to \d+ decisions.*\{'values': 'table'\}"
+    with pytest.warns(UserWarning, match=message):
+        train("smdp-fitted-q", data=data, primitives=200, eval_episodes=0, settings=NETWORKS)
+    with pytest.warns(UserWarning, match="Give it more data"):
+        train("hiql", load_data(make_tape(), observation="features", rooms="own"), primitives=200, eval_episodes=0)
+    recwarn.clear()
+    train("smdp-fitted-q", data=data, primitives=200, eval_episodes=0, settings={"values": "table"})
+    assert not [each for each in recwarn if "decisions" in str(each.message)]
 
 
 def test_a_data_sets_name_or_file_is_enough_and_the_run_knows_its_hash(tmp_path):
