@@ -150,7 +150,7 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     assert path.read_text() == "old"
 
 
-@pytest.mark.in_turn_for("arguments17-no solvable room")
+@pytest.mark.in_turn_for("arguments21-no solvable room")
 @pytest.mark.parametrize(("arguments", "words"), [
     (["--preset", "cluter"], "did you mean 'clutter'"),
     (["--arguments", "size=4"], "paper-two-button"),
