@@ -91,13 +91,15 @@ def list_paths(settings: Any, prefix: str = "") -> list[str]:
 
 
 def _check_path(config: RoomConfig, path: str) -> None:
-    """Refuse a path that cannot be set, with those of its section and of its name elsewhere."""
+    """Refuse a path that cannot be set; the message gives those of its section and those with its last name."""
     known = [*list_paths(config), "puzzle.kind"]
     if path in known or not path:
         return
     section, _, name = path.rpartition(".")
-    near = [each for each in known if each.rpartition(".")[0] == section or each.rpartition(".")[2] == name]
-    raise UnknownNameError("path of --set", path, near or [each for each in known if "." not in each])
+    named = [each for each in known if each.rpartition(".")[2] == name]
+    beside = [each for each in known if each.rpartition(".")[0] == section]
+    note = f". {name!r} is in {', '.join(named)}" if named and beside else ""
+    raise UnknownNameError("path of --set", path, beside or named or [each for each in known if "." not in each], note)
 
 
 def _read_urdf(fields: dict[str, Any], folder: Path) -> None:
