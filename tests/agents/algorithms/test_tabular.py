@@ -143,7 +143,7 @@ def show(agent, action, trace, **fields):
     """One decision with this trace, told to the agent."""
     info = {"duration": len(trace), "rewards": [step.reward for step in trace], "trace": trace} | fields
     mask = np.ones(int(agent.table._actions), np.bool_)
-    step = (trace[-1].next_observation, 0.0, fields.get("terminated", False), False, info)
+    step = (trace[-1].next_observation, sum(info["rewards"]), fields.get("terminated", False), False, info)
     agent.observe(make_transition(trace[0].observation, action, mask, step, agent.gamma))
 
 
