@@ -177,7 +177,8 @@ def test_the_masks_of_infos_may_be_written_into(name, output):
         actions = env.unwrapped._take(actions)
     *_, truncated, infos = env.step(actions)
     infos["_final_obs"][:] = False
-    assert infos["_final_info"].tolist() == infos["final_info"]["_is_success"].tolist() == truncated.tolist() == [True] * 3
+    others = infos["_final_info"], infos["final_info"]["_is_success"], truncated
+    assert [each.tolist() for each in others] == [[True] * 3] * 3
 
 
 @pytest.mark.parametrize("name", ["PaperOneButton", "PaperOneButtonOptions", "LightsOutOptions", "Ladder",
