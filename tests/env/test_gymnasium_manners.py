@@ -170,14 +170,15 @@ def test_specifications_give_the_horizon_and_make_the_same_again():
 def test_the_masks_of_infos_may_be_written_into(name, output):
     env = gymnasium.make_vec(name, num_envs=3, output=output, max_episode_steps=1, autoreset_mode="SameStep")
     _, infos = env.reset(seed=0)
-    infos["_success"][:] = False
-    assert infos["_pressed"].tolist() == [True] * 3 == env.reset(seed=0)[1]["_success"].tolist()
+    infos["_is_success"][:] = False
+    assert infos["_pressed"].tolist() == [True] * 3 == env.reset(seed=0)[1]["_is_success"].tolist()
     actions = env.action_space.sample() * 0
     if output == "torch":
         actions = env.unwrapped._take(actions)
     *_, truncated, infos = env.step(actions)
     infos["_final_obs"][:] = False
-    assert infos["_final_info"].tolist() == infos["final_info"]["_success"].tolist() == truncated.tolist() == [True] * 3
+    others = infos["_final_info"], infos["final_info"]["_is_success"], truncated
+    assert [each.tolist() for each in others] == [[True] * 3] * 3
 
 
 @pytest.mark.parametrize("name", ["PaperOneButton", "PaperOneButtonOptions", "LightsOutOptions", "Ladder",
