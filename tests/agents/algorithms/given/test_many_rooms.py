@@ -65,7 +65,7 @@ class Told(gymnasium.Wrapper):
         *rest, info = super().step(action)
         discounted = float(sum(GAMMA**n * reward for n, reward in enumerate(info["rewards"])))
         return *rest, {"action_mask": info["action_mask"], "duration": info["duration"],
-                       "discounted_reward": discounted}
+                       "discounted_reward": discounted, "discount": GAMMA ** info["duration"]}
 
 
 SETTINGS = {"h-uct": {"simulations": 3, "depth": 5}, "h-dqn": {"hidden": (8,), "worker_warmup": 50, "batch_size": 2}}
