@@ -29,11 +29,11 @@ ROOT = Path(__file__).parents[1]
 TORCH = "torch==2.13.0"
 GAMMA = 0.97
 KEPT = ("duration", "discount", "discounted_reward", "action_mask")
-"""Entries of `info` that a learner of options reads."""
+"""Entries of `info` that an agent over options reads."""
 
 
 class KeepInfo(gymnasium.Wrapper):
-    """Keeps the entries of `info` that a learner of options reads: buffers need entries of fixed shape."""
+    """Keeps the entries of `info` that an agent over options reads: buffers need entries of fixed shape."""
 
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
         """Reset the environment."""
