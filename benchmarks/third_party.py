@@ -215,7 +215,7 @@ class Library(NamedTuple):
 LIBRARIES = {
     "tianshou": Library(("tianshou==2.0.1",), check_tianshou),
     "rllib": Library(("ray[rllib]==2.60.0",), check_rllib),  # which then replaces Gymnasium by the version that it pins
-    "minari": Library(("minari[create]==0.5.4",), check_minari),
+    "minari": Library(("minari[create,hdf5]==0.5.4",), check_minari),
     "ale": Library(("ale-py==0.12.1",), check_ale),
     "point-maze": Library(("gymnasium-robotics==1.4.2",), check_point_maze),
 }
