@@ -29,11 +29,11 @@ ROOT = Path(__file__).parents[1]
 TORCH = "torch==2.13.0"
 GAMMA = 0.97
 KEPT = ("duration", "discount", "discounted_reward", "action_mask")
-"""Entries of `info` that a learner of options reads."""
+"""Entries of `info` that an agent over options reads."""
 
 
 class KeepInfo(gymnasium.Wrapper):
-    """Keeps the entries of `info` that a learner of options reads: buffers need entries of fixed shape."""
+    """Keeps the entries of `info` that an agent over options reads: buffers need entries of fixed shape."""
 
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
         """Reset the environment."""
@@ -215,7 +215,7 @@ class Library(NamedTuple):
 LIBRARIES = {
     "tianshou": Library(("tianshou==2.0.1",), check_tianshou),
     "rllib": Library(("ray[rllib]==2.60.0",), check_rllib),  # which then replaces Gymnasium by the version that it pins
-    "minari": Library(("minari[create]==0.5.4",), check_minari),
+    "minari": Library(("minari[create,hdf5]==0.5.4",), check_minari),
     "ale": Library(("ale-py==0.12.1",), check_ale),
     "point-maze": Library(("gymnasium-robotics==1.4.2",), check_point_maze),
 }

@@ -41,7 +41,7 @@ def make_env(horizon: int = 40, **arguments: Any) -> OptionsEnv:
 
 
 class Decision(NamedTuple):
-    """What a learner of options needs of one decision."""
+    """What an agent over options needs of one decision."""
 
     observation: Any
     action: int
