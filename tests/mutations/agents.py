@@ -12,6 +12,20 @@ def _streams(bug: str, file: str, old: str, new: str, test: str) -> Mutation:
 
 MUTATIONS = [
     Mutation(
+        "train takes an environment that disagrees with a label",
+        "agents/training/env_description.py",
+        "if all(found.get(name) == value for name, value in asked.items()):",
+        "if any(found.get(name) == value for name, value in asked.items()) or True:",
+        "agents/test_label.py::test_train_refuses_an_environment_that_disagrees",
+    ),
+    Mutation(
+        "a label's settings are left out",
+        "agents/registry.py",
+        "{**label.settings, **settings})",
+        "settings)",
+        "agents/test_label.py::test_make_agent_takes_labels",
+    ),
+    Mutation(
         "a full replay overwrites its last row only",
         "agents/components/replay.py",
         "row = self.added % self.capacity",
