@@ -49,9 +49,13 @@ class Streams(Protocol):
     """
 
     count: int  # environments that step together
-    gamma: float  # discount per primitive in `discounted_reward`
     observation_space: Any  # Gymnasium space of one stream's observations
     action_space: Any  # and of its actions
+
+    @property
+    def gamma(self) -> float:
+        """Discount per primitive in `discounted_reward`."""
+        ...
 
     @property
     def device(self) -> torch.device:

@@ -90,7 +90,8 @@ LINES = (OfflineResult,)
 
 def score(evaluation: Evaluation, fewest: float) -> float:
     """Mean efficiency of some episodes."""
-    return compute_mean_efficiency(evaluation.successes, evaluation.lengths, fewest, is_expected=False)
+    escaped = np.asarray(evaluation.successes, bool)
+    return compute_mean_efficiency(escaped, evaluation.lengths, fewest, is_expected=False)
 
 
 def read_learner(text: str) -> tuple[str, dict[str, Any]]:

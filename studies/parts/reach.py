@@ -6,7 +6,7 @@ A cell that was given up has fewer runs there, and none with more buttons. Inter
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -78,7 +78,8 @@ def draw_reach(runs: Sequence[PartsRun]) -> Mapping[str, Figure]:
 
 
 def _draw(runs: Sequence[PartsRun], sizes: Sequence[int], theme: str, ink: str, grid: str) -> Figure:
-    with matplotlib.rc_context(FIGURE_STYLE | {"font.size": 11}):
+    style: Any = FIGURE_STYLE | {"font.size": 11}
+    with matplotlib.rc_context(style):
         figure = Figure(figsize=(5.6, 3.7), facecolor="none", layout="constrained")
         axes: Axes = figure.subplots()
         axes.set_facecolor("none")

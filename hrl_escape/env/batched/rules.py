@@ -290,10 +290,13 @@ def _compute_extra(layout: Layout, tables: Tables, before: TensorState, after: T
     events = Events(pressed, is_lit & ~was_lit, was_lit & ~is_lit, was_shut & ~is_shut, is_shut & ~was_shut, escaped,
                     failed)
     count = pick(layout, tables.target_counts, after.instance)[0].clamp(min=1)
-    seen = [RewardState(state.x, state.y, state.heading_steps,
-                        unpack_bits(lit, layout.targets, torch.float64).sum(0) / count,
-                        form.is_solved(columns, state.puzzle)) for state, lit in ((before, was_lit), (after, is_lit))]
-    return layout.reward.compute_extra(*seen, events)
+
+    def show(state: TensorState, lit: Tensor) -> RewardState:
+        return RewardState(state.x, state.y, state.heading_steps,
+                           unpack_bits(lit, layout.targets, torch.float64).sum(0) / count,
+                           form.is_solved(columns, state.puzzle))
+
+    return layout.reward.compute_extra(show(before, was_lit), show(after, is_lit), events)
 
 
 def find_shut(layout: Layout, tables: Tables, state: TensorState) -> Tensor:

@@ -56,7 +56,7 @@ class RoomPage:
         self.view_folder = gui.add_folder("View", order=50.0)
         self._graph = gui.add_html("", order=20.0)
         self._belief: tuple[KnownEdges, str] | None = None  # graph that an agent believes in, and words on it
-        self._shown: tuple[str, object, KnownEdges | None, str] | None = None
+        self._shown: tuple[str, object, KnownEdges | None, str, bool] | None = None
         self._pose = make_pose(self.scene.rules, state)
         self.show(state)
         server.on_client_connect(self._welcome)
