@@ -180,7 +180,7 @@ def _make_run(run: GridRun, result: RunResult, rows: Sequence[Mapping[str, Any]]
         primitives=tuple(evaluation.primitives for evaluation in result.evaluations),
         decisions=tuple(evaluation.decisions for evaluation in result.evaluations),
         returns=tuple(round(evaluation.mean_return, 3) for evaluation in result.evaluations),
-        successes=tuple(round(float(np.mean(evaluation.successes)), 3) for evaluation in result.evaluations),
+        successes=tuple(round(evaluation.success_rate or 0.0, 3) for evaluation in result.evaluations),
         episodes=counts,
         training_returns=average(returns.tolist(), 2),
         training_successes=count(escaped),

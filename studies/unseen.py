@@ -133,6 +133,5 @@ def play_unseen(view: AgentSpec, unseen: UnseenRooms, make_player: Callable[[gym
         found = evaluate(make_player(env, recorder), env, tested)
     finally:
         env.close()
-    escaped = np.asarray(found.successes, bool)
-    efficiency = compute_mean_efficiency(escaped, found.lengths, unseen.fewest, is_expected=False)
-    return round(efficiency, 4), round(float(np.mean(escaped)), 4)
+    efficiency = compute_mean_efficiency(found.escaped, found.lengths, unseen.fewest, is_expected=False)
+    return round(efficiency, 4), round(float(np.mean(found.escaped)), 4)

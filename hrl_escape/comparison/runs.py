@@ -115,8 +115,7 @@ class RunResult:
 
 
 def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> float:
-    escaped = np.array(evaluation.successes, dtype=np.bool_)
-    return compute_mean_efficiency(escaped, evaluation.lengths, score_range.fewest,
+    return compute_mean_efficiency(evaluation.escaped, evaluation.lengths, score_range.fewest,
                                    score_range.is_expected)
 
 

@@ -90,8 +90,7 @@ LINES = (OfflineResult,)
 
 def score(evaluation: Evaluation, fewest: float) -> float:
     """Mean efficiency of some episodes."""
-    escaped = np.asarray(evaluation.successes, bool)
-    return compute_mean_efficiency(escaped, evaluation.lengths, fewest, is_expected=False)
+    return compute_mean_efficiency(evaluation.escaped, evaluation.lengths, fewest, is_expected=False)
 
 
 def read_learner(text: str) -> tuple[str, dict[str, Any]]:

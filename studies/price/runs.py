@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
-import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
 
@@ -210,8 +209,7 @@ def _make_training_env(contestant: Contestant, room: RoomInstance, single: gymna
 
 
 def _measure_efficiency(evaluation: Evaluation, fewest: int) -> float:
-    escaped = np.asarray(evaluation.successes, bool)
-    return float(compute_efficiency(escaped, evaluation.lengths, fewest).clip(max=1).mean())
+    return float(compute_efficiency(evaluation.escaped, evaluation.lengths, fewest).clip(max=1).mean())
 
 
 def _count_episodes(result: TrainResult) -> tuple[int, int]:

@@ -64,7 +64,7 @@ def play_towers(agent: str, tower: Tower, repeats: bool, towers: int) -> list[Fl
     runs = []
     for number, (rooms, own) in enumerate(zip(tower.floors, found, strict=True), 1):
         fewest = [count_fewest(rooms[index]) for index in range(towers)]
-        values = np.minimum(compute_efficiency(np.asarray(own.successes, bool), own.lengths, fewest), 1.0)
+        values = np.minimum(compute_efficiency(own.escaped, own.lengths, fewest), 1.0)
         runs.append(FloorRun(agent, repeats, number, tuple(np.round(values, 4).tolist())))
     return runs
 

@@ -251,10 +251,10 @@ class OfflineAgent(Agent):
                     self.q = self.scores = np.full(self._data.shape, self._data.worst)
                 return
         if len(data.action) < FEW_DECISIONS:
-            advice = ("settings={'values': 'table'} makes exact backups over the states that they show"
-                      if self._find_cell is not None else "give it more data")
-            warnings.warn(f"{self.name} fits networks to {len(data.action):,} decisions, which is little: below "
-                          f"{FEW_DECISIONS:,} they often learn nothing. {advice[0].upper()}{advice[1:]}", stacklevel=2)
+            advice = ("Use settings={'values': 'table'} for exact backups over the states in the data"
+                      if self._find_cell is not None else "Give it more data")
+            warnings.warn(f"{self.name} fits networks to {len(data.action):,} decisions. Below {FEW_DECISIONS:,} they "
+                          f"often learn nothing. {advice}", stacklevel=2)
         scale = settings.reward_scale
         self._data = Experience(
             encode_all(self._encoder, data.observation), torch.from_numpy(data.mask), torch.from_numpy(data.action),

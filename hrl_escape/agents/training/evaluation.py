@@ -52,6 +52,11 @@ class Evaluation:
         return statistics.fmean(self.returns)
 
     @property
+    def escaped(self) -> NDArray[np.bool_]:
+        """Whether each succeeded, bool (episodes,); False too where the environment reports no success."""
+        return np.array(self.successes, dtype=np.bool_)
+
+    @property
     def success_rate(self) -> float | None:
         """Share of episodes that succeeded, of those that report it; None where none does."""
         return _compute_reported_mean(self.successes)

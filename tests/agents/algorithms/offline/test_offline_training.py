@@ -76,7 +76,7 @@ def test_a_clone_of_experts_escapes_where_the_clone_of_random_play_does_not():
 def test_networks_on_little_data_are_warned_of_with_the_setting_that_suits_it(recwarn):
     data = load_data(make_tape(), observation="features", rooms="own")
     assert len(data.read_decisions(0.9).action) < FEW_DECISIONS
-    message = r"fitted-q fits networks to \d+ decisions.*\{'values': 'table'\}"
+    message = r"fitted-q fits networks to \d+ decisions\..*\{'values': 'table'\}"
     with pytest.warns(UserWarning, match=message):
         train("smdp-fitted-q", data=data, primitives=200, eval_episodes=0, settings=NETWORKS)
     with pytest.warns(UserWarning, match="Give it more data"):
