@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import tyro
 
+from hrl_escape.agents.recommended import RECOMMENDED
 from hrl_escape.cli import main
 from hrl_escape.commands.compare import CompareArgs
 from hrl_escape.comparison.grid import AgentSpec
@@ -68,6 +69,13 @@ def test_the_command_in_the_report_gives_the_same_arguments(arguments: CompareAr
     words = shlex.split(arguments.format_command())
     assert words[:2] == ["hrl-escape", "compare"]
     assert tyro.cli(CompareArgs, args=words[2:]) == arguments
+
+
+def test_agents_are_shown_the_observation_that_one_of_them_needs():
+    recommended = tuple(choice.label for choice in RECOMMENDED)
+    assert CompareArgs(agents=recommended).make_grid().observation == "objects"
+    assert CompareArgs(agents=recommended[:1]).make_grid().observation == "features"
+    assert CompareArgs(agents=recommended, observation="state").make_grid().observation == "state"
 
 
 def test_compare_prints_verdict_table_and_report(capsys: pytest.CaptureFixture[str], tmp_path: Path):
