@@ -51,10 +51,16 @@ def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones()
     assert "docs/results/figures/reach.svg" in readme and "docs/results/figures/reach-dark.svg" in readme
     assert "does not escape from any room with 15 buttons" in readme
     assert count_escapes(runs, "learned walks + structure")[15][0] == 0
-    assert "Where a wrong press does nothing, it escapes with twenty buttons, too." in readme
+    assert "Where a wrong press does nothing, the search baseline escapes with twenty buttons, too." in readme
     assert all(run.first_escape for run in runs if (run.cell, run.rule, run.buttons) == (BASELINE, "ignore", 20))
-    assert f"within {study.data['budget']:,} primitives" in readme and "up to 30 runs" in readme
-    assert max(count for cell in (FULL, BASELINE) for _, count in count_escapes(runs, cell).values()) == 30
+    assert f"within {study.data['budget']:,} primitives" in readme and "5 to 30 runs a point" in readme
+    counts = [count_escapes(runs, cell) for cell in (FULL, "options + memory", "options", "flat", BASELINE)]
+    sizes = [made for own in counts for _, made in own.values()]
+    assert (min(sizes), max(sizes)) == (5, 30)
+    assert "A line ends at the first number of buttons without an escape." in readme
+    for own in counts[1:]:
+        *before, last = (escaped for escaped, _ in own.values())
+        assert last == 0 and all(before)
 
 
 def test_with_three_to_ten_buttons_the_search_baseline_is_faster_than_every_learner():
