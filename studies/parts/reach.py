@@ -19,8 +19,8 @@ from studies.parts.answers import PartsRun
 
 __all__ = ["BASELINE", "FULL", "HEADLINE", "LIMIT", "RULE", "count_escapes", "draw_reach", "supports_headline"]
 
-HEADLINE = ("When a wrong press turns all buttons off, only agents that learn the dependencies escape from more than ten "
-            "buttons.")
+HEADLINE = ("When a wrong press turns all buttons off, only agents that learn the dependencies escape from more than "
+            "ten buttons.")
 """Stands in the README; `supports_headline` guards it."""
 LIMIT, RULE = 10, "reset"
 FULL, BASELINE = "options + both", "retrace"
