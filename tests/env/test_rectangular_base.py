@@ -79,12 +79,13 @@ def test_a_footprint_is_part_of_a_room_and_a_disc_changes_no_id():
     assert room.id != dataclasses.replace(room, robot=dataclasses.replace(room.robot, body_length=1.1)).id
 
 
-def test_what_a_rectangle_does_not_do_is_refused_in_one_message(monkeypatch):
+def test_what_a_rectangle_does_not_do_is_refused_in_one_message(request):
     with pytest.raises(ConfigError, match="inner doors or props"):
         generate(change(get_preset("door-key"), footprint="rectangle", body_length=0.8, body_width=0.6), 0)
     with pytest.raises(ConfigError, match="body_length / 2 = 0.6"):
         dataclasses.replace(ROBOT, mount_forward=0.7)
-    monkeypatch.setitem(planners._FACTORIES, "of-places", lambda collision: lambda problem: None)
+    planners.register_planner("of-places", lambda collision: lambda problem: None)
+    request.addfinalizer(lambda: planners.path_planners.unregister("of-places"))
     with pytest.raises(UnsupportedError, match="poses of a rectangular base are planned by"):
         Navigator(generate(SMALL, 0)).plan((0.0, 0.0), ExitGoal(), "of-places")
 

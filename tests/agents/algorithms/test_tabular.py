@@ -122,7 +122,7 @@ def test_trap_9_an_illegal_action_of_high_value_does_not_win_the_maximum():
 
 def test_ties_are_drawn_so_that_a_goal_is_found_where_steps_cost_nothing():
     """FrozenLake without slip pays at the goal alone; the lowest number among equals would never leave the start."""
-    env = gymnasium.make("FrozenLake8x8-v1", is_slippery=False)
+    env = gymnasium.make("FrozenLake-v1", is_slippery=False)
     for seed in range(4):
         agent = QLearning(env.observation_space, env.action_space, seed, QLearningSettings())
         assert {agent.act_greedy(0, np.ones(4, np.bool_), np.random.default_rng(n)) for n in range(40)} == set(range(4))

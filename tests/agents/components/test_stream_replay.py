@@ -122,7 +122,8 @@ def test_as_many_updates_as_in_one_environment_follow_a_step_of_many_up_to_a_lim
     counts = []
     for settings in ({"stream_updates": 1}, {"stream_updates": 4}, {}):
         many = SyncVectorEnv([make] * 16, autoreset_mode=AutoresetMode.SAME_STEP)
-        agent = train("dqn", many, primitives=4_000, eval_env=make(), eval_episodes=0, settings=DEEP | settings).agent
+        agent = train("dqn", many, primitives=4_000, eval_env=make(), eval_episodes=0,
+                      settings=DEEP | settings | {"gamma": 0.9}).agent
         counts.append(agent.values.learner.updates)
     assert counts[2] == pytest.approx(0.25 * (4_000 - 100), abs=10), "a quarter of the primitives after the warm-up"
     assert counts[1] == pytest.approx(4 * counts[0], rel=0.02) and counts[1] < 0.9 * counts[2]

@@ -201,6 +201,13 @@ class Doubled(gymnasium.RewardWrapper):
     def reward(self, reward):
         return self._factor * reward
 
+    def step(self, action):
+        """Scale the rewards of the primitives inside a decision, too."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        if "rewards" in info:
+            info = info | {"rewards": tuple(map(self.reward, info["rewards"]))}
+        return observation, reward, terminated, truncated, info
+
 
 def test_an_environment_whose_arguments_are_not_kept_must_be_given(tmp_path):
     train("q-learning", Forgetful(90), primitives=100, eval_episodes=0, out=tmp_path / "run")

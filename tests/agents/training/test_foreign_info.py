@@ -49,14 +49,15 @@ def run(kind, info=None, reward=1.0):
     {"duration": 0.04}, {"duration": None}, {"duration": 1}, {"rewards": {"speed": 0.5}}, {"rewards": 3.0},
     {"discount": 0.5}, {"discounted_reward": 9.0}, {"summed_reward": 9.0}, {"option": "call"}, {"option": None},
     {"option": {"strike": 3}}, {"option": 7}, {"action_mask": None}, {"action_mask": [True, False]},
-    {"success": "no"}, {"success": np.array([1])}, {"success": {"a": 1}}, {"is_success": None}, {"primitives": 1000},
+    {"success": np.array([1])}, {"is_success": None}, {"primitives": 1000},
     {"pressed": [1, 2]}, {"trace": "long"}, {"trace": np.zeros(3)}, {"trace": [(1, 2)]}, {"calls": 3},
     {"progress": "half"}, {"progress": None}, {"instance": 4},
 ], ids=str)
 def test_they_are_left_alone_and_the_numbers_are_right(kind, info):
     result = run(kind, info)
     (evaluation, *_) = result.evaluations
-    assert (evaluation.returns, evaluation.lengths, evaluation.successes) == ((6.0,), (6,), (True,))
+    success = True if "success" in info else None
+    assert (evaluation.returns, evaluation.lengths, evaluation.successes) == ((6.0,), (6,), (success,))
     assert {(episode.episode_return, episode.length) for episode in result.episodes} == {(6.0, 6)}
 
 
@@ -66,7 +67,9 @@ def test_they_are_left_alone_and_the_numbers_are_right(kind, info):
     ({"duration": 3, "rewards": {"a": 1, "b": 2, "c": 3}}, r"info\['duration'\] .* is 3, but"),
     ({"duration": 2, "rewards": ["much", "more"]}, "rewards must be numbers"),
     ({"action_mask": np.zeros(3)}, r"shape \(3,\); the action space needs \(2,\)"),
-    ({"success": np.nan}, r"info\['success'\] is nan; it must be true or false"),
+    ({"success": np.nan}, r"info\['success'\] is nan at the last step .* True, False, 1 or 0"),
+    ({"success": "no"}, r"info\['success'\] is 'no' at the last step"),
+    ({"success": {"a": 1}}, r"info\['success'\] is \{'a': 1\} at the last step"),
     ({"is_success": 0.7}, r"info\['is_success'\] is 0.7"),
     ({"progress": 37}, r"info\['progress'\] is 37; it must be a number from 0 to 1"),
     ({"progress": np.nan}, r"info\['progress'\] is nan"),
