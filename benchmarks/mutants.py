@@ -24,9 +24,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import cosmic_ray.ast
-import cosmic_ray.mutating
-import cosmic_ray.plugins
+try:
+    import cosmic_ray.ast
+    import cosmic_ray.mutating
+    import cosmic_ray.plugins
+except ImportError:
+    sys.exit("benchmarks.mutants needs cosmic-ray: pip install 'hrl-escape[mutants]'")
 
 from hrl_escape import kernels
 from tests.mutations.mutation import ROOT, PackageCopy

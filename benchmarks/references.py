@@ -38,7 +38,6 @@ from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.manifest import AxisRecord, Manifest, RungRecord, RungReferences, SetRecord
 from hrl_escape.ladder.rung import Rung, derive_seed
-from studies.unseen import make_unseen, play_agent
 
 _FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/references"
 CHANCE, MOVES = "smdp-random", "random"
@@ -70,6 +69,8 @@ class Choose:
 
 def play(agent: str, rooms: InstanceSet) -> float | None:
     """Mean efficiency of who does not learn; None where the puzzle is not for it."""
+    from studies.unseen import make_unseen, play_agent  # loads torch and the batched engine, ten seconds
+
     spec = AgentSpec.parse(agent if agent in (PLANNER, MOVES) else f"{agent}+no-primitives")
     try:
         return play_agent(spec, make_unseen(rooms), rooms[:1])[0]

@@ -31,6 +31,20 @@ def test_a_benchmark_explains_itself_and_every_option(capsys, name):
         assert re.search(r"[a-z]{3,}", after), f"{option} has no help"
 
 
+SCRIPTS = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if path.stem != "__main__" and
+                 '__name__ == "__main__"' in path.read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_benchmark_prints_its_help_and_exits(name):
+    done = subprocess.run([sys.executable, "-m", f"benchmarks.{name}", "--help"], cwd=ROOT, capture_output=True,
+                          text=True, timeout=120, stdin=subprocess.DEVNULL)
+    if done.returncode != 0:
+        assert done.stdout == "" and done.stderr.count("\n") == 1 and "pip install" in done.stderr
+    assert "usage" in done.stdout or "pip install" in done.stderr
+
+
 def test_a_mistake_in_a_process_of_its_own_is_one_line_and_exit_code_2():
     done = subprocess.run([sys.executable, "-m", "benchmarks.env", "--presets", "cluter"], cwd=ROOT,
                           capture_output=True, text=True)

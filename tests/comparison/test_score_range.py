@@ -122,7 +122,7 @@ class Follower(Agent):
     observe = load_state_dict = lambda self, _: {}
 
     def __init__(self, env: gymnasium.Env, primitives: Sequence[int]) -> None:
-        self.settings, self._actions = AgentSpec("follower"), {}
+        self.settings, self._actions = AgentSpec("random"), {}
         seen, _ = env.reset(seed=0)
         for action in primitives:
             self._actions[seen.tobytes()] = action

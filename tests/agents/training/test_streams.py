@@ -199,8 +199,10 @@ def test_an_episode_that_ends_in_failure_is_no_success_whichever_way_the_environ
     for _ in range(40):
         step = streams.step(torch.zeros(3, dtype=torch.int64))
         rows = (step.where & (step.terminated | step.truncated)).nonzero().squeeze(1)
-        found += zip(step.observation[rows, 0].tolist(), step.success[rows].tolist(), strict=True)
-    assert len(found) > 20 and all(success == (episode % 4 == 0) for episode, success in found)
+        found += zip(step.observation[rows, 0].tolist(), step.terminated[rows].tolist(), step.success[rows].tolist(),
+                     strict=True)
+    assert len(found) > 20 and {terminated for _, terminated, _ in found} == {True, False}
+    assert all(success == (episode % 4 == 0 if terminated else -1) for episode, terminated, success in found)
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
