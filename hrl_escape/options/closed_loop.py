@@ -71,7 +71,8 @@ def pursue(env: gymnasium.Env, goal: Goal | str | None = None, planner: RoomPlan
         _, _, terminated, truncated, info = wrapped.step(goals.index(following))
         end = EpisodeEnd.of_step(planner.rules.has_escaped(room.get_state()), terminated, truncated)
         report = dataclasses.asdict(wrapped.planning_report)
-        decisions.append(info["option"] | {"duration": int(info["duration"])} | report)
+        option = info["option"] | {"index": int(info["option"]["index"]), "duration": int(info["duration"])}
+        decisions.append(option | report)
         states += [step.next_state for step in info["trace"]]
         rewards += info["rewards"]
         failures = 0 if info["option"]["ended"] == "reached" else failures + 1

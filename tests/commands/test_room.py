@@ -166,7 +166,7 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     (["--set", "=30"], "name=value"),
     (["--set", "horizon=" + "9" * 5_000], "--set horizon: this value cannot be read: it has a number of thousands"),
     (["--set", "horizon=" + "[" * 10_000 + "]" * 10_000], "nested more than 100 levels deep"),
-    (["--seed", "-1"], "whole number from 0"),
+    (["--seed", "-1"], "whole number of at least 0"),
     (["--load", "nowhere.json"], "nowhere.json: no such"),
     (["--config", "nowhere.toml"], "nowhere.toml: no such"),
     (["--draw", "room.bmp"], ".svg"),

@@ -79,6 +79,6 @@ def test_train_takes_it_and_tells_runs_of_different_callers_apart(tmp_path: Path
 def test_the_command_trains_and_lists_its_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["train", "smdp-tools", "--settings", "model=untried", "told=names", "--primitives", "60",
                  "--eval-episodes", "1", "--out", str(tmp_path / "run")]) == 0
-    assert "ToolsAgent" in capsys.readouterr().out
+    assert "smdp-tools, seed 0" in capsys.readouterr().out
     assert main(["train", "smdp-tools", "--list-settings"]) == 0
     assert "untried-nearest" in capsys.readouterr().out

@@ -164,7 +164,7 @@ def test_an_impossible_discount_is_refused():
 
 @pytest.mark.parametrize("action", [1, 6], ids=["a primitive", "an option"])
 def test_goals_pay_their_own_reward_by_the_contract(action):
-    env = GoalsEnv(make_options_env("paper-one-button", discount=GAMMA))
+    env = GoalsEnv(make_options_env("paper-one-button", discount=GAMMA, trace=True))
     observation, info = env.reset(seed=0)
     step = env.step(action)
     transition = make_transition(observation, action, info["action_mask"] != 0, step, 0.5)

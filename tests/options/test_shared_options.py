@@ -106,7 +106,11 @@ def test_an_option_runs_in_each_environment_as_if_it_were_alone(kind, order):
 def test_planning_counts_in_the_environment_that_ran_it():
     envs = [make(KINDS["nested"]()) for _ in range(2)]
     envs[1] = make(envs[0].options[0])
-    calls = [[env.step(0)[4]["option"]["planner_calls"] for env in envs] for _ in range(4)]
+    def count(env):
+        env.step(0)
+        return env.planning_report.planner_calls
+
+    calls = [[count(env) for env in envs] for _ in range(4)]
     assert calls == [[1, 1], [0, 0], [0, 0], [0, 0]]
 
 

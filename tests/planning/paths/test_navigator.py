@@ -15,7 +15,14 @@ from hrl_escape.env.geometry import Solid, compute_distance, compute_distance_ma
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ContractError, GoalError, PathPlannerError, UnknownNameError, UnsupportedError
+from hrl_escape.errors import (
+    ConfigError,
+    ContractError,
+    GoalError,
+    PathPlannerError,
+    UnknownNameError,
+    UnsupportedError,
+)
 from hrl_escape.planning.goals import ExitGoal, PoseGoal, PressGoal, PushGoal, RegionGoal
 from hrl_escape.planning.paths import planners as path_planners
 from hrl_escape.planning.paths.navigator import Navigator
@@ -44,7 +51,7 @@ def registered():
 
     yield register
     for name in names:
-        del path_planners._FACTORIES[name]
+        path_planners.path_planners.unregister(name)
 
 
 def get_start(navigator):
@@ -250,7 +257,7 @@ def test_a_stranger_s_planner_serves_by_its_name(registered):
     navigator = Navigator(make_room(Solid(x=1, half_x=4, half_y=0.1)))
     result = navigator.plan((2, -3), np.array([[2.0, 3.0]]), "round-the-wall")
     assert result.status == "exact" and result.path[1:3].tolist() == [[-4, -3], [-4, 3]]
-    with pytest.raises(PathPlannerError, match="registered already"):
+    with pytest.raises(ConfigError, match="no other path planner has"):
         register_planner("round-the-wall", lambda collision: go_round_the_wall(collision))
 
 
