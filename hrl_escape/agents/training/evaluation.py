@@ -53,7 +53,7 @@ class Evaluation:
 
     @property
     def escaped(self) -> NDArray[np.bool_]:
-        """Whether each succeeded, bool (episodes,); False too where the environment reports no success."""
+        """Success of each episode, bool (episodes,); False too where the environment reports none."""
         return np.array(self.successes, dtype=np.bool_)
 
     @property

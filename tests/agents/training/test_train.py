@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from gymnasium.vector import SyncVectorEnv
 
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents import TensorBoard, evaluate, make_agent, play_episode, train
@@ -328,8 +329,8 @@ def test_every_explained_name_is_logged_by_some_agent(tmp_path):
     logged = set()
     for name in (*LEARNERS, "skill-chaining", "hrc", "factored-r-max"):
         run(name, out=tmp_path / name)
-    streams = gymnasium.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync")
-    run("ppo", streams, out=tmp_path / "streams")
+    streams = SyncVectorEnv([lambda: ButtonGrid(with_options=False, horizon=20)] * 2)
+    run("ppo", streams, out=tmp_path / "streams", eval_env=ButtonGrid(with_options=False, horizon=20))
     for log in tmp_path.glob("*/log.jsonl"):
         for line in log.read_text().splitlines():
             logged |= set(json.loads(line))

@@ -98,7 +98,6 @@ def test_a_trajectory_that_would_press_more_than_its_plan_is_refused():
         make_trajectory(plan)
 
 
-@pytest.mark.in_turn
 def test_targets_that_a_plan_touches_in_one_primitive_are_pressed_with_the_same_effect():
     """Here the shortest way touches button 6 before button 3, which it locks, so that the exit stays shut."""
     plan = solve(generate(get_preset("dead-ends"), 78))
