@@ -51,7 +51,7 @@ def make_moving_map(instance: RoomInstance, states: Sequence[RoomState], decisio
         One HTML document of some 15 kB, which loads nothing.
     """
     room = {**describe_room(instance), "options": sorted({name for name, _ in decisions})}
-    replay = {"decisions": [[name, count, "reached"] for name, count in decisions],
+    replay = {"decisions": [[name, int(count), "reached"] for name, count in decisions],
               "frames": make_frames(Kinematics(instance), states)}
     css, script = (Markup((PLAYER / f"moving_map.{kind}").read_text(encoding="utf-8")) for kind in ("css", "js"))
     return render_template("hrl_escape.env.drawing", "moving_map.html", title=instance.name, css=css,

@@ -370,8 +370,10 @@ class Unbounded(SmdpEnv):
     """Gives a reward that float32 cannot hold after a while."""
 
     def step(self, action):
-        observation, reward, *rest = super().step(action)
-        return observation, 1e40 if self.np_random.random() < 0.02 else reward, *rest
+        observation, reward, terminated, truncated, info = super().step(action)
+        if self.np_random.random() < 0.02:
+            reward, info = 1e40, info | {"rewards": (1e40,)}
+        return observation, reward, terminated, truncated, info
 
 
 @pytest.mark.filterwarnings("ignore:overflow encountered")
