@@ -45,7 +45,7 @@ class Registry(Generic[PartType]):
         """Register a part under a name; the same part again changes nothing.
 
         Raises:
-            ConfigError: the value is no such part, or another part has that name.
+            ConfigError: the value is of another shape, or the name is taken.
         """
         if not self._accepts(part):
             raise ConfigError(self.kind, part, self._shape)
@@ -80,7 +80,7 @@ class Registry(Generic[PartType]):
         return part
 
     def names(self) -> tuple[str, ...]:
-        """Return all names: this package's and registered ones, then those of other packages, which stay unloaded."""
+        """Return all names: shipped and registered ones, then entry points, which stay unloaded."""
         own = dict.fromkeys((*self._shipped, *self._parts))
         return (*own, *sorted(self._find_entry_points().keys() - own))
 

@@ -19,13 +19,13 @@ from hrl_escape.errors import DiscountMismatchError, StepContractError
 ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
 """Values of `info["option"]["ended"]`."""
 FLOAT32_ROUNDING = 2.0**-23
-"""Relative rounding of float32, in which wrappers and vector environments may hold rewards."""
+"""Relative rounding of float32, the dtype of rewards in some wrappers and vector environments."""
 CHANGED = (
     "the reward {where} is {reward:g}, but its primitives paid {summed:g} in sum: a wrapper above OptionsEnv changed "
     "it, where it does not reach the rewards inside options. Put the wrapper below, as in "
     "OptionsEnv(ClipReward(env), ...)"
 )
-"""Message for a reward that is no longer that of the primitives."""
+"""Message for a reward that differs from the rewards of the primitives."""
 
 
 class Payment(NamedTuple):
@@ -75,7 +75,7 @@ def read_duration(info: Mapping[str, Any], where: str = "of a step") -> int:
     """Read the number of primitives that a step ran: 1 where `info` says nothing of it.
 
     Raises:
-        StepContractError: it is no whole number of at least 1, or stands alone and is not 1.
+        StepContractError: it is not a whole number of at least 1, or it is above 1 without the keys for rewards.
     """
     duration: Any = info.get("duration")
     is_whole = isinstance(duration, numbers.Integral) and not isinstance(duration, bool)
@@ -108,8 +108,8 @@ def read_payment(reward: Any, info: Mapping[str, Any], where: str = "of a step")
         where: the step, for messages, such as `of action 3`.
 
     Raises:
-        StepContractError: a reward is no single, finite number, the rewards do not match the duration, or `reward` is
-            neither of the two sums: a wrapper changed it after its primitives were summed.
+        StepContractError: a reward is not a single finite number, the rewards do not match the duration, or `reward`
+            is neither of the two sums: a wrapper changed it after its primitives were summed.
     """
     given = read_number(reward, f"the reward {where}")
     duration = read_duration(info, where) if "duration" in info else 1
@@ -188,7 +188,7 @@ def read_trace(info: Mapping[str, Any], duration: int) -> Sequence[Any]:
 
 
 def read_share(info: Mapping[str, Any], name: str) -> float | None:
-    """Read a number from 0 to 1 of `info`; None where it has none, or something else of this name.
+    """Read a number from 0 to 1 of `info`; None if the key is absent or holds another kind of value.
 
     Raises:
         StepContractError: it is another number.

@@ -37,7 +37,7 @@ TRAITS: dict[str, AgentTrait] = {
     "markov": AgentTrait("options that are functions of the state", options={"flavour": "press-markov"}),
     "patient": AgentTrait("longer exploration and a larger replay memory, for dqn",
                      {"learning_rate": 1e-3, "epsilon_end": 0.1, "epsilon_steps": 30_000, "replay_capacity": 100_000}),
-    "three-parents": AgentTrait("up to three parents a button, for learners of structure", {"max_parents": 3}),
+    "three-parents": AgentTrait("up to three parents a button, for agents that learn structure", {"max_parents": 3}),
     "planned": AgentTrait("a hierarchy synthesised from the room, with planned walks", leaves="planned"),
     "learned": AgentTrait("the same, with walks that are learned", leaves="learned"),
 }
@@ -90,7 +90,7 @@ class AgentLabel:
         return cls(text, name, recipe, settings, options, leaves)
 
     def resolve_recipe(self, recipe: str) -> str:
-        """Recipe of the label, or the one that is given beside it.
+        """Recipe of the label, or else the given one.
 
         Raises:
             AgentSettingsError: the label and the argument name two recipes.

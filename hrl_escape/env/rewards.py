@@ -25,7 +25,7 @@ __all__ = ["Events", "PotentialReward", "RewardConfig", "RewardState", "TimePena
 
 
 class Events(NamedTuple):
-    """What happened in one primitive: numbers for one room, tensors (rooms,) for a batch.
+    """Events of one primitive: numbers for one room, tensors (rooms,) for a batch.
 
     Targets and doors are bits of one word: bit i is set for target i of `RoomInstance.targets`, or inner door i.
     """
@@ -68,7 +68,7 @@ class RewardConfig(Schematic):
         return self.exit if self.exit_replaces_step else self.step + self.exit
 
     def compute_extra(self, before: RewardState, after: RewardState, events: Events) -> Any:
-        """Compute what a primitive earns beside `step` and `exit`; by default nothing.
+        """Compute what a primitive earns in addition to `step` and `exit`; 0 by default.
 
         Use arithmetic and comparisons alone, so that the same text serves numbers and tensors.
 
@@ -84,7 +84,7 @@ class RewardConfig(Schematic):
 
     @property
     def is_sparse(self) -> bool:
-        """True if nothing is paid beside `step` and `exit`: a return then follows from the number of primitives."""
+        """True if a primitive earns `step` and `exit` alone, so that a return follows from the number of primitives."""
         return type(self).compute_extra is RewardConfig.compute_extra
 
     def to_dict(self) -> dict[str, Any]:
