@@ -91,7 +91,7 @@ def test_an_impossible_episode_seed_is_refused_before_anything_is_opened_or_writ
         pytest.importorskip("mcp")
     monkeypatch.chdir(tmp_path)
     assert_refused(capsys, [command, "--preset", "paper-one-button", "--episode-seed", "-1"],
-                   "seed = -1 is not possible: a whole number from 0")
+                   "seed = -1 is not possible: a whole number of at least 0")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -24,7 +24,7 @@ from hrl_escape.settings import Settings
 DEFAULT_PRESET = "paper-two-button"
 
 
-KINDS = ("puzzle.kind", "reward.kind")
+KIND_PATHS = ("puzzle.kind", "reward.kind")
 """Paths of kinds: another kind has other fields, at its own defaults."""
 
 
@@ -69,7 +69,7 @@ class RoomChoice:
             path, value = split_assignment(text, "--set", "room.width=30")
             _check_path(config, path)
             change_field(fields, path, value)
-            if path in ("puzzle", "reward", *KINDS):
+            if path in ("puzzle", "reward", *KIND_PATHS):
                 config = RoomConfig.from_dict(fields)  # whose other paths are those of the kind
         _read_urdf(fields, Path())
         return RoomConfig.from_dict(fields)
@@ -96,7 +96,7 @@ def list_paths(settings: Any, prefix: str = "") -> list[str]:
 
 def _check_path(config: RoomConfig, path: str) -> None:
     """Refuse a path that cannot be set; the message gives those of its section and those with its last name."""
-    known = [*list_paths(config), *KINDS]
+    known = [*list_paths(config), *KIND_PATHS]
     if path in known or not path:
         return
     section, _, name = path.rpartition(".")
@@ -147,6 +147,6 @@ def change_field(fields: dict[str, Any], path: str, value: Any) -> None:
             known = [name for name, part in fields.items() if isinstance(part, dict)]
             raise UnknownNameError(" ".join([*sections[:depth], "section"]), section, known)
         fields = inner
-    if path in KINDS and fields.get("kind") != value:
+    if path in KIND_PATHS and fields.get("kind") != value:
         fields.clear()
     fields[last] = value

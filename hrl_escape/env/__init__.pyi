@@ -34,7 +34,7 @@ from .puzzles.buttons import ButtonsConfig
 from .puzzles.graphs import GraphConfig
 from .puzzles.push_block import PushBlockConfig
 from .puzzles.symbolic import Operator, SymbolicModel
-from .rewards import Events, PotentialReward, RewardConfig, RewardState, TimePenaltyReward, rewards
+from .rewards import RewardConfig, rewards
 from .robot import Robot
 from .sampling.generation import generate
 from .torchrl_env import EscapeRoomTorchRLEnv
@@ -51,7 +51,6 @@ __all__ = [
     "EscapeRoomEnv",
     "EscapeRoomTorchRLEnv",
     "EscapeRoomVectorEnv",
-    "Events",
     "ExitConfig",
     "GraphConfig",
     "Kinematics",
@@ -63,7 +62,6 @@ __all__ = [
     "Panels",
     "Place",
     "PlacedProp",
-    "PotentialReward",
     "Primitive",
     "Prop",
     "PushBlockConfig",
@@ -71,7 +69,6 @@ __all__ = [
     "PuzzleConfig",
     "Rectangle",
     "RewardConfig",
-    "RewardState",
     "Robot",
     "RobotConfig",
     "RoomConfig",
@@ -84,7 +81,6 @@ __all__ = [
     "StartConfig",
     "SymbolicModel",
     "Target",
-    "TimePenaltyReward",
     "Wall",
     "generate",
     "get_preset",

@@ -280,7 +280,7 @@ def _complete_motion(layout: Layout, tables: Tables, before: TensorState, moved:
 
 def _compute_extra(layout: Layout, tables: Tables, before: TensorState, after: TensorState, pressed: Tensor,
                    escaped: Tensor, failed: Tensor) -> Tensor:
-    """What the layout's reward pays beside steps and exits, (rooms,)."""
+    """Rewards of the layout's kind in addition to steps and exits, (rooms,)."""
     assert layout.reward is not None
     form, columns = pick_rules(layout, tables, after.instance)
     was_lit, is_lit = (form.get_lit(columns, state.puzzle) for state in (before, after))
