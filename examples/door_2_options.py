@@ -26,7 +26,8 @@ def main(seed: int = 0) -> None:
         assert info["action_mask"][action], f"{name} cannot start here"
         observation, reward, terminated, truncated, info = env.step(action)
         total += reward
-        pressed = [target.name for target, hit in zip(env.unwrapped.instance.targets, info["pressed"], strict=True) if hit]
+        targets = env.unwrapped.instance.targets
+        pressed = [target.name for target, hit in zip(targets, info["pressed"], strict=True) if hit]
         print(f"{name}: {info['duration']} primitives, {info['option']['ended']}, reward {reward:g}, "
               f"discounted {info['discounted_reward']:.2f}, then discount by {info['discount']:.3f}, "
               f"pressed {pressed}")
