@@ -9,7 +9,6 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from hrl_escape.agents.components.offline import OPTION_ENDINGS
 from hrl_escape.data.catalogue import TAPE_KINDS, DataSpec
 from hrl_escape.data.materialise import begin_episode, list_episodes
 from hrl_escape.data.published import PublishedTape
@@ -19,6 +18,7 @@ from hrl_escape.env.drawing.maps import Trajectory, draw_room
 from hrl_escape.env.drawing.meshes import compute_extent
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.figures import STYLE, save_figure
+from hrl_escape.step_info import ENDINGS
 
 DRAWN = 4
 """Episodes in the picture."""
@@ -29,7 +29,7 @@ REFERENCE_WORDS = ("chance and best_known are mean returns in the first test roo
 def describe(tape: Tape) -> dict[str, Any]:
     """The card as JSON values."""
     about, durations = tape.about, tape.duration
-    counts = np.bincount(tape.ended, minlength=len(OPTION_ENDINGS))
+    counts = np.bincount(tape.ended, minlength=len(ENDINGS))
     return {
         "name": about["name"],
         "behaviour": TAPE_KINDS.get(about["kind"], about["kind"]),
@@ -39,7 +39,7 @@ def describe(tape: Tape) -> dict[str, Any]:
         "decisions": len(tape.option),
         "episodes": len(tape.room),
         "duration": f"{durations.mean():.1f} primitives per decision, at most {durations.max()}",
-        "endings": {name: int(count) for name, count in zip(OPTION_ENDINGS, counts, strict=True) if count},
+        "endings": {name: int(count) for name, count in zip(ENDINGS, counts, strict=True) if count},
         "scores": {name: round(value, 3) for name, value in about["scores"].items()},
         "references": REFERENCE_WORDS,
         "engine": f"{about['engine']}, {about['dynamics']}, recorded with hrl_escape {about['package']}",

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.components.exploration import sample_legal
-from hrl_escape.agents.components.offline import OPTION_ENDINGS
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.run import show_progress
@@ -41,7 +40,7 @@ from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.planning.planner import get_planner
-from hrl_escape.step_info import read_option
+from hrl_escape.step_info import ENDINGS, read_option
 from hrl_escape.version import __version__
 from hrl_escape.viewer.play.episode import load_episode
 
@@ -85,7 +84,7 @@ class TapeWriter:
     def add_decision(self, action: int, legal: NDArray[Any], primitives: list[int], ended: str, cut: bool = False
                      ) -> None:
         """Add a decision that has ended."""
-        row = {"option": action, "duration": len(primitives), "policy": 0, "ended": OPTION_ENDINGS.index(ended),
+        row = {"option": action, "duration": len(primitives), "policy": 0, "ended": ENDINGS.index(ended),
                "cut": int(cut), "legal": pack_mask(legal)}
         for name, value in row.items():
             self._lists[name].append(value)

@@ -57,7 +57,7 @@ class Tape:
         option: action of each decision, int16 (D,).
         duration: primitives that it ran, uint16 (D,).
         policy: which of `about["policies"]` chose, uint8 (D,).
-        ended: ending of the option, an index into `OPTION_ENDINGS`, uint8 (D,).
+        ended: ending of the option, an index into `step_info.ENDINGS`, uint8 (D,).
         cut: 1 where a trajectory ends although the episode goes on, uint8 (D,).
         legal: bit a is set where action a was legal, at each decision and each episode's last state, uint64 (D + E,).
         action: every primitive, int8 (P,).

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import hrl_escape.data
-from hrl_escape.agents.components.offline import OPTION_ENDINGS
 from hrl_escape.data.catalogue import DataSpec, list_specs, parse_spec
 from hrl_escape.data.materialise import load_data
 from hrl_escape.data.published import read_published
@@ -16,6 +15,7 @@ from hrl_escape.data.record import record, train_medium
 from hrl_escape.data.tape import Tape, load_tape, save_tape
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.planning.best_known import find_best_known, list_start_states
+from hrl_escape.step_info import ENDINGS
 from tests.data.small import make_tape, save_small
 
 SHIPPED = Path(hrl_escape.data.__file__).parent / "tapes"
@@ -50,7 +50,7 @@ def test_what_another_recording_left_is_not_taken_up(tmp_path):
 
 def test_noisy_options_fail_as_often_as_is_said_and_experts_escape_in_the_fewest_decisions():
     noisy, expert, play = (make_tape(kind) for kind in ("noisy", "expert", "play"))
-    failed = np.mean(noisy.ended == OPTION_ENDINGS.index("planning-failed"))
+    failed = np.mean(noisy.ended == ENDINGS.index("planning-failed"))
     assert 0.1 < failed < 0.3 and (noisy.duration[noisy.ended == 3] == 1).all()
     assert not (play.ended == 3).any()
     whole = expert.end != 0

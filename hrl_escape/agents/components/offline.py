@@ -36,10 +36,7 @@ from hrl_escape.agents.state import Kept, pack_keys, unpack_keys
 from hrl_escape.errors import AgentSettingsError, UnsupportedError
 from hrl_escape.settings import Range
 from hrl_escape.spaces import ObjectsBox
-from hrl_escape.step_info import ENDINGS
 
-OPTION_ENDINGS = ENDINGS
-"""Endings of decisions, in the words of `info["option"]["ended"]`; `Decisions.ended` is an index into it."""
 FEW_DECISIONS = 2_000
 """Decisions of the data below which networks are warned of."""
 FEW_STATES = 0.1
@@ -61,7 +58,7 @@ class Decisions(NamedTuple):
     terminated: NDArray[np.bool_]  # the task ended, so that nothing follows, bool (n,)
     last: NDArray[np.bool_]  # the trajectory ends here, by its end, the horizon or a cut, bool (n,)
     trajectory: NDArray[np.int64]  # number of the trajectory, int64 (n,)
-    ended: NDArray[np.int64]  # how the option ended, an index into `OPTION_ENDINGS`, int64 (n,)
+    ended: NDArray[np.int64]  # how the option ended, an index into `step_info.ENDINGS`, int64 (n,)
 
 
 class Primitives(NamedTuple):
