@@ -443,16 +443,16 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
     - `option`: a mapping whose `ended` is one of `hrl_escape.step_info.ENDINGS`, `episode-over` where the episode's end
       stopped the option, so that a truncation cut it; without it, every truncated action of several primitives is
       taken for cut.
-    - `trace`: one tuple per primitive, that begins with (observation, action, reward,
-      next_observation) and may have the attributes `next_action_mask` and `consistent`: pairs (action, beta)
+    - `trace`: one tuple per primitive. It begins with (observation, action, reward,
+      next_observation) and can have the attributes `next_action_mask` and `consistent`: pairs (action, beta)
       of the actions whose policy, a function of the state alone, does this same primitive here, with
       their termination probability at the next state. A primitive is consistent with itself, beta = 1. An item
       may stand for several primitives, a decision of a level below; it then has their `rewards`.
 
     `reward` must be the sum of the primitive rewards or their discounted sum. Where it is neither, a wrapper changed it
     after the primitives were summed, and the step is refused: below the options such a wrapper acts on every primitive.
-    A step without `duration`, or with one of another kind and none of the other keys, is one primitive and its `reward`
-    counts. So do keys of these names that the environment uses for something else.
+    A step without `duration` is one primitive, and its `reward` counts. So is a step whose `duration` is not a whole
+    number and comes without the other keys: the environment then uses the name for something else.
 
     Args:
         observation: at the decision.
