@@ -191,7 +191,7 @@ class Routes:
         clock = clock or Clock(self.time_limit)
         settings = self.settings if settings is None else settings
         with self.lock:
-            if clock.is_cancelled:  # while another call was under way
+            if clock.is_cancelled and clock.is_up():  # cancelled while another call held the lock
                 raise self.make_failure(clock.reason, state, goal)
             with self._explaining(state, goal):
                 key = self._make_key(state, goal, settings)

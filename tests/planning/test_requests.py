@@ -207,6 +207,14 @@ def test_a_call_is_cancelled_from_another_thread_at_once(method):
     assert min(waits) < 0.05, waits
 
 
+@pytest.mark.parametrize("method", ["fields", "RRTConnect"])
+def test_a_call_that_is_cancelled_before_it_begins_is_cut_short(planner, start, method):
+    stop = threading.Event()
+    stop.set()
+    result = planner.answer(PlanningRequest(start, "button-1", method=method), stop=stop)
+    assert result.status is PlanningReason.CANCELLED and result.cut_short and result.plan is None
+
+
 @pytest.mark.in_turn
 def test_a_cancelled_call_keeps_the_best_plan_and_the_planner_its_answers(planner, start):
     stop, seen = threading.Event(), []
