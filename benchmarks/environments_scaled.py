@@ -31,7 +31,7 @@ from matplotlib.ticker import EngFormatter, NullFormatter
 import hrl_escape  # noqa: F401  # registers the rooms
 from benchmarks.learning_curves import Contender, Marks, compare, describe, train_in_many, train_in_one
 from hrl_escape.agents import evaluate, make_agent
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.figures import STYLE, save_figure
 
 COUNTS = (1, 8, 64, 512, 4096)

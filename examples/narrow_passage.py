@@ -14,7 +14,7 @@ import argparse
 from hrl_escape import RoomConfig, RoomPlanner, generate
 from hrl_escape.env import EscapeRoomEnv
 from hrl_escape.env.config import RobotConfig, ShapeConfig
-from hrl_escape.env.drawing.maps import Trajectory, save_map
+from hrl_escape.env.pictures.maps import Trajectory, save_map
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 

@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 
 __all__ = ["FIGURE_STYLE", "finish_axes"]
 

@@ -22,7 +22,7 @@ from hrl_escape.comparison.inference import ALPHA, compute_interval
 from hrl_escape.comparison.references.registry import SEARCHERS
 from hrl_escape.comparison.statistics import LEAST_RUNS, compute_iqm
 from hrl_escape.comparison.verdict import count_things, tell_privileges
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.names import join_words
 from hrl_escape.settings import read_record
 from studies.baseline import BaselineRun

@@ -41,7 +41,7 @@ agents.hierarchy.task agents.factored.search agents.larg2019.recipes
 options.option options.options_env options.meta_actions
 planning.goals planning.planner planning.paths.navigator planning.arm.model planning.search.a_star floor.clearance
 env.config env.presets env.instance env.robot env.primitives env.geometry env.observations env.engine
-env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip env.sampling.generation env.drawing.maps
+env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip env.sampling.generation env.pictures.maps
 env.bullet.engine env.bullet.physics env.batched.engine env.batched.rules
 env.escape_room env.vector_env env.torchrl_env
 ladder.benchmark ladder.rung ladder.instance_set

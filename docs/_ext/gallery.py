@@ -24,10 +24,10 @@ from strip import Strip
 
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.references.registry import SEARCHERS
-from hrl_escape.env.drawing.moving_map import PLAYER, PLAYER_COLOURS, describe_room, make_frames
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, Rules
 from hrl_escape.env.observations.base import make_observer
+from hrl_escape.env.pictures.moving_map import PLAYER, PLAYER_COLOURS, describe_room, make_frames
 from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError

@@ -28,12 +28,12 @@ from hrl_escape.data.card import save_card
 from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.tape import load_tape
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.maps import Trajectory, save_map
-from hrl_escape.env.drawing.video import save_picture
 from hrl_escape.env.engine import film
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.maps import Trajectory, save_map
+from hrl_escape.env.pictures.video import save_picture
 from hrl_escape.figures import save_figure
 from hrl_escape.planning.goals import PoseGoal, PressGoal
 from hrl_escape.planning.motion.limits import MotionLimits

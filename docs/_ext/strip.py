@@ -21,9 +21,9 @@ from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.env import RoomInstance, generate, get_preset
-from hrl_escape.env.drawing.moving_map import PLAYER_COLOURS as LOOK
-from hrl_escape.env.drawing.moving_map import describe_room, make_frames
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.pictures.moving_map import PLAYER_COLOURS as LOOK
+from hrl_escape.env.pictures.moving_map import describe_room, make_frames
 from hrl_escape.ladder import load_benchmark
 from hrl_escape.options import OptionsEnv
 from hrl_escape.planning.planner import get_planner

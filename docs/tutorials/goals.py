@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 
 from hrl_escape import RoomPlanner, train
-from hrl_escape.env.drawing.maps import Trajectory, draw_room
+from hrl_escape.env.pictures.maps import Trajectory, draw_room
 from hrl_escape.figures import LINES, get_figure_class
 from hrl_escape.synthesis import HierarchyEnv, synthesise
 

@@ -20,8 +20,8 @@ import tyro
 from rich.console import Console
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.drawing.video import save_video
 from hrl_escape.env.engine import check_camera, film
+from hrl_escape.env.pictures.video import save_video
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.figures import VIDEO_FORMATS
 from hrl_escape.names import make_console_text

@@ -20,10 +20,10 @@ from rich.table import Table
 from rich.text import Text
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.drawing.video import save_picture
 from hrl_escape.env.engine import check_camera, film, make_engine
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.pictures.video import save_picture
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
@@ -112,7 +112,7 @@ def _draw(path: Path, instance: RoomInstance, camera: str | None) -> None:
         (frame,) = film(instance, [rules.make_state(instance.starts[0])], camera, 960, 720)
         save_picture(path, frame)
     else:
-        from hrl_escape.env.drawing.maps import save_map  # loads matplotlib
+        from hrl_escape.env.pictures.maps import save_map  # loads matplotlib
 
         save_map(path, instance)
 

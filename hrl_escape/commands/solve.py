@@ -20,11 +20,11 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.drawing.video import save_video
 from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd
+from hrl_escape.env.pictures.video import save_video
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.figures import VIDEO_FORMATS, check_picture_name
 from hrl_escape.names import make_console_text
@@ -173,7 +173,7 @@ def _draw(path: Path, instance: RoomInstance, outcome: _Outcome, args: SolveArgs
     elif outcome.plan is not None:
         outcome.plan.draw(path)
     else:
-        from hrl_escape.env.drawing.maps import Trajectory, save_map  # loads matplotlib
+        from hrl_escape.env.pictures.maps import Trajectory, save_map  # loads matplotlib
 
         way = Trajectory([(state.x, state.y) for state in states], f"{len(states) - 1} primitives")
         save_map(path, instance, states[0], [way])

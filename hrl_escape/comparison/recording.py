@@ -13,9 +13,9 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.references.registry import REFERENCES, make_reference
-from hrl_escape.env.drawing.moving_map import embed_moving_map, make_frames, make_moving_map
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.pictures.moving_map import embed_moving_map, make_frames, make_moving_map
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from hrl_escape.step_info import read_option
 

@@ -13,10 +13,10 @@ from hrl_escape.data.catalogue import TAPE_KINDS, DataSpec
 from hrl_escape.data.materialise import begin_episode, list_episodes
 from hrl_escape.data.published import PublishedTape
 from hrl_escape.data.tape import Tape
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.maps import Trajectory, draw_room
-from hrl_escape.env.drawing.meshes import compute_extent
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.maps import Trajectory, draw_room
+from hrl_escape.env.pictures.meshes import compute_extent
 from hrl_escape.figures import STYLE, save_figure
 from hrl_escape.step_info import ENDINGS
 

@@ -170,7 +170,7 @@ class RoomInstance(Pictured, Schematic):
     """
 
     _section = "instance"
-    _picture = "hrl_escape.env.drawing.maps:make_map"
+    _picture = "hrl_escape.env.pictures.maps:make_map"
     name: str = "custom"
     """Name of the schematic."""
     seed: Annotated[int, Range(0, 2**63 - 1)] | None = None

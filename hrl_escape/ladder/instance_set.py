@@ -76,7 +76,7 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
         place: arguments by which `hrl_escape/Ladder-v1` finds the set, so that its environments have a `spec`.
     """
 
-    _picture = "hrl_escape.env.drawing.maps:make_strip"
+    _picture = "hrl_escape.env.pictures.maps:make_strip"
 
     def __init__(self, name: str, config: RoomConfig, seeds: Sequence[int], place: Mapping[str, str] | None = None
                  ) -> None:

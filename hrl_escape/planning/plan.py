@@ -163,7 +163,7 @@ class Plan:
         Returns:
             The matplotlib figure.
         """
-        from hrl_escape.env.drawing.maps import Trajectory, make_map  # loads matplotlib
+        from hrl_escape.env.pictures.maps import Trajectory, make_map  # loads matplotlib
         from hrl_escape.figures import save_figure
 
         points = self.path
@@ -180,7 +180,7 @@ class Plan:
         Args:
             width: of the frame, in pixels.
         """
-        from hrl_escape.env.drawing.moving_map import embed_moving_map, make_moving_map  # loads matplotlib
+        from hrl_escape.env.pictures.moving_map import embed_moving_map, make_moving_map  # loads matplotlib
 
         decisions = [(part.name, part.stop - part.start) for part in self.parts]
         return embed_moving_map(self.instance, make_moving_map(self.instance, self.states, decisions), width)

@@ -1,8 +1,8 @@
 """A room as a viser scene: built once from an instance, then posed, lit and annotated.
 
-The scene only shows; it steps nothing and knows no controls. Fixed parts are meshes of the instance, the robot's shapes
-come from the URDF that every engine loads, `make_pose` reads the placement of everything that moves from a state, and
-`blend` interpolates. Frames and units as in `env.robot`: metres and radians, the room's frame or a link's.
+The scene only shows; it steps nothing and knows no controls. Fixed parts and the placement of what moves come from the
+`RoomModel`, the robot's shapes from the URDF that every engine loads, and `blend` interpolates poses. Metres and
+radians, the room's frame or a link's.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.drawing import meshes, palette
-from hrl_escape.env.geometry import Solid, compute_distance
-from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
-from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
-from hrl_escape.env.puzzles.traits import Barring, get_trait
+from hrl_escape.env.geometry import compute_distance
+from hrl_escape.env.instance import Rectangle, RoomInstance, compute_floors
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.pictures import meshes, palette
+from hrl_escape.env.pictures.model import LAYER, Part, RoomModel, RoomPose
 from hrl_escape.env.robot import BASE_LINK, Robot
-from hrl_escape.planning.props import get_prop_poses
 from hrl_escape.viewer.extra import SO3, trimesh, viser
 
 _GREY = "#9aa3b2"
@@ -152,7 +151,7 @@ def to_quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, 
             cr * cp * sy - sr * sp * cy)
 
 
-OTHER_TILE, SHADE, OUTSIDE = "#e4dfd2", "#cfc9bc", "#8fa0b8"
+OUTSIDE = "#8fa0b8"
 SCRAPS = 160
 """Number of scraps of confetti."""
 CLEAR, HAZY = 0.12, 0.5
@@ -168,39 +167,34 @@ class Painted(NamedTuple):
     opacity: float | None = None
 
 
-def make_fixtures(instance: RoomInstance) -> list[Painted]:
+def make_fixtures(model: RoomModel) -> list[Painted]:
     """Parts that never change: floor with shadows and puddles, walls.
 
     Obstacles are apart, for the scene shows one as glass while it hides the robot.
     """
-    floors = compute_floors(instance)
-    walls = [solid for solid in instance.solids if solid.role == "wall"]
-    others = [solid for solid in instance.solids if solid.role != "wall"]
-    even, odd, shadows, puddles = meshes.make_floor(instance, others)
+    walls = [part for part in model.solids if part.role == "wall"]
     faces: dict[str, list[meshes.Mesh]] = {"inside": [], "between": [], "outside": []}
     for wall in walls:
-        for mesh, kind in _make_faces(wall, floors):
+        for mesh, kind in _make_faces(wall, compute_floors(model.instance)):
             faces[kind].append(mesh)
-    tops = [meshes.make_flat(meshes.compute_outline(wall), wall.height) for wall in walls]
+    tops = [meshes.make_flat(meshes.outline_footprint(wall.shape), wall.high) for wall in walls]
+    floor = meshes.make_floor(model.instance, [part for part in model.solids if part.role != "wall"])
     found = [
-        Painted("floor/even", even, meshes.TILE),
-        Painted("floor/odd", odd, OTHER_TILE),
-        Painted("floor/shadows", shadows, SHADE),
-        Painted("floor/puddles", puddles, palette.PUDDLE),
-        Painted("walls/inside", meshes.merge(faces["inside"]), meshes.WALL_FACE),
-        Painted("walls/between", meshes.merge(faces["between"]), meshes.WALL_FACE, HAZY),
+        *(Painted(f"floor/{role}".replace(" ", "-"), mesh, palette.LOOKS[role]) for role, mesh in floor.items()),
+        Painted("walls/inside", meshes.merge(faces["inside"]), palette.LOOKS["wall"]),
+        Painted("walls/between", meshes.merge(faces["between"]), palette.LOOKS["wall"], HAZY),
         Painted("walls/outside", meshes.merge(faces["outside"]), OUTSIDE, CLEAR),
-        Painted("walls/top", meshes.merge(tops), meshes.WALL_TOP, 0.55),
+        Painted("walls/top", meshes.merge(tops), palette.LOOKS["wall top"], 0.55),
     ]
     return [painted for painted in found if len(painted.mesh.triangles)]
 
 
-def is_hidden_by(solid: Solid, eye: tuple[float, float, float], point: tuple[float, float, float]) -> bool:
-    """Return whether an upright solid stands between a camera and a point, tried at 64 places between them, m."""
+def is_hidden_by(part: Part, eye: tuple[float, float, float], point: tuple[float, float, float]) -> bool:
+    """Return whether an upright part stands between a camera and a point, tried at 64 places between them, m."""
     shares = np.arange(1, 65) / 65
     xs, ys, zs = (a + shares * (b - a) for a, b in zip(eye, point, strict=True))
-    low = zs < solid.height
-    return any(compute_distance(x, y, solid.footprint) <= 0.0
+    low = zs < part.high
+    return any(compute_distance(x, y, part.shape) <= 0.0
                for x, y in zip(xs[low].tolist(), ys[low].tolist(), strict=True))
 
 
@@ -208,72 +202,30 @@ def make_confetti(centre: tuple[float, float], share: float) -> NDArray[np.float
     """Places (n, 3) of the scraps that fly up over a place and come down again, m; `share` goes from 0 to 1."""
     rng = np.random.default_rng(0)
     side, up = rng.normal(0.0, 1.6, (SCRAPS, 2)), rng.uniform(2.0, 6.0, SCRAPS)
-    height = np.maximum(4.0 * up * share * (1.0 - share), meshes.LAYER)
+    height = np.maximum(4.0 * up * share * (1.0 - share), LAYER)
     return np.column_stack([centre + side * share, height]).astype(np.float32)
 
 
-def _make_faces(wall: Solid, floors: tuple[Rectangle, ...]) -> list[tuple[meshes.Mesh, str]]:
+def _make_faces(wall: Part, floors: tuple[Rectangle, ...]) -> list[tuple[meshes.Mesh, str]]:
     """The upright faces of a wall, visible from their front only, each with its kind.
 
     A face is `inside` if it looks onto the floor, `between` if the opposite face does so too, else `outside`.
     """
-    if wall.shape == "cylinder":
-        return [(meshes.make_solid(wall), "between")]
-    corners = meshes.compute_outline(wall)
+    if wall.shape.is_disc:
+        return [(meshes.make_part(wall), "between")]
+    corners = meshes.outline_footprint(wall.shape)
     sides, inside = [], []
     for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], corners[0]], strict=True):
         length = math.hypot(x1 - x0, y1 - y0) or 1.0
         normal = ((y1 - y0) / length, (x0 - x1) / length)
         # the face is thin: a prism of no depth, of which only the side along the edge is kept
         side = meshes.make_prism([(x0, y0), (x1, y1), (x1 - 1e-3 * normal[0], y1 - 1e-3 * normal[1]),
-                           (x0 - 1e-3 * normal[0], y0 - 1e-3 * normal[1])], 0.0, wall.height)
+                           (x0 - 1e-3 * normal[0], y0 - 1e-3 * normal[1])], wall.low, wall.high)
         sides.append(meshes.Mesh(side.vertices[:4], side.normals[:4], side.triangles[:2]))
         x, y = (x0 + x1) / 2 + 0.05 * normal[0], (y0 + y1) / 2 + 0.05 * normal[1]
         inside.append(any(floor.contains(x, y) for floor in floors))
     kinds = ["outside" if not inside[i] else "between" if inside[i - 2] else "inside" for i in range(4)]
     return list(zip(sides, kinds, strict=True))
-
-
-def make_target(instance: RoomInstance, target: Target) -> tuple[Painted, ...]:
-    """A panel: its face, which lights up, its frame, the mat on the floor in front of it, and its mark, if any."""
-    face, frame = meshes.make_panel(target)
-    return (Painted("face", face, palette.OFF.fill), Painted("frame", frame, meshes.PANEL_FRAME),
-            Painted("mat", meshes.make_mat(instance, target), meshes.MAT),
-            *(Painted(f"mark-{number}", mesh, colour)
-              for number, (colour, mesh) in enumerate(meshes.make_badges(instance, target))))
-
-
-PropPose = tuple[float, ...]
-
-
-class RoomPose(NamedTuple):
-    """Placement of everything that moves."""
-
-    x: float  # x of the body's axis, m
-    y: float  # y of the body's axis, m
-    z: float  # height of the base above the floor, m
-    heading: float  # rad
-    pitch: float  # rad
-    roll: float  # rad
-    angles: tuple[float, ...]  # angles of the arm's joints, rad
-    door: float  # angle of the leaf about its hinge, rad
-    props: tuple[PropPose, ...]  # position x y z and quaternion x y z w of each prop
-
-
-def make_pose(rules: Rules, state: RoomState) -> RoomPose:
-    """Pose of a state; without physics the door stands open as soon as the puzzle is solved."""
-    instance = rules.instance
-    if state.physics is not None:
-        door = state.physics.door[0] if state.physics.door else 0.0
-        props = tuple(tuple(prop[:7]) for prop in state.physics.props)
-    else:
-        solved = instance.door is not None and instance.puzzle.is_solved(state.puzzle)
-        door = math.pi / 2 * instance.door_swing if solved else 0.0
-        poses = get_prop_poses(state, instance)
-        props = tuple((x, y, placed.prop.height / 2, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
-                      for (x, y, yaw), placed in zip(poses, instance.props, strict=True))
-    return RoomPose(state.x, state.y, state.z, rules.get_heading(state), state.pitch, state.roll,
-                    tuple(rules.get_angles(state)), door, props)
 
 
 def blend(a: RoomPose, b: RoomPose, share: float) -> RoomPose:
@@ -288,7 +240,7 @@ def blend(a: RoomPose, b: RoomPose, share: float) -> RoomPose:
     return RoomPose(x, y, z, a.heading + share * turn, pitch, roll, mix(a.angles, b.angles), door, props)
 
 
-def _mix_prop(one: PropPose, mixed: PropPose, other: PropPose) -> PropPose:
+def _mix_prop(one: tuple[float, ...], mixed: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, ...]:
     """Normalise the quaternion of a mixed pose; a quaternion and its negative are the same rotation."""
     if sum(u * v for u, v in zip(one[3:], other[3:], strict=True)) < 0.0:
         return other
@@ -316,27 +268,26 @@ class RoomScene:
 
     Attributes:
         instance: the room shown.
+        model: its parts and poses.
         rules: rules that poses are computed with.
     """
 
     def __init__(self, server: viser.ViserServer, instance: RoomInstance, is_hidden: bool = False) -> None:
         self.instance, self.is_hidden = instance, is_hidden
-        physics = instance.dynamics.kind == "physics"
-        self.rules: Rules = Rules(instance) if physics else Kinematics(instance)
+        self.model = model = RoomModel(instance)
+        self.rules = model.rules
         self._server, self._scene = server, server.scene
         with server.atomic():
             _add_lights(self._scene)
             self._root = self._scene.add_frame(ROOT, show_axes=False)
-            for painted in make_fixtures(instance):
+            for painted in make_fixtures(model):
                 self._add(painted)
-            self._obstacles = [
-                (solid, self._add(Painted("solid", meshes.make_solid(solid), meshes.OBSTACLE_FACE), f"obstacles/{n}"))
-                for n, solid in enumerate(instance.solids) if solid.role != "wall"]
+            self._obstacles = [(part, self._add_part(f"obstacles/{number}", part))
+                               for number, part in enumerate(model.solids) if part.role != "wall"]
             self._names: list[viser.LabelHandle] = []
             self._lamps = [self._add_target(i) for i in range(len(instance.targets))]
-            area, edge = meshes.make_exit_area(instance)
-            self._exit = [self._add(Painted(name, mesh, palette.EXIT_LOCKED), "exit")
-                          for name, mesh in (("area", area), ("edge", edge))]
+            self._exit = [self._add_part(f"exit/{name}", part)
+                          for name, part in zip(("area", "edge"), model.exit, strict=True)]
             if not instance.exit.is_flat:
                 self._scene.add_label(f"{ROOT}/exit/name", "exit", position=(*instance.exit.centre, 0.05),
                                       anchor="center-center", font_screen_scale=0.9)
@@ -361,15 +312,15 @@ class RoomScene:
     def show(self, state: RoomState) -> None:
         """Pose and light everything as in a state."""
         with self._server.atomic():
-            self.pose(make_pose(self.rules, state))
+            self.pose(self.model.make_pose(state))
             self.light(state)
 
     def pose(self, pose: RoomPose) -> None:
         """Place robot, arm, door and props."""
         with self._server.atomic():
             self._robot.place(pose)
-            if self._door is not None:
-                self._door.wxyz = to_quaternion(0.0, 0.0, self._door_yaw + pose.door)
+            if self._door is not None and self.instance.door is not None:
+                self._door.wxyz = to_quaternion(0.0, 0.0, self.instance.door.yaw + pose.door)
             for node, placed in zip(self._props, pose.props, strict=True):
                 x, y, z, qx, qy, qz, qw = placed
                 node.position, node.wxyz = (x, y, z), (qw, qx, qy, qz)
@@ -384,10 +335,10 @@ class RoomScene:
             lamp.color = _to_bytes(palette.get_target_look(puzzle, state.puzzle, i, self.is_hidden).fill)
             if name.text != (text := palette.name_target(puzzle, state.puzzle, i, self.is_hidden)):
                 name.text = text
-        shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
-        for i, node in enumerate(self._inner_doors):
-            node.visible = bool(shut >> i & 1)
-        colour = palette.EXIT_OPEN if puzzle.is_solved(state.puzzle) else palette.EXIT_LOCKED
+        look = self.model.make_look(state)
+        for node, is_shut in zip(self._inner_doors, look.shut, strict=True):
+            node.visible = is_shut
+        colour = palette.EXIT_OPEN if look.is_open else palette.EXIT_LOCKED
         for part in self._exit:
             part.color = _to_bytes(colour)
 
@@ -404,24 +355,24 @@ class RoomScene:
 
     def draw_trail(self, states: Sequence[RoomState]) -> None:
         """Draw the way that the robot has come, on the floor."""
-        self._draw_line("trail", [(s.x, s.y) for s in states[-LONGEST_TRAIL:]], palette.TRAIL, 8 * meshes.LAYER)
+        self._draw_line("trail", [(s.x, s.y) for s in states[-LONGEST_TRAIL:]], palette.TRAIL, 8 * LAYER)
 
     def draw_future(self, name: Literal["plan", "preview"], states: Sequence[RoomState]) -> None:
         """Draw the way of the running option (`plan`) or of another (`preview`), and its final posture."""
         colour, layers = FUTURES[name]
-        self._draw_line(name, [(s.x, s.y) for s in states], colour, layers * meshes.LAYER)
+        self._draw_line(name, [(s.x, s.y) for s in states], colour, layers * LAYER)
         ghost = self._ghosts.get(name)
         if len(states) > 1:
             if ghost is None:
                 ghost = self._ghosts[name] = _RobotModel(self._scene, f"{ROOT}/ghost-{name}", self.rules.robot,
                                                          self.instance.robot, colour, 0.35)
-            ghost.place(make_pose(self.rules, states[-1]))
+            ghost.place(self.model.make_pose(states[-1]))
         if ghost is not None:
             ghost.frame.visible = len(states) > 1
 
     def draw_path(self, points: Sequence[tuple[float, float]]) -> None:
         """Draw a path planner's path for the body's axis."""
-        self._draw_line("path", points, palette.MUTED, 6 * meshes.LAYER)
+        self._draw_line("path", points, palette.MUTED, 6 * LAYER)
 
     def draw_hand_path(self, points: Sequence[_Point]) -> None:
         """Draw the way of the hand, in the air."""
@@ -468,15 +419,18 @@ class RoomScene:
 
     # --- building ----------------------------------------------------------------------------
 
-    def _add(self, painted: Painted, folder: str = "") -> viser.MeshHandle:
-        name = "/".join(part for part in (ROOT, folder, painted.name) if part)
-        return _add_mesh(self._scene, name, painted.mesh.vertices, painted.mesh.triangles, painted.colour,
-                         painted.opacity)
+    def _add(self, painted: Painted) -> viser.MeshHandle:
+        return _add_mesh(self._scene, f"{ROOT}/{painted.name}", painted.mesh.vertices, painted.mesh.triangles,
+                         painted.colour, painted.opacity)
+
+    def _add_part(self, name: str, part: Part, opacity: float | None = None) -> viser.MeshHandle:
+        return self._add(Painted(name, meshes.make_part(part), palette.LOOKS[part.role], opacity))
 
     def _add_target(self, index: int) -> viser.MeshHandle:
-        target = self.instance.targets[index]
-        face, *_ = [self._add(painted, f"targets/{index}") for painted in make_target(self.instance, target)]
-        puzzle = self.instance.puzzle
+        target, panel, puzzle = self.instance.targets[index], self.model.panels[index], self.instance.puzzle
+        face, *_ = [self._add_part(f"targets/{index}/{name}", part) for name, part in panel._asdict().items()]
+        for number, (colour, mesh) in enumerate(meshes.make_badges(self.instance, target)):
+            self._add(Painted(f"targets/{index}/mark-{number}", mesh, colour))
         self._names.append(self._scene.add_label(
             f"{ROOT}/targets/{index}/name", palette.name_target(puzzle, puzzle.make_state(), index, self.is_hidden),
             anchor="bottom-center", position=(target.x, target.y, target.z + target.half_z + 0.25),
@@ -485,29 +439,23 @@ class RoomScene:
 
     def _add_door(self) -> viser.FrameHandle | None:
         """The leaf in the frame of its hinge."""
-        door = self.instance.door
-        if door is None:
+        door, leaf = self.instance.door, self.model.leaf
+        if door is None or leaf is None:
             return None
-        self._door_yaw = door.yaw
         hinge = self._scene.add_frame(f"{ROOT}/door", show_axes=False, wxyz=to_quaternion(0.0, 0.0, door.yaw),
-                                      position=meshes.find_hinge(door))
-        self._add(Painted("leaf", meshes.make_leaf(door), palette.DOOR, 0.85), "door")
+                                      position=(*self.model.hinge, 0.0))
+        self._add_part("door/leaf", leaf, 0.85)
         return hinge
 
     def _add_inner_door(self, index: int) -> viser.FrameHandle:
-        """A door that fills its cell, or a thing that fills half of it."""
-        door, name = self.instance.inner_doors[index], f"{ROOT}/inner-doors/{index}"
-        node = self._scene.add_frame(name, show_axes=False)
-        leaf = Painted("leaf", meshes.make_inner_door(door), palette.get_inner_colour(door), 0.85)
-        self._add(leaf, f"inner-doors/{index}")
+        node = self._scene.add_frame(f"{ROOT}/inner-doors/{index}", show_axes=False)
+        self._add_part(f"inner-doors/{index}/leaf", self.model.inner_doors[index], 0.85)
         return node
 
     def _add_prop(self, index: int) -> viser.FrameHandle:
-        placed = self.instance.props[index]
-        prop, name = placed.prop, f"{ROOT}/props/{index}"
+        prop, name = self.instance.props[index].prop, f"{ROOT}/props/{index}"
         node = self._scene.add_frame(name, show_axes=False)
-        colour = palette.PLATE if prop.kind == "plate" else palette.PROP
-        self._add(Painted("shape", meshes.make_prop(prop), colour), f"props/{index}")
+        self._add_part(f"props/{index}/shape", self.model.props[index])
         self._scene.add_label(f"{name}/name", prop.name, position=(0.0, 0.0, prop.height / 2 + 0.2),
                               anchor="bottom-center", font_screen_scale=0.8)
         return node

@@ -26,8 +26,8 @@ from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.drawing import palette
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.pictures import palette
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import join_words

@@ -23,7 +23,7 @@ from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.runs import RunResult
 from hrl_escape.comparison.statistics import LEAST_RUNS
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.names import count_nouns, join_words
 from studies.figures import FIGURE_STYLE

@@ -16,9 +16,9 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
-from hrl_escape.env.drawing import palette
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.pictures import palette
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.sampling.generation import generate

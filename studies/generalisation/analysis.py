@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.statistics import LEAST_RUNS
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from studies.baseline import BaselineRun, collect_baselines
 from studies.figures import FIGURE_STYLE, finish_axes

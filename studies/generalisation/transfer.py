@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
 from hrl_escape.comparison.statistics import LEAST_RUNS
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun
 from studies.figures import FIGURE_STYLE

@@ -24,7 +24,7 @@ from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, T
 from hrl_escape.comparison.references.registry import BAYES, SEARCHERS
 from hrl_escape.comparison.reporting.figures import SPARE
 from hrl_escape.comparison.statistics import LEAST_RUNS
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.room_sets import TOWER_HORIZON
 from hrl_escape.names import count_nouns, join_words

@@ -19,7 +19,7 @@ from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.comparison.inference import ALPHA
 from hrl_escape.comparison.statistics import LEAST_RUNS
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.settings import read_record

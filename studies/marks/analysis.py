@@ -16,7 +16,7 @@ from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.protocols import compute_learned_share
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.names import join_words

@@ -25,7 +25,7 @@ from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.materialise import load_data
 from hrl_escape.data.tape import load_tape
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, ConfigError
 from hrl_escape.names import join_words
 from hrl_escape.options.options_env import OptionsEnv

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from hrl_escape.comparison.inference import Estimate, compute_interval
 from hrl_escape.comparison.reporting.figures import GREYS
 from hrl_escape.comparison.statistics import Floats, compute_iqm
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import join_words
 from hrl_escape.settings import read_record

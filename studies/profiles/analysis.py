@@ -20,7 +20,7 @@ from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_hol
 from hrl_escape.comparison.reporting.figures import draw_radar, list_references, make_profiles
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.comparison.verdict import count_things, spell_number
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.manifest import AxisRecord, load_references

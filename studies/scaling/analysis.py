@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.reporting.figures import choose_styles
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table

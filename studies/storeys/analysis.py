@@ -15,7 +15,7 @@ from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.statistics import compute_efficiency
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.room_sets import Tower, repeat_floor

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from hrl_escape.agents.training.evaluation import play_episode
-from hrl_escape.env.drawing import palette
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.ladder.room_sets import parse_room_set
 from hrl_escape.options.options_env import OptionsEnv

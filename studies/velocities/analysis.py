@@ -28,8 +28,8 @@ from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.references.registry import SEARCHERS, make_reference
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
-from hrl_escape.env.drawing import palette
 from hrl_escape.env.kinematics import EpisodeEnd
+from hrl_escape.env.pictures import palette
 from hrl_escape.env.presets import get_preset
 from hrl_escape.errors import ComparisonError, EscapeError
 from hrl_escape.names import count_nouns, join_words

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from hrl_escape.env.drawing import palette
+from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.settings import read_record

@@ -14,7 +14,7 @@ from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.runs import make_env
-from hrl_escape.env.drawing.moving_map import make_frames
+from hrl_escape.env.pictures.moving_map import make_frames
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig

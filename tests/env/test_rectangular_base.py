@@ -17,12 +17,12 @@ from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
-from hrl_escape.env.drawing.maps import make_map
-from hrl_escape.env.drawing.meshes import compute_base_outline, make_base_column
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.pictures.maps import make_map
+from hrl_escape.env.pictures.meshes import compute_base_outline, make_base_column
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig

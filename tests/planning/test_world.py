@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.drawing.maps import draw_room, save_map
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid, compute_distance
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.pictures.maps import draw_room, save_map
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import LARGEST_MESHES
 from hrl_escape.env.sampling.generation import generate

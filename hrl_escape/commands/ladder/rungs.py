@@ -147,7 +147,7 @@ def _describe(rung: Rung) -> dict[str, Any]:
 
 
 def _write_room(rung: Rung, args: ShowArgs) -> list[str]:
-    from hrl_escape.env.drawing.maps import save_map  # loads matplotlib
+    from hrl_escape.env.pictures.maps import save_map  # loads matplotlib
 
     rooms = rung.sets.get(args.role)
     if rooms is None or not 0 <= args.index < len(rooms):

@@ -16,8 +16,8 @@ from matplotlib.ticker import FuncFormatter
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.summary import PROFILE, Summary, summarise
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.maps import make_map
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.maps import make_map
 from hrl_escape.figures import STYLE, save_figure
 from hrl_escape.ladder.manifest import AxisRecord, RungReferences
 

@@ -35,8 +35,8 @@ from hrl_escape.comparison.runs import RunResult, get_room_file, get_training_fo
 from hrl_escape.comparison.statistics import compute_iqm, compute_score
 from hrl_escape.comparison.summary import PROFILE, AgentSummary, Curve, RoomSummary, Summary, summarise
 from hrl_escape.comparison.verdict import Sentence, find_leader, write_verdict
-from hrl_escape.env.drawing.maps import make_map
-from hrl_escape.env.drawing.moving_map import PLAYER, PLAYER_COLOURS, describe_room
+from hrl_escape.env.pictures.maps import make_map
+from hrl_escape.env.pictures.moving_map import PLAYER, PLAYER_COLOURS, describe_room
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.files import write_text
 from hrl_escape.names import tell_seconds

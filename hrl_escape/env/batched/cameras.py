@@ -21,33 +21,30 @@ from hrl_escape.env.batched.poses import TensorState, compute_rotation
 from hrl_escape.env.batched.puzzles.base import unpack_bits
 from hrl_escape.env.batched.rules import find_shut
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
-from hrl_escape.env.drawing import palette
 from hrl_escape.env.engine import check_camera, check_picture_size
-from hrl_escape.env.geometry import Footprint, Solid, make_footprint
-from hrl_escape.env.instance import RoomInstance, Target, compute_floors
+from hrl_escape.env.geometry import Footprint, make_footprint
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.model import Part, RoomModel
 from hrl_escape.env.tensor_geometry import stack_shapes
 from hrl_escape.errors import UnsupportedError
 
 LABELS = ("nothing", "floor", "exit", "plate", "wall", "obstacle", "door", "target", "block", "robot")
 """Labels of a segmentation, by their number."""
 
-LOOKS: dict[str, tuple[str, str]] = {
-    "sky": ("nothing", "#dfe7ef"), "tile": ("floor", palette.FLOOR), "other tile": ("floor", "#e4dfd3"),
-    "exit": ("exit", palette.EXIT_LOCKED), "open exit": ("exit", palette.EXIT_OPEN), "plate": ("plate", palette.PLATE),
-    "wall": ("wall", palette.WALL), "obstacle": ("obstacle", palette.OBSTACLE), "door": ("door", palette.DOOR),
-    "thing": ("block", palette.PROP), "frame": ("target", palette.INK), "off": ("target", palette.OFF.fill),
-    "lit": ("target", palette.LIT.fill), "block": ("block", palette.PROP), "body": ("robot", palette.BODY),
-    "arrow": ("robot", palette.BACKGROUND),
+LOOKS = {
+    "sky": "nothing", "tile": "floor", "other tile": "floor", "exit": "exit", "open exit": "exit", "plate": "plate",
+    "wall": "wall", "obstacle": "obstacle", "door": "door", "thing": "block", "frame": "target", "off": "target",
+    "lit": "target", "block": "block", "body": "robot", "arrow": "robot",
 }
-"""Name of each look -> its label and colour."""
+"""Role of each part that is drawn -> its label."""
 
-LOOK_COLOURS = tuple(tuple(255.0 * part for part in palette.to_rgb(colour)) for _, colour in LOOKS.values())
+LOOK_COLOURS = tuple(tuple(255.0 * part for part in palette.to_rgb(palette.LOOKS[role])) for role in LOOKS)
 """Red, green and blue of each look, within [0, 255]."""
-LOOK_LABELS = tuple(LABELS.index(label) for label, _ in LOOKS.values())
+LOOK_LABELS = tuple(map(LABELS.index, LOOKS.values()))
 """Index in `LABELS` of each look."""
 
-_ABOVE_FLOOR = 0.02  # panels and leaves begin here
-_PAINT = 0.018  # height of a plate
+_PAINT = 0.018  # height of a plate, m
 
 
 def find_look(name: str) -> int:
@@ -77,28 +74,21 @@ class SceneryForm(NamedTuple):
     is_straight: tuple[bool, ...]  # for each box whether its sides are along the axes in all instances
 
 
-class _Box(NamedTuple):
-    shape: Footprint
-    low: float
-    high: float
-    look: str
-
-
 def stack_scenery(instances: Sequence[RoomInstance], layout: Layout, device: torch.device
                   ) -> tuple[Scenery, SceneryForm]:
     """Stack the visible prisms of several instances."""
-    groups = [_list_boxes(instance, layout) for instance in instances]
-    stacked = [_stack_group(rows) for rows in zip(*groups, strict=True)]
-    cylinders = [[s for s in instance.solids if s.shape == "cylinder"] for instance in instances]
+    models = [RoomModel(instance) for instance in instances]
+    stacked = [_stack_group(rows) for rows in zip(*(_list_boxes(model, layout) for model in models), strict=True)]
+    cylinders = [[part for part in model.solids if part.shape.is_disc] for model in models]
     rounds = np.zeros((6, max(map(len, cylinders)), len(instances)))
     rounds[0], rounds[3] = 1e6, 1.0
-    for k, solids in enumerate(cylinders):
-        for n, solid in enumerate(solids):
-            rounds[:, n, k] = solid.x, solid.y, 0.0, solid.height, solid.half_x, solid.half_x
     floors = np.full((4, 2, len(instances)), 1e6)
-    for k, instance in enumerate(instances):
-        for n, area in enumerate(compute_floors(instance)):
-            floors[:, n, k] = area.x_min, area.x_max, area.y_min, area.y_max
+    for k, model in enumerate(models):
+        for n, part in enumerate(cylinders[k]):
+            rounds[:, n, k] = part.shape.x, part.shape.y, part.low, part.high, part.shape.half_x, part.shape.half_x
+        for n, floor in enumerate(model.floors):
+            _, x, y, _, _, half_x, half_y = floor.shape
+            floors[:, n, k] = x - half_x, x + half_x, y - half_y, y + half_y
     sizes = [(i.reach_x, i.reach_y, i.wall_height, palette.choose_tile(i)) for i in instances]
 
     def floats(values: NDArray[np.float64]) -> Tensor:
@@ -111,14 +101,14 @@ def stack_scenery(instances: Sequence[RoomInstance], layout: Layout, device: tor
     return scenery, SceneryForm(sum(len(looks) for _, looks in stacked[:2]), tuple(is_straight.tolist()))
 
 
-def _stack_group(rows: Sequence[Sequence[_Box]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _stack_group(rows: Sequence[Sequence[Part]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Numbers (8, boxes, instances) and looks (boxes, instances) of one group."""
     most = max(map(len, rows))
     looks = np.zeros((most, len(rows)), np.int64)
     heights = np.zeros((2, most, len(rows)))
     for k, row in enumerate(rows):
         for n, box in enumerate(row):
-            looks[n, k], heights[:, n, k] = find_look(box.look), (box.low, box.high)
+            looks[n, k], heights[:, n, k] = find_look(box.role), (box.low, box.high)
     shapes = stack_shapes([[_straighten(box.shape) for box in row] for row in rows])[:6, :most]
     return np.concatenate([shapes, heights]), looks
 
@@ -130,41 +120,19 @@ def _straighten(shape: Footprint) -> Footprint:
     return shape if shape.cos else shape._replace(cos=1.0, sin=0.0, half_x=shape.half_y, half_y=shape.half_x)
 
 
-def _list_boxes(instance: RoomInstance, layout: Layout) -> tuple[list[_Box], ...]:
-    """Boxes of one instance, group by group in the order of `Scenery`."""
-    away = _Box(make_footprint(1e6, 0.0, 0.0, 0.0), 0.0, 1.0, "sky")
-    solids = [_Box(s.footprint, 0.0, s.height, "wall" if s.role == "wall" else "obstacle")
-              for s in instance.solids if s.shape == "box"]
-    pairs = [_list_panel(target) for target in instance.targets]
-    pairs += [(away, away)] * (layout.targets - len(pairs))
-    props = [_Box(make_footprint(p.x, p.y, p.prop.half_size, p.prop.half_size, p.yaw), 0.0,
-                  _PAINT if p.prop.kind == "plate" else p.prop.height, p.prop.kind) for p in instance.props]
-    inner = []
-    for door in instance.inner_doors:
-        look, share = ("door", 0.98) if door.role == "door" else ("thing", 0.5)
-        shape = make_footprint(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw)
-        inner.append(_Box(shape, _ABOVE_FLOOR, door.height, look))
-    inner += [away] * (layout.inner_doors - len(inner))
+def _list_boxes(model: RoomModel, layout: Layout) -> tuple[list[Part], ...]:
+    """Boxes of one room, group by group in the order of `Scenery`."""
+    away = Part("sky", make_footprint(1e6, 0.0, 0.0, 0.0), 0.0, 1.0)
+    absent = [away] * (layout.targets - len(model.panels))
+    props = [part._replace(shape=make_footprint(p.x, p.y, part.shape.half_x, part.shape.half_y, p.yaw), low=0.0,
+                           high=_PAINT if part.role == "plate" else p.prop.height)
+             for part, p in zip(model.props, model.instance.props, strict=True)]
+    inner = [*model.inner_doors, *[away] * (layout.inner_doors - len(model.inner_doors))]
     leaves = [away, away] if layout.has_door else []
-    if instance.door is not None:
-        leaves = [_Box(_swing(instance, instance.door, angle), _ABOVE_FLOOR, instance.door.height, "door")
-                  for angle in (0.0, math.pi / 2)]
-    return solids, [frame for frame, _ in pairs], [face for _, face in pairs], props, inner, leaves
-
-
-def _list_panel(target: Target) -> tuple[_Box, _Box]:
-    """Frame and face of a target."""
-    low, high = max(_ABOVE_FLOOR, target.z - target.half_z), target.z + target.half_z
-    rim = min(0.08, 0.2 * min(target.half_x, target.half_z))
-    frame = make_footprint(target.x, target.y, target.half_x + rim, 0.7 * target.half_y, target.yaw)
-    return _Box(frame, max(0.0, low - rim), high + rim, "frame"), _Box(target.footprint, low, high, "off")
-
-
-def _swing(instance: RoomInstance, door: Solid, angle: float) -> Footprint:
-    """Leaf of the exit's door, turned about its hinge towards the exit."""
-    cos, sin, yaw = math.cos(door.yaw), math.sin(door.yaw), door.yaw + angle * instance.door_swing
-    return make_footprint(door.x + door.half_x * (math.cos(yaw) - cos), door.y + door.half_x * (math.sin(yaw) - sin),
-                          door.half_x, 0.6 * door.half_y, yaw)
+    if model.leaf is not None:
+        leaves = [model.place_leaf(angle) for angle in (0.0, math.pi / 2 * model.instance.door_swing)]
+    return ([part for part in model.solids if not part.shape.is_disc], [panel.frame for panel in model.panels] + absent,
+            [panel.face for panel in model.panels] + absent, props, inner, leaves)
 
 
 _CHUNK = 100_000  # pixels per pass on a CPU, few enough that the intermediate values stay in a core's cache

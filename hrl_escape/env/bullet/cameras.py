@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import threading
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -26,13 +26,13 @@ from PIL import Image, ImageDraw
 
 from hrl_escape.env.bullet import connect, disconnect
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.drawing import meshes, palette
-from hrl_escape.env.drawing.meshes import LAYER, Mesh, compute_outline, make_cylinder, make_prism, make_shadow
 from hrl_escape.env.engine import check_camera, check_picture_size
-from hrl_escape.env.geometry import Solid, make_footprint
-from hrl_escape.env.instance import PlacedProp, RoomInstance, Target
+from hrl_escape.env.geometry import Footprint, make_footprint
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.puzzles.traits import Barring, get_trait
+from hrl_escape.env.pictures import meshes, palette
+from hrl_escape.env.pictures.meshes import Mesh, make_cylinder, make_shadow
+from hrl_escape.env.pictures.model import LAYER, Part, RoomModel
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
 
@@ -42,10 +42,7 @@ CURB = 0.3
 """Height left of a wall that is cut open, m."""
 
 _FINE = 3  # the trail is drawn this many times larger, for soft edges
-_SKY, _GROUND = "#dfe7ef", "#f7f8fa"
-_OTHER_TILE, _SHADE = "#e6e1d6", "#c9c3b6"
-_EXIT_LOCKED, _EXIT_OPEN, _EXIT_EDGE = "#b3cfbd", "#7fd49b", "#7d9a87"
-_MAT_LIT = "#ffdf7e"
+_GROUND = "#f7f8fa"
 _AWAY = (0.0, 0.0, 1e6)  # straight up: never in view
 _STILL = (0.0, 0.0, 0.0, 1.0)
 
@@ -75,9 +72,9 @@ class BulletRenderer:
         check_picture_size(width, height)
         stage = self._stage = self._stage or Stage(self._instance)
         stage.follow(state)
-        view = _VIEWS[camera](stage.rules, state, width / height)
+        view = _VIEWS[camera](stage.model.rules, state, width / height)
         for standing in stage.standing:
-            stage.set_cut(standing, camera == "chase" and _hides(standing, stage.rules, state, view.eye))
+            stage.set_cut(standing, camera == "chase" and _hides(standing, stage.model.rules, state, view.eye))
         return _take(stage.client, view, width, height, trail, 0.2 * self._instance.robot.inner_radius)
 
 
@@ -122,8 +119,7 @@ def _reach(instance: RoomInstance) -> float:
 
 def _hides(standing: Standing, rules: Kinematics, state: RoomState, eye: tuple[float, float, float]) -> bool:
     """Return whether something stands between the eye and the near side of the robot."""
-    solid, radius = standing.solid, rules.instance.robot.outer_radius
-    shape = make_footprint(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
+    shape, radius = standing.shape, rules.instance.robot.outer_radius
     (ex, ey, ez), x, y = eye, state.x, state.y
     near = 1.0 - 1.2 * radius / math.dist((ex, ey), (x, y))
     dx, dy, drop = near * (x - ex), near * (y - ey), ez - state.z
@@ -138,7 +134,7 @@ def _hides(standing: Standing, rules: Kinematics, state: RoomState, eye: tuple[f
             continue
         low, high = sorted(((-wide - at) / move, (wide - at) / move))
         enter, leave = max(enter, low), min(leave, high)
-    return enter <= leave and solid.height > ez - leave * near * drop
+    return enter <= leave and standing.high > ez - leave * near * drop
 
 
 # --- pixels --------------------------------------------------------------------------------
@@ -168,7 +164,7 @@ def _make_backdrop(view: _View, height: int) -> NDArray[np.uint8]:
     rows = (0.5 - (np.arange(height) + 0.5) / height) * 2 * math.tan(math.radians(view.field / 2))
     elevation = np.arctan(rows) - down
     share = np.clip(elevation / 0.5 + 0.5, 0.0, 1.0)[:, None]
-    low, high = np.array(palette.to_rgb(_GROUND)), np.array(palette.to_rgb(_SKY))
+    low, high = np.array(palette.to_rgb(_GROUND)), np.array(palette.to_rgb(palette.LOOKS["sky"]))
     return (255 * (low + share * (high - low)) + 0.5).astype(np.uint8)
 
 
@@ -308,7 +304,8 @@ def _follow(luma: Values, at: Places, across: Places, along: Places, edge: Value
 class Standing:
     """Something upright that may hide the robot from a camera."""
 
-    solid: Solid  # its footprint and height; it stands on the floor for this purpose
+    shape: Footprint  # its outline in the room
+    high: float  # its greatest height, m
     whole: list[int]  # bodies that show it whole
     cut: list[int]  # bodies that show its lowest part only
     is_cut: bool = False  # True while the cut form is shown
@@ -320,6 +317,8 @@ class Stage:
     """A copy of one room for cameras, or for Bullet's window; `client` is pybullet's number of it.
 
     Attributes:
+        model: parts and poses of the room.
+        roles: role of each body's part, by the body's number; the arm is "arm".
         standing: everything that can be cut open for a better view.
 
     Raises:
@@ -327,24 +326,34 @@ class Stage:
     """
 
     def __init__(self, instance: RoomInstance, window: bool = False) -> None:
-        self._instance, self.rules = instance, Kinematics(instance)
+        self.model = model = RoomModel(instance)
         self.client = connect(window)
         self.close = weakref.finalize(self, disconnect, self.client)
         if window:
             for flag in (pybullet.COV_ENABLE_GUI, pybullet.COV_ENABLE_RENDERING):
                 pybullet.configureDebugVisualizer(flag, 0, physicsClientId=self.client)
-        self._colours: dict[int, str] = {}  # of the bodies
-        self.standing = [self._add_solid(solid) for solid in instance.solids]
-        self._lamps = [self._add_target(target) for target in instance.targets]
-        self._base, self._shadow = self._add_base()
-        self._arm, self._joints = self._add_arm(self.rules.robot) if instance.robot.joints else (None, ())
-        self._props = [self._add_prop(placed) for placed in instance.props]
-        self._door = self._add_leaf(instance.door, meshes.make_leaf, palette.DOOR) if instance.door else None
-        self._inner = [self._add_leaf(door, meshes.make_inner_door, palette.get_inner_colour(door))
-                       for door in instance.inner_doors]
-        inside, edge = meshes.make_exit_area(instance)
-        self._exit, self._exit_edge = self._add(inside, _EXIT_LOCKED), self._add(edge, _EXIT_EDGE)
-        self._add_floor()
+        self.roles: dict[int, str] = {}
+        self._colours: dict[int, str] = {}
+        self.standing: list[Standing] = []
+        for part in model.solids:
+            self._add_standing(part)
+        self._panels = [self._add_standing(panel.face, panel.frame) for panel in model.panels]
+        self._mats = [self._add_part(panel.mat) for panel in model.panels]
+        for target in instance.targets:
+            for colour, mesh in meshes.make_badges(instance, target):
+                self._add(mesh.facing(SUN), "face", colour)
+        robot = instance.robot
+        self._base = [self._add(mesh, "body", colour) for colour, mesh in meshes.make_base(robot).items()]
+        self._shadow = self._add(
+            make_shadow(meshes.compute_base_outline(robot), robot.body_height, 5 * LAYER), "shadow")
+        self._arm, self._joints = self._add_arm(model.rules.robot) if robot.joints else (None, ())
+        self._props = [self._add_part(part) for part in model.props]
+        self._prop_shadows = [None if part.role == "plate" else self._add_prop_shadow(part) for part in model.props]
+        self._leaf = None if model.leaf is None else self._add_standing(model.leaf)
+        self._inner_doors = [self._add_standing(part) for part in model.inner_doors]
+        self._exit, self._exit_edge = map(self._add_part, model.exit)
+        for role, mesh in meshes.make_floor(instance, model.solids).items():
+            self._add(mesh, role)
         if window:
             pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=self.client)
 
@@ -352,45 +361,32 @@ class Stage:
 
     def follow(self, state: RoomState) -> None:
         """Bring the copy into a state."""
-        rules = self.rules
-        turn = pybullet.getQuaternionFromEuler((state.roll, state.pitch, rules.get_heading(state)))
-        at = (state.x, state.y, state.z)
+        pose, look, model = self.model.make_pose(state), self.model.make_look(state), self.model
+        turn = pybullet.getQuaternionFromEuler((pose.roll, pose.pitch, pose.heading))
+        at = (pose.x, pose.y, pose.z)
         for body in self._base:
             self._place(body, at, turn)
-        self._place(self._shadow, (state.x, state.y, 0.0), _STILL)
+        self._place(self._shadow, (pose.x, pose.y, 0.0), _STILL)
         if self._arm is not None:
             self._place(self._arm, at, turn)
-            for joint, angle in zip(self._joints, rules.get_angles(state), strict=True):
+            for joint, angle in zip(self._joints, pose.angles, strict=True):
                 pybullet.resetJointState(self._arm, joint, angle, physicsClientId=self.client)
-        first = [(p.x, p.y, p.prop.height / 2, 0.0, 0.0, math.sin(p.yaw / 2), math.cos(p.yaw / 2))
-                 for p in self._instance.props]
-        for (body, shadow), (x, y, z, *turn) in zip(self._props, first if state.physics is None else (
-                numbers[:7] for numbers in state.physics.props), strict=True):
-            self._place(body, (x, y, 0.0 if shadow is None else z), turn)
+        for body, shadow, (x, y, z, *turn) in zip(self._props, self._prop_shadows, pose.props, strict=True):
+            self._place(body, (x, y, z), turn)
             if shadow is not None:
                 self._place(shadow, (x, y, 0.0), _STILL)
-        puzzle = self._instance.puzzle
-        shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
-        for number, standing in enumerate(self._inner):
-            self._move(standing, (0.0, 0.0, 0.0) if shut >> number & 1 else _AWAY, _STILL)
-        for (faces, mat), is_lit in zip(self._lamps, puzzle.get_lit(state.puzzle), strict=True):
-            for face in faces:
-                self._paint(face, palette.LIT.fill if is_lit else palette.OFF.fill)
-            self._paint(mat, _MAT_LIT if is_lit else meshes.MAT)
-        is_open = puzzle.is_solved(state.puzzle)
-        self._paint(self._exit, _EXIT_OPEN if is_open else _EXIT_LOCKED)
-        self._paint(self._exit_edge, palette.EXIT_OPEN if is_open else _EXIT_EDGE)
-        if self._door is not None:
-            self._move(self._door, meshes.find_hinge(self._door.solid), pybullet.getQuaternionFromEuler(
-                (0.0, 0.0, self._door.solid.yaw + self._find_door_angle(state))))
-
-    def _find_door_angle(self, state: RoomState) -> float:
-        """Angle of the exit's door on its hinge, rad; kinematic doors swing outwards so that the robot passes."""
-        if self._instance.dynamics.kind == "physics":
-            return state.physics.door[0] if state.physics else 0.0
-        rotation = self.rules.get_rotation(state.heading_steps, state.heading_offset)
-        is_shut = self.rules.is_door_shut(state.x, state.y, state.puzzle, rotation)
-        return 0.0 if is_shut else math.pi / 2 * self._instance.door_swing
+        if self._leaf is not None and model.instance.door is not None:
+            yaw = model.instance.door.yaw + pose.door
+            self._leaf.shape = model.place_leaf(0.0).shape  # the shut door, which decides where the view is cut
+            self._move(self._leaf, (*model.hinge, 0.0), pybullet.getQuaternionFromEuler((0.0, 0.0, yaw)))
+        for standing, is_shut in zip(self._inner_doors, look.shut, strict=True):
+            self._move(standing, (0.0, 0.0, 0.0) if is_shut else _AWAY, _STILL)
+        for standing, mat, is_lit in zip(self._panels, self._mats, look.lit, strict=True):
+            for body in (standing.whole[0], standing.cut[0]):
+                self._paint(body, "lit" if is_lit else "off")
+            self._paint(mat, "lit mat" if is_lit else "mat")
+        self._paint(self._exit, "open exit" if look.is_open else "exit")
+        self._paint(self._exit_edge, "open exit edge" if look.is_open else "exit edge")
 
     def _move(self, standing: Standing, at: tuple[float, float, float],
               turn: tuple[float, float, float, float]) -> None:
@@ -413,7 +409,8 @@ class Stage:
     def _place(self, body: int, at: Sequence[float], turn: Sequence[float]) -> None:
         pybullet.resetBasePositionAndOrientation(body, at, turn, physicsClientId=self.client)
 
-    def _paint(self, body: int, colour: str) -> None:
+    def _paint(self, body: int, role: str) -> None:
+        colour = palette.LOOKS[role]
         if colour == self._colours[body]:
             return
         self._colours[body] = colour
@@ -421,44 +418,38 @@ class Stage:
 
     # --- building ----------------------------------------------------------------------
 
-    def _add(self, mesh: Mesh, colour: str, shown: bool = True) -> int:
+    def _add(self, mesh: Mesh, role: str, colour: str | None = None, shown: bool = True) -> int:
+        colour = colour or palette.LOOKS[role]
         shape = create_mesh_shape(self.client, mesh, (*palette.to_rgb(colour), 1.0))
         at = (0.0, 0.0, 0.0) if shown else _AWAY
         body = pybullet.createMultiBody(0.0, -1, shape, at, physicsClientId=self.client)
-        self._colours[body] = colour
+        self.roles[body], self._colours[body] = role, colour
         return body
 
-    def _add_solid(self, solid: Solid) -> Standing:
-        wall = solid.role == "wall"
-        colour = meshes.WALL_FACE if wall else meshes.OBSTACLE_FACE
-        bodies: list[list[int]] = []
-        for height, shown in ((solid.height, True), (min(CURB, solid.height), False)):
-            made = [self._add(meshes.make_solid(solid, height), colour, shown)]
-            if wall:  # a darker top makes the floor plan readable from above
-                top = make_prism(compute_outline(solid), height, height + 2 * LAYER)
-                made.append(self._add(top, meshes.WALL_TOP, shown))
-            bodies.append(made)
-        return Standing(solid, bodies[0], bodies[1])
+    def _add_part(self, part: Part, most: float = math.inf, shown: bool = True) -> int:
+        mesh = meshes.make_part(part, most)
+        # every face is lit as if it faced the sun, so panels are bright on every wall
+        return self._add(mesh.facing(SUN) if part.role == "off" else mesh, part.role, shown=shown)
 
-    def _add_target(self, target: Target) -> tuple[list[int], int]:
-        """Add a target; returns what changes colour with it: its face, whole and cut, and the mat before it."""
-        bodies = []
-        for height, shown in ((math.inf, True), (CURB, False)):
-            face, frame = meshes.make_panel(target, height)
-            # every face is lit as if it faced the sun, so panels are bright on every wall
-            bodies.append([self._add(face.facing(SUN), palette.OFF.fill, shown),
-                           self._add(frame, meshes.PANEL_FRAME, shown)])
-        solid = Solid("box", target.x, target.y, target.half_x, target.half_y, target.yaw, target.z + target.half_z)
-        self.standing.append(Standing(solid, bodies[0], bodies[1]))
-        for colour, mesh in meshes.make_badges(self._instance, target):
-            self._add(mesh.facing(SUN), colour)
-        return [bodies[0][0], bodies[1][0]], self._add(meshes.make_mat(self._instance, target), meshes.MAT)
+    def _add_standing(self, *parts: Part) -> Standing:
+        """Add upright parts that are cut open together, each whole and cut."""
+        forms: list[list[int]] = []
+        for most, shown in ((math.inf, True), (CURB, False)):
+            bodies = [self._add_part(part, most, shown) for part in parts]
+            for part in parts:
+                if part.role == "wall":  # a darker top makes the floor plan readable from above
+                    height = min(part.high, most)
+                    top = Part("wall top", part.shape, height, height + 2 * LAYER)
+                    bodies.append(self._add_part(top, shown=shown))
+            forms.append(bodies)
+        self.standing.append(Standing(parts[0].shape, parts[0].high, *forms))
+        return self.standing[-1]
 
-    def _add_base(self) -> tuple[list[int], int]:
-        """The wheeled base and its shadow."""
-        robot = self._instance.robot
-        shadow = self._add(make_shadow(meshes.compute_base_outline(robot), robot.body_height, 5 * LAYER), _SHADE)
-        return [self._add(mesh, colour) for colour, mesh in meshes.make_base(robot).items()], shadow
+    def _add_prop_shadow(self, part: Part) -> int:
+        """Add a block's shadow: a disc, the same at every yaw of the block."""
+        radius = 1.1 * part.shape.half_x
+        disc = meshes.outline_footprint(make_footprint(0.0, 0.0, radius, radius, is_disc=True))
+        return self._add(make_shadow(disc, part.high - part.low, 4 * LAYER), "shadow")
 
     def _add_arm(self, robot: Robot) -> tuple[int, tuple[int, ...]]:
         """Add the robot's URDF without its base; round parts become meshes that Bullet shades smoothly."""
@@ -466,36 +457,15 @@ class Stage:
             cylinder = folder / "cylinder.obj"
             cylinder.write_text(meshes.format_obj(make_cylinder(1.0, -0.5, 0.5)))
             urdf = folder / "arm.urdf"
-            urdf.write_text(_adapt_urdf(robot, self._instance.robot, str(cylinder)))
+            urdf.write_text(_adapt_urdf(robot, self.model.instance.robot, str(cylinder)))
             body = pybullet.loadURDF(str(urdf), physicsClientId=self.client)
         numbers = {}
         for index in range(pybullet.getNumJoints(body, physicsClientId=self.client)):
             numbers[pybullet.getJointInfo(body, index, physicsClientId=self.client)[1].decode()] = index
+        self.roles[body] = "arm"
         for name, angle in robot.rest.items():
             pybullet.resetJointState(body, numbers[name], angle, physicsClientId=self.client)
         return body, tuple(numbers[name] for name in robot.joint_names)
-
-    def _add_prop(self, placed: PlacedProp) -> tuple[int, int | None]:
-        """Add a plate, or a block and its shadow (a disc, the same at every yaw of the block)."""
-        prop = placed.prop
-        if prop.kind == "plate":
-            return self._add(meshes.make_prop(prop), palette.PLATE), None
-        disc = compute_outline(Solid("cylinder", 0.0, 0.0, 1.1 * prop.half_size, 1.1 * prop.half_size))
-        shadow = self._add(make_shadow(disc, prop.height, 4 * LAYER), _SHADE)
-        return self._add(meshes.make_prop(prop), palette.PROP), shadow
-
-    def _add_leaf(self, door: Solid, make: Callable[[Solid, float], Mesh], colour: str) -> Standing:
-        whole, cut = make(door, math.inf), make(door, CURB)
-        standing = Standing(door, [self._add(whole, colour)], [self._add(cut, colour, shown=False)])
-        self.standing.append(standing)
-        return standing
-
-    def _add_floor(self) -> None:
-        """Chequered floor, with puddles and the shadows of fixed things."""
-        even, odd, shadows, puddles = meshes.make_floor(self._instance, self._instance.solids)
-        for mesh, colour in ((shadows, _SHADE), (puddles, palette.PUDDLE), (even, meshes.TILE), (odd, _OTHER_TILE)):
-            if len(mesh.triangles):
-                self._add(mesh, colour)
 
 
 def _adapt_urdf(robot: Robot, config: RobotConfig, cylinder: str) -> str:

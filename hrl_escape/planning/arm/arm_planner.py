@@ -385,7 +385,7 @@ class ReachMap:
 
     def draw(self, path: str | Path | None = None) -> Any:
         """Draw the map over the room's; PNG, SVG or PDF if a path is given. Returns the matplotlib figure."""
-        from hrl_escape.env.drawing.maps import make_map  # loads matplotlib
+        from hrl_escape.env.pictures.maps import make_map  # loads matplotlib
 
         figure = make_map(self.instance)
         axes = figure.axes[0]

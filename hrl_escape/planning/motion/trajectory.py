@@ -136,7 +136,7 @@ class TimedTrajectory:
         Returns:
             The matplotlib figure.
         """
-        from hrl_escape.env.drawing.maps import Trajectory, make_map  # loads matplotlib
+        from hrl_escape.env.pictures.maps import Trajectory, make_map  # loads matplotlib
         from hrl_escape.figures import save_figure
 
         if self.names[:2] != ("x", "y"):

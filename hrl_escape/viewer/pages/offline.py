@@ -29,6 +29,7 @@ from markupsafe import escape
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState, Rules
+from hrl_escape.env.pictures.model import RoomPose
 from hrl_escape.errors import ConfigError, EscapeError
 from hrl_escape.files import write_text
 from hrl_escape.planning.best_known import best_known_return
@@ -38,7 +39,7 @@ from hrl_escape.viewer.pages.panels import make_graph
 from hrl_escape.viewer.pages.room import name_room
 from hrl_escape.viewer.play.commands import praise
 from hrl_escape.viewer.recording import Recording
-from hrl_escape.viewer.scene import RoomPose, RoomScene, blend, compute_overview, make_pose
+from hrl_escape.viewer.scene import RoomScene, blend, compute_overview
 from hrl_escape.viewer.server import Server, open_server
 
 PAUSE = 2.0
@@ -97,7 +98,7 @@ def make_replay(recording: Recording) -> str:
     """One HTML document that plays a recording without a network."""
     with _open_scene(recording.instance) as (server, scene):
         overview, upright = (compute_overview(recording.instance, aspect) for aspect in (1.6, PHONE))
-        poses = [make_pose(scene.rules, state) for state in recording.states]
+        poses = [scene.model.make_pose(state) for state in recording.states]
         scene.show(recording.states[0])
         scene.uncover([overview[0]], poses[0])
         scene.draw_trail([])
@@ -188,7 +189,7 @@ def make_motion(trajectory: TimedTrajectory, instance: RoomInstance, state: Room
     with _open_scene(instance) as (server, scene):
         state = scene.rules.make_state(instance.starts[0]) if state is None else state
         times, positions, _ = trajectory.sample(min(FRAME_RATE, MOST_SAMPLES / trajectory.duration))
-        still = make_pose(scene.rules, state)
+        still = scene.model.make_pose(state)
         poses = [_move(still, trajectory.names, row, scene.rules) for row in positions.tolist()]
         scene.show(state)
         scene.pose(poses[0])

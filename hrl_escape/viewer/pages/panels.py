@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from markupsafe import escape
 
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.maps import compute_layout, shorten
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.graph import compute_layout, shorten
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 

@@ -14,12 +14,13 @@ from collections.abc import Callable
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.pictures.model import RoomPose
 from hrl_escape.errors import EscapeError
 from hrl_escape.planning.best_known import best_known_return
 from hrl_escape.viewer.extra import viser
 from hrl_escape.viewer.pages.panels import WIDTH, KnownEdges, make_graph, make_pair
 from hrl_escape.viewer.play.episode import PressEvidence
-from hrl_escape.viewer.scene import OVERVIEW_FIELD, RoomPose, RoomScene, blend, compute_overview, make_pose
+from hrl_escape.viewer.scene import OVERVIEW_FIELD, RoomScene, blend, compute_overview
 from hrl_escape.viewer.server import Server
 
 VIEWS = ("orbit", "follow", "robot's eye")
@@ -57,7 +58,7 @@ class RoomPage:
         self._graph = gui.add_html("", order=20.0)
         self._belief: tuple[KnownEdges, str] | None = None  # graph that an agent believes in, and words on it
         self._shown: tuple[str, object, KnownEdges | None, str, bool] | None = None
-        self._pose = make_pose(self.scene.rules, state)
+        self._pose = self.scene.model.make_pose(state)
         self.show(state)
         server.on_client_connect(self._welcome)
         server.on_client_disconnect(self._forget)
@@ -73,7 +74,7 @@ class RoomPage:
 
     def show(self, state: RoomState) -> None:
         """Jump to a state."""
-        self._pose = make_pose(self.scene.rules, state)
+        self._pose = self.scene.model.make_pose(state)
         self.scene.show(state)
         self._draw_graph(state)
         self._aim()
@@ -82,7 +83,7 @@ class RoomPage:
 
     def move(self, state: RoomState, seconds: float, is_cancelled: Callable[[], bool] | None = None) -> None:
         """Move smoothly to a state, where panels light up, within seconds; once cancelled, jump there."""
-        begin, end = self._pose, make_pose(self.scene.rules, state)
+        begin, end = self._pose, self.scene.model.make_pose(state)
         started = time.monotonic()
         while (past := time.monotonic() - started) < seconds - FRAME_SECONDS / 2:
             if is_cancelled is not None and is_cancelled():

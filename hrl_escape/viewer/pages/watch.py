@@ -16,8 +16,8 @@ from markupsafe import Markup
 
 from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
-from hrl_escape.env.drawing import palette
 from hrl_escape.env.kinematics import EpisodeEnd
+from hrl_escape.env.pictures import palette
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.errors import EscapeError
 from hrl_escape.options.meta_actions import PlannedOption

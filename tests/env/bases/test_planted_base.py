@@ -15,11 +15,11 @@ from benchmarks.conformance import compare
 from hrl_escape.env.bases import bases
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import ConfigError, DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
-from hrl_escape.env.drawing.meshes import compute_base_outline, make_base_column
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Start
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.pictures.meshes import compute_base_outline, make_base_column
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.env.batched.cameras import LABELS, BatchedCamera
+from hrl_escape.env.batched.cameras import LABELS, LOOKS, BatchedCamera
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.bullet import cameras as bullet_cameras
@@ -22,33 +22,24 @@ ALSO = {"paper-two-button": {"floor", "exit", "robot"}, "clutter": {"floor", "ob
         "door-key": {"floor", "door"}, "sokoban": {"block", "exit"}}
 
 
-def label_bodies(stage, instance):
-    """Label of each body of Bullet's scenery."""
-    labels = dict.fromkeys(range(pybullet.getNumBodies(physicsClientId=stage.client)), "floor")
-    for standing in stage.standing:
-        role = standing.solid.role
-        is_fixed = any(standing.solid is solid for solid in instance.solids)
-        name = ("wall" if role == "wall" else "obstacle") if is_fixed else "target"
-        if standing is stage._door or standing in stage._inner:
-            name = "door" if role == "door" else "block"
-        labels |= dict.fromkeys([*standing.whole, *standing.cut], name)
-    labels |= dict.fromkeys(stage._base, "robot") | dict.fromkeys([stage._exit, stage._exit_edge], "exit")
-    for (body, _), placed in zip(stage._props, instance.props, strict=True):
-        labels[body] = placed.prop.kind
-    return labels
+def label_bodies(stage):
+    """Label of each body of Bullet's scenery; paint that is no exit is floor."""
+    return {body: LOOKS.get(role.replace(" edge", "").replace(" top", ""), "floor") if role not in ("trim", "arm")
+            else "robot" for body, role in stage.roles.items()}
 
 
 def look_with_bullet(room, camera):
     """Depth and labels of Bullet's picture of a room."""
     renderer = BulletRenderer(room.instance)
     renderer.render(room.state, camera, WIDTH, HEIGHT)
-    stage, view = renderer._stage, bullet_cameras._VIEWS[camera](renderer._stage.rules, room.state, WIDTH / HEIGHT)
+    stage = renderer._stage
+    view = bullet_cameras._VIEWS[camera](stage.model.rules, room.state, WIDTH / HEIGHT)
     matrices = (pybullet.computeViewMatrix(view.eye, view.target, view.up),
                 pybullet.computeProjectionMatrixFOV(view.field, WIDTH / HEIGHT, view.near, view.far))
     *_, depths, bodies = pybullet.getCameraImage(WIDTH, HEIGHT, *matrices, renderer=pybullet.ER_TINY_RENDERER,
                                                  physicsClientId=stage.client)
     depth = view.near * view.far / (view.far - np.reshape(depths, (HEIGHT, WIDTH)) * (view.far - view.near))
-    names = label_bodies(stage, room.instance)
+    names = label_bodies(stage)
     seen = np.reshape(bodies, (HEIGHT, WIDTH))
     return depth, np.vectorize(lambda body: LABELS.index(names[body]) if body >= 0 else 0)(seen)
 

@@ -16,8 +16,8 @@ from hrl_escape.env.bullet import cameras as bullet_cameras
 from hrl_escape.env.bullet.cameras import BulletRenderer, soften_edges
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
-from hrl_escape.env.drawing import palette
 from hrl_escape.env.engine import CAMERAS, film
+from hrl_escape.env.pictures import palette
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.sampling.generation import generate
@@ -147,7 +147,7 @@ def test_buttons_light_up_and_the_exit_turns_green():
     off = [count_like(picture, palette.OFF.fill) for picture in pictures]
     assert lit[0] == 0 and lit[1] > 100 and lit[2] > 1.7 * lit[1]
     assert off[0] > 1.7 * off[1] > 0 and off[2] == 0
-    glow = [count_like(picture, bullet_cameras._MAT_LIT, 12) for picture in pictures]  # on the floor before them
+    glow = [count_like(picture, palette.LOOKS["lit mat"], 12) for picture in pictures]  # on the floor before them
     assert glow[0] == 0 and glow[2] > 1.5 * glow[1] > 0
     green = [int((p[..., 1].astype(int) - np.maximum(p[..., 0], p[..., 2]) > 40).sum()) for p in pictures]
     assert green[0] == green[1] == 0 and green[2] > 300

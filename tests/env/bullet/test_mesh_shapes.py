@@ -12,7 +12,7 @@ import pybullet
 import pytest
 
 from hrl_escape.env.bullet.cameras import create_mesh_shape
-from hrl_escape.env.drawing.meshes import make_cylinder, make_prism
+from hrl_escape.env.pictures.meshes import make_cylinder, make_prism
 
 MESHES = [make_cylinder(1.0, 0.0, 1.0), make_prism([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], 0.0, 2.0)]
 

@@ -15,8 +15,8 @@ from benchmarks.conformance import compare
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
-from hrl_escape.env.drawing.maps import save_map
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.pictures.maps import save_map
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels, Place
 from hrl_escape.env.puzzles.blocks_world import (

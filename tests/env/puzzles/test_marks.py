@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from hrl_escape.env.config import Between, RobotConfig, RoomConfig, ShapeConfig
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.maps import make_map_image
-from hrl_escape.env.drawing.moving_map import describe_room
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.observations.objects import OBJECT_WORDS
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.maps import make_map_image
+from hrl_escape.env.pictures.meshes import make_badges
+from hrl_escape.env.pictures.moving_map import describe_room
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
@@ -23,7 +24,6 @@ from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.ladder.keys import compute_task_key
-from hrl_escape.viewer.scene import make_target
 
 
 def make_with(marks, kind="chain", count=4):
@@ -249,9 +249,9 @@ def test_pictures_show_the_colour_of_a_mark():
     assert all((image == np.round(255 * np.array(palette.to_rgb(colour)))).all(axis=1).any() for colour in colours)
     assert [target["mark"][0] for target in describe_room(room)["targets"]] == colours
     for target, colour in zip(room.targets, colours, strict=True):
-        assert [painted.colour for painted in make_target(room, target)][-1] == colour
+        assert make_badges(room, target)[-1][0] == colour
     bare = dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, marks=()))
-    assert len(make_target(bare, bare.targets[0])) == 3 and describe_room(bare)["targets"][0]["mark"] is None
+    assert make_badges(bare, bare.targets[0]) == [] and describe_room(bare)["targets"][0]["mark"] is None
 
 
 def test_pixels_show_marks():

@@ -9,8 +9,8 @@ from hrl_escape import RoomConfig, RoomPlanner, generate
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
-from hrl_escape.env.drawing.palette import name_target
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.pictures.palette import name_target
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import DerivedModel, Panels, Puzzle, PuzzleConfig
 from hrl_escape.env.puzzles.symbolic import Modelled

@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 import pytest
 
 from hrl_escape.env.config import ButtonsConfig, RoomConfig
-from hrl_escape.env.drawing.maps import make_map_image, save_map
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.pictures.maps import make_map_image, save_map
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.viewer.pages.offline import make_replay, save_replay

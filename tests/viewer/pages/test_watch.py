@@ -11,7 +11,6 @@ from hrl_escape.env.config import StartConfig
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
-from hrl_escape.viewer.scene import make_pose
 from hrl_escape.viewer.server import Server
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.watch import Gate, Watch
@@ -26,7 +25,7 @@ def test_the_scene_never_lags_the_panel(server: Server, two_buttons, monkeypatch
 
     def check() -> None:
         refresh()
-        if view.page._pose != make_pose(view.page.scene.rules, view.watch.states[-1]):
+        if view.page._pose != view.page.scene.model.make_pose(view.watch.states[-1]):
             behind.append(len(view.watch.states))
 
     monkeypatch.setattr(view, "_refresh", check)

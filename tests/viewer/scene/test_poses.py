@@ -11,8 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hrl_escape.env.config import RobotConfig, ShapeConfig
-from hrl_escape.env.drawing import palette
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.model import RoomModel
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.robot import make_robot
@@ -29,7 +30,6 @@ from hrl_escape.viewer.scene import (
     make_base_shapes,
     make_confetti,
     make_fixtures,
-    make_pose,
     to_quaternion,
 )
 
@@ -67,7 +67,8 @@ def test_motion_starts_and_ends_at_the_states_and_turns_the_short_way():
     start = rules.make_state(rules.instance.starts[0])
     before = start._replace(heading_steps=35)
     after = start._replace(heading_steps=1, x=start.x + 1.0)
-    a, b = make_pose(rules, before), make_pose(rules, after)
+    model = RoomModel(rules.instance)
+    a, b = model.make_pose(before), model.make_pose(after)
     assert blend(a, b, 0.0) == a
     end = blend(a, b, 1.0)
     assert (end.x, end.y) == (b.x, b.y) and math.cos(end.heading - b.heading) == pytest.approx(1.0)
@@ -79,7 +80,8 @@ def test_the_door_opens_outwards_when_the_puzzle_is_solved():
     instance = generate(get_preset("clutter"), 3)
     rules = Kinematics(instance)
     state = rules.make_state(instance.starts[0])
-    assert make_pose(rules, state).door == 0.0
+    model = RoomModel(instance)
+    assert model.make_pose(state).door == 0.0
     puzzle = state.puzzle
     for _ in instance.targets:
         for operator in instance.puzzle.symbolic.make_symbolic_model().operators:
@@ -87,7 +89,7 @@ def test_the_door_opens_outwards_when_the_puzzle_is_solved():
                 target = instance.puzzle.target_names.index(operator.target)
                 puzzle = instance.puzzle.update(puzzle, Contacts((target,)))
     assert instance.puzzle.is_solved(puzzle)
-    pose, door = make_pose(rules, state._replace(puzzle=puzzle)), instance.door
+    pose, door = model.make_pose(state._replace(puzzle=puzzle)), instance.door
     assert door is not None and abs(pose.door) == pytest.approx(math.pi / 2)
     hinge = np.array([door.x - math.cos(door.yaw) * door.half_x, door.y - math.sin(door.yaw) * door.half_x])
     tip = hinge + 2 * door.half_x * np.array([math.cos(door.yaw + pose.door), math.sin(door.yaw + pose.door)])
@@ -98,7 +100,7 @@ def test_the_door_opens_outwards_when_the_puzzle_is_solved():
 @pytest.mark.parametrize("preset", ["paper-two-button", "clutter"])
 def test_outer_walls_are_opaque_only_from_inside(preset: str):
     instance = generate(get_preset(preset), 3)
-    parts = {painted.name: painted for painted in make_fixtures(instance)}
+    parts = {painted.name: painted for painted in make_fixtures(RoomModel(instance))}
     inside, outside = parts["walls/inside"], parts["walls/outside"]
     assert inside.opacity is None and outside.opacity is not None and outside.opacity < 0.3
     for mesh, towards in ((inside.mesh, -1.0), (outside.mesh, 1.0)):
@@ -188,15 +190,16 @@ def test_each_goal_has_its_label_where_it_is_and_loses_it(server, clutter):
 
 def test_an_obstacle_between_camera_and_robot_turns_to_glass_and_back(server, clutter):
     scene = RoomScene(server, clutter)
-    pose = make_pose(scene.rules, scene.rules.make_state(clutter.starts[0]))
-    solid, node = scene._obstacles[0]
+    pose = scene.model.make_pose(scene.rules.make_state(clutter.starts[0]))
+    part, node = scene._obstacles[0]
+    solid = part.shape
     beside = (solid.x + 3 * solid.half_x, solid.y)
     behind = pose._replace(x=2 * solid.x - beside[0], y=solid.y)
     scene.uncover([(*beside, 0.3)], behind)
     assert node.opacity < 0.5
     scene.uncover([(*beside, 0.3)], behind._replace(x=beside[0], y=solid.y + 2.0))
     assert node.opacity is None
-    assert not is_hidden_by(solid, (*beside, 40.0), (*beside, 0.3)), "from right above it sees over"
+    assert not is_hidden_by(part, (*beside, 40.0), (*beside, 0.3)), "from right above it sees over"
 
 
 def test_confetti_begins_at_the_exit_rises_and_comes_down(clutter):

@@ -7,7 +7,6 @@ frame.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Hashable, Sequence
 from importlib.resources import files
@@ -15,12 +14,13 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.maps import shorten
-from hrl_escape.env.drawing.meshes import compute_extent, outline_capsule
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, compute_floors
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.graph import shorten
+from hrl_escape.env.pictures.meshes import compute_extent, outline_capsule
+from hrl_escape.env.pictures.model import RoomModel
 from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
 from hrl_escape.templates import embed_json, render_template
@@ -33,7 +33,7 @@ PLAYER_COLOURS = {
     "lit": palette.LIT, "off": palette.OFF, "lines": palette.LINES,
 }
 """Colours that the player draws with."""
-PLAYER = files("hrl_escape.env.drawing") / "templates"
+PLAYER = files("hrl_escape.env.pictures") / "templates"
 """Folder of the player's script and style, `moving_map.js` and `moving_map.css`."""
 _PAD, _CONTROLS = 0.35, 76  # m round the room, as in the script; pixels of slider and words below it
 
@@ -54,7 +54,7 @@ def make_moving_map(instance: RoomInstance, states: Sequence[RoomState], decisio
     replay = {"decisions": [[name, int(count), "reached"] for name, count in decisions],
               "frames": make_frames(Kinematics(instance), states)}
     css, script = (Markup((PLAYER / f"moving_map.{kind}").read_text(encoding="utf-8")) for kind in ("css", "js"))
-    return render_template("hrl_escape.env.drawing", "moving_map.html", title=instance.name, css=css,
+    return render_template("hrl_escape.env.pictures", "moving_map.html", title=instance.name, css=css,
                            script=script, data=embed_json({"room": room, "replay": replay, "looks": PLAYER_COLOURS}))
 
 
@@ -69,7 +69,7 @@ def embed_moving_map(instance: RoomInstance, page: str, width: int = 480) -> str
 def describe_room(instance: RoomInstance) -> dict[str, Any]:
     """Describe what stands still in a room as a JSON value for the player; `options` is left to be filled."""
     x_min, x_max, y_min, y_max = compute_extent(instance)
-    marks = palette.list_marks(instance.puzzle)
+    marks, model = palette.list_marks(instance.puzzle), RoomModel(instance)
     return {
         "extent": {"x_min": x_min, "x_max": x_max, "y_min": y_min, "y_max": y_max},
         "floors": [_describe_rectangle(floor) for floor in compute_floors(instance)],
@@ -78,7 +78,9 @@ def describe_room(instance: RoomInstance) -> dict[str, Any]:
         "exit": _describe_rectangle(instance.exit),
         "solids": [_describe_solid(solid) for solid in instance.solids],
         "door": None if instance.door is None else _describe_solid(instance.door),
-        "inner_doors": [_describe_inner_door(door) for door in instance.inner_doors],
+        "inner_doors": [{**_describe_box(part.shape.x, part.shape.y, part.shape.half_x, part.shape.half_y, door.yaw),
+                         "shape": door.shape, "role": door.role}
+                        for door, part in zip(instance.inner_doors, model.inner_doors, strict=True)],
         "targets": [
             {**_describe_box(target.x, target.y, target.half_x, target.half_y, target.yaw),
              "short": shorten(target.name), "front": palette.find_front(instance, target),
@@ -150,9 +152,3 @@ def _describe_box(x: float, y: float, half_x: float, half_y: float, yaw: float) 
 def _describe_solid(solid: Solid) -> dict[str, Any]:
     box = _describe_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
     return {**box, "shape": solid.shape, "role": solid.role}
-
-
-def _describe_inner_door(door: Solid) -> dict[str, Any]:
-    """A door, or a thing in a cell: drawn smaller than what it blocks, as on maps."""
-    share = palette.get_inner_share(door)
-    return _describe_solid(dataclasses.replace(door, half_x=share * door.half_x, half_y=share * door.half_y))

@@ -1,8 +1,7 @@
-"""Triangle meshes of what there is to see in a room, for Bullet's cameras and the viewer.
+"""Triangle meshes of the parts of a room, for Bullet's cameras and the viewer.
 
-Shapes first, then the parts of a room made of them. Fixed parts are in the room frame; the leaf of the exit's door,
-props and the robot's base in their own. Pure functions; every face has its own vertices, so that edges look like edges.
-Faces are counter-clockwise seen from outside, metres. Nothing here collides.
+Shapes first, then the parts of a room made of them, each in the frame of its `Part`. Every face has its own vertices,
+so that edges look like edges. Faces are counter-clockwise seen from outside, metres. Nothing here collides.
 """
 
 from __future__ import annotations
@@ -16,21 +15,16 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.geometry import Solid
+from hrl_escape.env.geometry import Footprint, make_footprint
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
-from hrl_escape.env.puzzles.places import Capsule, Prop
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.model import LAYER, Part
+from hrl_escape.env.puzzles.places import Capsule
 from hrl_escape.env.puzzles.traits import Depicted, get_trait
 
 Point = tuple[float, float]
 
 FACETS = 32
-LAYER = 0.006
-"""Height between two layers of paint on the floor, m."""
-WALL_FACE, WALL_TOP, OBSTACLE_FACE = "#c6ccd6", "#5b6475", "#c2a27c"
-TILE, PANEL_FRAME, MAT = "#efebe2", "#39404d", "#e0ac9e"
-_TRIM, _TOP = "#1f2733", "#e9eef5"
-_ABOVE_FLOOR = 0.02  # panels and leaves begin here
 SHADOW = (0.34, -0.22)
 """Offset of a point's shadow, per metre of its height, m."""
 _LONGEST_SHADOW = 1.3
@@ -134,15 +128,16 @@ def make_base_column(robot: RobotConfig, low: float, high: float, share: float =
 def compute_base_outline(robot: RobotConfig) -> list[Point]:
     """Corners of the robot's base, counter-clockwise, in its own frame."""
     radius = robot.outer_radius
-    return list(robot.base.corners) or compute_outline(Solid("cylinder", 0.0, 0.0, radius, radius))
+    return list(robot.base.corners) or outline_footprint(make_footprint(0.0, 0.0, radius, radius, is_disc=True))
 
 
-def compute_outline(solid: Solid) -> list[Point]:
-    """Corners of a solid's footprint, counter-clockwise, in the room frame."""
-    if solid.shape == "cylinder":
+def outline_footprint(shape: Footprint) -> list[Point]:
+    """Corners of a footprint, counter-clockwise; a disc has `FACETS`."""
+    if shape.is_disc:
         angles = [n * math.tau / FACETS for n in range(FACETS)]
-        return [(solid.x + solid.half_x * math.cos(a), solid.y + solid.half_x * math.sin(a)) for a in angles]
-    return rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
+        return [(shape.x + shape.half_x * math.cos(a), shape.y + shape.half_x * math.sin(a)) for a in angles]
+    return [(shape.x + shape.cos * a - shape.sin * b, shape.y + shape.sin * a + shape.cos * b)
+            for a, b in _list_corners(shape.half_x, shape.half_y)]
 
 
 def compute_extent(instance: RoomInstance) -> tuple[float, float, float, float]:
@@ -150,17 +145,14 @@ def compute_extent(instance: RoomInstance) -> tuple[float, float, float, float]:
     xs = [-instance.half_width, instance.half_width, instance.exit.x_min, instance.exit.x_max]
     ys = [-instance.half_depth, instance.half_depth, instance.exit.y_min, instance.exit.y_max]
     for solid in instance.solids:
-        corners = rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
+        corners = outline_footprint(solid.footprint._replace(is_disc=False))
         xs += [x for x, _ in corners]
         ys += [y for _, y in corners]
     return min(xs), max(xs), min(ys), max(ys)
 
 
-def rotate_box(x: float, y: float, half_x: float, half_y: float, yaw: float) -> list[Point]:
-    """Corners of a turned rectangle, counter-clockwise."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    corners = ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))
-    return [(x + cos * a - sin * b, y + sin * a + cos * b) for a, b in corners]
+def _list_corners(half_x: float, half_y: float) -> tuple[Point, ...]:
+    return (-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)
 
 
 def make_shadow(outline: Sequence[Point], height: float, z: float, floor: Rectangle | None = None) -> Mesh:
@@ -218,38 +210,27 @@ def format_obj(mesh: Mesh) -> str:
 # --- parts of a room -------------------------------------------------------------------------
 
 
-def make_floor(instance: RoomInstance, casting: Iterable[Solid]) -> tuple[Mesh, Mesh, Mesh, Mesh]:
-    """The even and the odd tiles, the shadows that solids cast on them, and puddles; each may be empty."""
+def make_floor(instance: RoomInstance, casting: Iterable[Part]) -> dict[str, Mesh]:
+    """Tiles, shadows that parts cast on them, and puddles, by their roles; none without triangles."""
     floors, side = compute_floors(instance), palette.choose_tile(instance)
-    shadows = [make_shadow(compute_outline(solid), solid.height, LAYER, floor) for solid in casting for floor in floors]
+    shadows = [make_shadow(outline_footprint(part.shape), part.high, LAYER, floor)
+               for part in casting for floor in floors]
     puddles = [make_flat(outline_capsule(puddle), 1.5 * LAYER)
                for puddle in get_trait(instance.puzzle, Depicted).puddles]
-    return _make_tiles(floors, side, False), _make_tiles(floors, side, True), merge(shadows), merge(puddles)
+    found = {"shadow": merge(shadows), "puddle": merge(puddles), "tile": _make_tiles(floors, side, False),
+             "other tile": _make_tiles(floors, side, True)}
+    return {role: mesh for role, mesh in found.items() if len(mesh.triangles)}
 
 
-def make_solid(solid: Solid, height: float = math.inf) -> Mesh:
-    """A wall or an obstacle, up to a height."""
-    height = min(height, solid.height)
-    if solid.shape == "cylinder":
-        return make_cylinder(solid.half_x, 0.0, height).moved(solid.x, solid.y)
-    return make_prism(compute_outline(solid), 0.0, height)
-
-
-def make_panel(target: Target, height: float = math.inf) -> tuple[Mesh, Mesh]:
-    """A target's face, which lights up, and its frame, up to a height above its lower edge."""
-    low = max(_ABOVE_FLOOR, target.z - target.half_z)
-    top, rim = min(target.z + target.half_z, low + height), min(0.08, 0.2 * min(target.half_x, target.half_z))
-    face = rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
-    frame = rotate_box(target.x, target.y, target.half_x + rim, 0.7 * target.half_y, target.yaw)
-    return make_prism(face, low, top), make_prism(frame, max(0.0, low - rim), top + rim)
-
-
-def make_mat(instance: RoomInstance, target: Target) -> Mesh:
-    """The mat on the floor in front of a target."""
-    ahead = palette.find_front(instance, target)
-    deep = target.half_y + (min(0.4, 0.5 * instance.robot.inner_radius) if target.kind == "panel" else 0.0)
-    middle = (target.x + ahead[0] * deep / 2, target.y + ahead[1] * deep / 2)
-    return make_flat(rotate_box(*middle, target.half_x, deep / 2, target.yaw), 4 * LAYER)
+def make_part(part: Part, most: float = math.inf) -> Mesh:
+    """A part in its own frame, cut at a height over its lowest."""
+    shape = part.shape
+    if part.low == part.high:
+        return make_flat(outline_footprint(shape), part.low)
+    high = min(part.high, part.low + most)
+    if shape.is_disc:
+        return make_cylinder(shape.half_x, part.low, high).moved(shape.x, shape.y)
+    return make_prism(outline_footprint(shape), part.low, high)
 
 
 def make_badges(instance: RoomInstance, target: Target) -> list[tuple[str, Mesh]]:
@@ -263,50 +244,16 @@ def make_badges(instance: RoomInstance, target: Target) -> list[tuple[str, Mesh]
             for number, (colour, outline) in enumerate(layers, 1)]
 
 
-def make_exit_area(instance: RoomInstance) -> tuple[Mesh, Mesh]:
-    """The exit's area on the floor, and its edge below."""
-    area = instance.exit
-    half_x, half_y = (area.x_max - area.x_min) / 2, (area.y_max - area.y_min) / 2
-    rim = min(0.12, 0.1 * half_x, 0.1 * half_y)
-    return (make_flat(rotate_box(*area.centre, half_x - rim, half_y - rim, 0.0), 3 * LAYER),
-            make_flat(rotate_box(*area.centre, half_x, half_y, 0.0), 2 * LAYER))
-
-
-def find_hinge(door: Solid) -> tuple[float, float, float]:
-    """Foot of the hinge of the exit's door, on the floor."""
-    return door.x - math.cos(door.yaw) * door.half_x, door.y - math.sin(door.yaw) * door.half_x, 0.0
-
-
-def make_leaf(door: Solid, height: float = math.inf) -> Mesh:
-    """The leaf of the exit's door in the frame of its hinge, up to a height."""
-    return make_prism(rotate_box(door.half_x, 0.0, door.half_x, 0.6 * door.half_y, 0.0), _ABOVE_FLOOR,
-                      min(height, door.height))
-
-
-def make_inner_door(door: Solid, height: float = math.inf) -> Mesh:
-    """A door that fills its cell, or a thing that fills half of it, up to a height."""
-    share = 0.98 if door.role == "door" else 0.5
-    return make_prism(rotate_box(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw), _ABOVE_FLOOR,
-                      min(height, door.height))
-
-
-def make_prop(prop: Prop) -> Mesh:
-    """A plate painted on the floor, or a block about its own centre."""
-    outline = rotate_box(0.0, 0.0, prop.half_size, prop.half_size, 0.0)
-    return (make_flat(outline, 3 * LAYER) if prop.kind == "plate" else
-            make_prism(outline, -prop.height / 2, prop.height / 2))
-
-
 def make_base(robot: RobotConfig) -> dict[str, Mesh]:
     """The wheeled base, with an arrow on top that shows the heading: colour -> all that has it."""
     radius, height = robot.inner_radius, robot.body_height
     top = height + LAYER
+    tip, notch, barb = (0.72 * radius, 0.0), (-0.22 * radius, 0.0), (-0.5 * radius, 0.5 * radius)
     parts = {
-        _TRIM: [make_base_column(robot, 0.02 * height, 0.15 * height, 0.9),
-                make_base_column(robot, 0.55 * height, 0.7 * height, 1.01)],
-        palette.BODY: [make_base_column(robot, 0.15 * height, 0.85 * height),
-                       make_base_column(robot, 0.85 * height, height, 1.0, 0.85)],
-        _TOP: [make_flat([(0.72 * radius, 0.0), (-0.5 * radius, 0.5 * radius), (-0.22 * radius, 0.0)], top),
-               make_flat([(0.72 * radius, 0.0), (-0.22 * radius, 0.0), (-0.5 * radius, -0.5 * radius)], top)],
+        "trim": [make_base_column(robot, 0.02 * height, 0.15 * height, 0.9),
+                 make_base_column(robot, 0.55 * height, 0.7 * height, 1.01)],
+        "body": [make_base_column(robot, 0.15 * height, 0.85 * height),
+                 make_base_column(robot, 0.85 * height, height, 1.0, 0.85)],
+        "arrow": [make_flat([tip, barb, notch], top), make_flat([tip, notch, (barb[0], -barb[1])], top)],
     }
-    return {colour: merge(found) for colour, found in parts.items()}
+    return {palette.LOOKS[role]: merge(found) for role, found in parts.items()}

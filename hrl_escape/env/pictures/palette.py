@@ -1,6 +1,6 @@
-"""Colours of a room in every picture, of a target in each of its states, of its mark, and of paint on the floor.
+"""Colours of a room in every picture, of a target in each of its states, and of its mark.
 
-Colours are hexadecimal sRGB text, shared by maps, Bullet's cameras and reports; nothing here draws.
+Colours are hexadecimal sRGB text, shared by maps, cameras, the viewer and reports; nothing here draws.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 from collections.abc import Hashable
 from typing import NamedTuple
 
-from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
+from hrl_escape.env.geometry import compute_distance, make_footprint
 from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.marks import split_mark
@@ -46,6 +46,16 @@ OFF = TargetLook("#c8553d", "#8c3424", "#ffffff")
 WAITING = TargetLook("#edcabf", "#c8553d", INK)
 
 
+LOOKS = {
+    "sky": "#dfe7ef", "tile": "#efebe2", "other tile": "#e6e1d6", "shadow": "#c9c3b6", "puddle": PUDDLE,
+    "exit": "#b3cfbd", "open exit": "#7fd49b", "exit edge": "#7d9a87", "open exit edge": EXIT_OPEN, "plate": PLATE,
+    "wall": "#c6ccd6", "wall top": "#5b6475", "obstacle": "#c2a27c", "door": DOOR, "thing": PROP, "block": PROP,
+    "frame": "#39404d", "off": OFF.fill, "lit": LIT.fill, "mat": "#e0ac9e", "lit mat": "#ffdf7e",
+    "trim": "#1f2733", "body": BODY, "arrow": "#e9eef5",
+}
+"""Colour of each role of a part in pictures in three dimensions."""
+
+
 def name_target(puzzle: Puzzle, state: Hashable, target: int, is_hidden: bool = False) -> str:
     """Name of a target in drawings: with the text that it shows, and a star for a goal that is not hidden."""
     sign = get_trait(puzzle, Depicted).get_sign(state, target)
@@ -75,16 +85,6 @@ def list_marks(puzzle: Puzzle) -> list[tuple[str, list[tuple[float, float]]]]:
         found.append((MARKS[colour], [(radius * math.cos(turn), radius * math.sin(turn))
                                       for radius, turn in zip(radii, turns, strict=True)]))
     return found
-
-
-def get_inner_colour(door: Solid) -> str:
-    """Choose the colour of an inner door, or of a thing that blocks a cell."""
-    return DOOR if door.role == "door" else PROP
-
-
-def get_inner_share(door: Solid) -> float:
-    """Share of its cell that an inner door, or a thing in a cell, fills in pictures."""
-    return 0.9 if door.role == "door" else 0.4
 
 
 def choose_tile(instance: RoomInstance) -> float:

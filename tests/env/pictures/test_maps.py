@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.maps import Trajectory, compute_layout, draw_room, make_map, make_map_image, save_map
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.graph import compute_layout
+from hrl_escape.env.pictures.maps import Trajectory, draw_room, make_map, make_map_image, save_map
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.graphs import GraphConfig, compute_order, sample_graph
 from hrl_escape.env.puzzles.marks import compute_depths
@@ -149,7 +150,7 @@ DRAW = """
 import sys
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.drawing.maps import Trajectory, save_map
+from hrl_escape.env.pictures.maps import Trajectory, save_map
 for path in sys.argv[1:]:
     save_map(path, generate(get_preset("clutter"), 3), None, [Trajectory([(0, 0), (1, 2)], "path")])
 """

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +19,20 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, FancyArrowPatch, Patch, Polygon
+from matplotlib.patches import Circle, Patch, Polygon
 from matplotlib.patches import Rectangle as RectanglePatch
 from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import isotonic_regression
 
-from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.meshes import compute_extent, outline_capsule, rotate_box
-from hrl_escape.env.geometry import Solid
-from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
+from hrl_escape.env.geometry import Footprint, make_footprint
+from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.env.puzzles.marks import compute_depths
-from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, get_trait
+from hrl_escape.env.pictures import palette
+from hrl_escape.env.pictures.graph import draw_graph
+from hrl_escape.env.pictures.meshes import compute_extent, outline_capsule, outline_footprint
+from hrl_escape.env.pictures.model import RoomLook, RoomModel, RoomPose
+from hrl_escape.env.puzzles.traits import Depicted, Doored, Graphed, get_trait
 from hrl_escape.figures import STYLE, save_figure
 
 _MAP_INCHES = 6.6  # the longer side of the room
@@ -199,21 +198,13 @@ def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories
         _draw_ticks(axes, instance)
     else:
         axes.set_axis_off()
-    _draw_floor(axes, instance, state)
-    for solid in instance.solids:
-        wall = solid.role == "wall"
-        colour = palette.WALL if wall else palette.OBSTACLE
-        axes.add_patch(_make_outline(solid, facecolor=colour, edgecolor=palette.WALL if wall else palette.OBSTACLE_EDGE,
-                                     linewidth=0.8, zorder=3.2 if wall else 3))
-    for placed in instance.props:
-        half, prop = placed.prop.half_size, placed.prop
-        corners = rotate_box(placed.x, placed.y, half, half, placed.yaw)
-        plate = prop.kind == "plate"
-        axes.add_patch(Polygon(corners, facecolor=palette.PLATE if plate else palette.PROP, edgecolor=palette.PROP_EDGE,
-                               linewidth=1.0, linestyle="--" if plate else "-", zorder=2 if plate else 5))
-        axes.annotate(prop.name, (placed.x, placed.y), (0, -7 - 72 * half * _get_scale(axes)), fontsize=_LABEL_POINTS,
-                      textcoords="offset points", ha="center", va="top", color=palette.PROP_EDGE, zorder=8,
-                      path_effects=_HALO)
+    model = RoomModel(instance)
+    _draw_floor(axes, model, state)
+    for part in model.solids:
+        fill, edge, order = ((palette.WALL, palette.WALL, 3.2) if part.role == "wall" else
+                             (palette.OBSTACLE, palette.OBSTACLE_EDGE, 3))
+        axes.add_patch(_make_outline(part.shape, facecolor=fill, edgecolor=edge, linewidth=0.8, zorder=order))
+    _draw_props(axes, model, model.make_pose(state))
     sides = _draw_targets(axes, instance, state)
     for side, members in sides.items() if names else ():
         _draw_names(axes, instance, state, side, members)
@@ -223,10 +214,22 @@ def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories
     _draw_robot(axes, instance, state)
 
 
-def _make_outline(solid: Solid, **style: Any) -> Patch:
-    if solid.shape == "cylinder":
-        return Circle((solid.x, solid.y), solid.half_x, **style)
-    return Polygon(rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw), **style)
+def _make_outline(shape: Footprint, **style: Any) -> Patch:
+    return Circle((shape.x, shape.y), shape.half_x, **style) if shape.is_disc else Polygon(
+        outline_footprint(shape), **style)
+
+
+def _draw_props(axes: Axes, model: RoomModel, pose: RoomPose) -> None:
+    """Draw blocks and plates where they are, with their names below."""
+    for placed, part, (x, y, _, *turn) in zip(model.instance.props, model.props, pose.props, strict=True):
+        half, plate = part.shape.half_x, part.role == "plate"
+        yaw = 2 * math.atan2(turn[2], turn[3])  # of the part of a turn that is about z
+        axes.add_patch(_make_outline(make_footprint(x, y, half, half, yaw), edgecolor=palette.PROP_EDGE, linewidth=1.0,
+                                     facecolor=palette.PLATE if plate else palette.PROP,
+                                     linestyle="--" if plate else "-", zorder=2 if plate else 5))
+        axes.annotate(placed.prop.name, (x, y), (0, -7 - 72 * half * _get_scale(axes)), fontsize=_LABEL_POINTS,
+                      textcoords="offset points", ha="center", va="top", color=palette.PROP_EDGE, zorder=8,
+                      path_effects=_HALO)
 
 
 def _get_scale(axes: Axes) -> float:
@@ -265,29 +268,30 @@ def _draw_exit(axes: Axes, area: Rectangle, is_open: bool) -> None:
               zorder=4, weight="bold", path_effects=_HALO)
 
 
-def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
-    for floor in compute_floors(instance):
-        axes.add_patch(RectanglePatch(*_measure(floor), facecolor=palette.FLOOR, zorder=0))
+def _draw_floor(axes: Axes, model: RoomModel, state: RoomState) -> None:
+    instance, look = model.instance, model.make_look(state)
+    for floor in model.floors:
+        axes.add_patch(_make_outline(floor.shape, facecolor=palette.FLOOR, edgecolor="none", zorder=0))
     for puddle in get_trait(instance.puzzle, Depicted).puddles:
         axes.add_patch(Polygon(outline_capsule(puddle), facecolor=palette.PUDDLE, alpha=0.6, zorder=0.5))
-    is_open = instance.puzzle.is_solved(state.puzzle)
     if not instance.exit.is_flat:
-        _draw_exit(axes, instance.exit, is_open)
+        _draw_exit(axes, instance.exit, look.is_open)
     if instance.door is not None:
-        style: dict[str, Any] = {"fill": False, "linestyle": ":"} if is_open else {"facecolor": palette.DOOR}
-        axes.add_patch(_make_outline(instance.door, edgecolor=palette.DOOR, linewidth=1.2, zorder=4, **style))
-    _draw_inner_doors(axes, instance, get_trait(instance.puzzle, Barring).get_shut(state.puzzle))
+        style: dict[str, Any] = {"fill": False, "linestyle": ":"} if look.is_open else {"facecolor": palette.DOOR}
+        axes.add_patch(_make_outline(instance.door.footprint, edgecolor=palette.DOOR, linewidth=1.2, zorder=4, **style))
+    _draw_inner_doors(axes, model, look)
 
 
-def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
+def _draw_inner_doors(axes: Axes, model: RoomModel, look: RoomLook) -> None:
     """Draw doors and things in cells, and next to a door between rooms the name of the target that opens it."""
-    for number, door in enumerate(instance.inner_doors):
-        colour, share = palette.get_inner_colour(door), palette.get_inner_share(door)
-        shape = dataclasses.replace(door, half_x=share * door.half_x, half_y=share * door.half_y)
-        if shut >> number & 1:
-            axes.add_patch(_make_outline(shape, facecolor=colour, edgecolor=colour, zorder=5))
-        elif door.role == "door":
-            axes.add_patch(_make_outline(shape, fill=False, edgecolor=colour, linestyle=":", linewidth=1.2, zorder=5))
+    instance = model.instance
+    for part, is_shut in zip(model.inner_doors, look.shut, strict=True):
+        colour = palette.LOOKS[part.role]
+        if is_shut:
+            axes.add_patch(_make_outline(part.shape, facecolor=colour, edgecolor=colour, zorder=5))
+        elif part.role == "door":
+            axes.add_patch(_make_outline(part.shape, fill=False, edgecolor=colour, linestyle=":", linewidth=1.2,
+                                         zorder=5))
     facts = get_trait(instance.puzzle, Doored).door_facts
     operators = instance.symbolic_model.operators if facts else ()
     for door, fact in zip(instance.inner_doors, facts, strict=bool(facts)):
@@ -364,7 +368,7 @@ def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> dict[
     sides: dict[str, list[int]] = {}
     for index, target in enumerate(instance.targets):
         fill, edge, _ = palette.get_target_look(puzzle, state.puzzle, index)
-        corners = rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
+        corners = outline_footprint(target.footprint)
         axes.add_patch(Polygon(corners, facecolor=fill, edgecolor=edge, linewidth=4.0, joinstyle="round", zorder=3.8))
         axes.add_patch(Polygon(corners, facecolor=fill, edgecolor=fill, linewidth=2.4, joinstyle="round", zorder=4))
         if puzzle.get_lit(state.puzzle)[index]:
@@ -433,86 +437,3 @@ def _spread(places: Sequence[float], gap: float) -> list[float]:
     moved = np.empty(len(places))
     moved[order] = isotonic_regression(np.asarray(places)[order] - ranks).x + ranks
     return moved.tolist()
-
-
-# --- the targets' graph --------------------------------------------------------------------
-
-
-_ROWS_A_COLUMN, _NODES_A_ROW = 12, 8
-_LARGEST_CELL = 38.0  # points
-_SWEEPS = 8
-
-
-def compute_layout(count: int, edges: Sequence[tuple[int, int]]) -> list[tuple[float, float]]:
-    """Place each node: roots on top, children below, few crossings; y grows downwards.
-
-    Returns:
-        (x, y) per node, in units of one node's distance to the next. Layers of more than 8
-        take several rows; after 12 rows it continues in the next column, upwards and downwards
-        in turn.
-    """
-    depths = compute_depths(count, edges)
-    layers = [[n for n in range(count) if depths[n] == depth] for depth in range(max(depths, default=0) + 1)]
-    _reduce_crossings(layers, edges)
-    rows = [layer[i : i + _NODES_A_ROW] for layer in layers for i in range(0, len(layer), _NODES_A_ROW)]
-    columns = [rows[i : i + _ROWS_A_COLUMN] for i in range(0, len(rows), _ROWS_A_COLUMN)]
-    places = [(0.0, 0.0)] * count
-    left = 0.0
-    for number, column in enumerate(columns):
-        width = max(map(len, column))
-        for place, row in enumerate(column):
-            y = _ROWS_A_COLUMN - 1 - place if number % 2 else place
-            for i, node in enumerate(row):
-                places[node] = (left + (width - len(row)) / 2 + i, float(y))
-        left += width
-    return places
-
-
-def _reduce_crossings(layers: list[list[int]], edges: Sequence[tuple[int, int]]) -> None:
-    """Order each layer by the mean place of its neighbours, down and up in turn (Sugiyama et al. 1981)."""
-    for sweep in range(_SWEEPS):
-        down = sweep % 2 == 0
-        place = {node: i - len(layer) / 2 for layer in layers for i, node in enumerate(layer)}
-        for layer in layers if down else reversed(layers):
-            near = {n: [place[a if down else b] for a, b in edges if n == (b if down else a)] for n in layer}
-            mean = {n: sum(near[n]) / len(near[n]) if near[n] else place[n] for n in layer}
-            layer.sort(key=mean.__getitem__)
-            place |= {node: i - len(layer) / 2 for i, node in enumerate(layer)}
-
-
-def shorten(name: str) -> str:
-    """Short form of a name for small nodes: `12` for `button-12`."""
-    number = re.fullmatch(r".*-(\d+)", name)
-    return number[1] if number else name
-
-
-def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
-    """Draw the dependencies between a puzzle's targets, coloured by state; dots lock, the goal has a second ring."""
-    graph = get_trait(puzzle, Graphed)
-    places = compute_layout(len(puzzle.target_names), graph.edges)
-    right, bottom = (max((p[i] for p in places), default=0.0) for i in (0, 1))
-    inches = np.array((axes.bbox.width, axes.bbox.height)) / axes.figure.dpi
-    cell = min(_LARGEST_CELL, 72 * inches[0] / (right + 1), 72 * inches[1] / (bottom + 1))  # points between nodes
-    wide, high = 72 * inches / cell
-    axes.set(xlim=(-0.5, wide - 0.5), ylim=(high - 0.5, -0.5), aspect="equal")
-    axes.set_axis_off()
-    radius, size = 0.32, min(9.0, 0.36 * cell)
-    for parent, child in graph.edges:
-        axes.add_patch(
-            FancyArrowPatch(places[parent], places[child], arrowstyle="-|>", mutation_scale=min(9.0, 0.3 * cell),
-                            shrinkA=radius * cell, shrinkB=radius * cell + 1, linewidth=min(1.1, 0.04 * cell),
-                            color=palette.MUTED, zorder=1)
-        )
-    for locking, locked in graph.locks_between:
-        axes.add_patch(
-            FancyArrowPatch(places[locking], places[locked], arrowstyle="-[,widthB=0.35,lengthB=0", linestyle="dotted",
-                            mutation_scale=min(9.0, 0.3 * cell), connectionstyle="arc3,rad=0.25", shrinkA=radius * cell,
-                            shrinkB=radius * cell + 2, linewidth=min(1.1, 0.04 * cell), color=palette.LOCK, zorder=1)
-        )
-    for node, (x, y) in enumerate(places):
-        fill, edge, ink = palette.get_target_look(puzzle, state, node)
-        axes.add_patch(Circle((x, y), radius, facecolor=fill, edgecolor=edge, linewidth=1.0, zorder=2))
-        if node in graph.goal_targets:
-            axes.add_patch(Circle((x, y), radius + 0.09, fill=False, edgecolor=edge, linewidth=1.2, zorder=2))
-        axes.text(x, y, shorten(puzzle.target_names[node]), fontsize=size, color=ink,
-                  ha="center", va="center_baseline", zorder=3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hrl_escape.env.drawing.video import save_picture, save_video
+from hrl_escape.env.pictures.video import save_picture, save_video
 from hrl_escape.errors import FileWriteError, MissingExtraError, UnsupportedError
 
 COLOURS = [(200, 30, 40), (40, 160, 60), (30, 60, 200), (240, 200, 40)]
