@@ -442,7 +442,8 @@ class Stage:
                     top = Part("wall top", part.shape, height, height + 2 * LAYER)
                     bodies.append(self._add_part(top, shown=shown))
             forms.append(bodies)
-        self.standing.append(Standing(parts[0].shape, parts[0].high, *forms))
+        whole, cut = forms
+        self.standing.append(Standing(parts[0].shape, parts[0].high, whole, cut))
         return self.standing[-1]
 
     def _add_prop_shadow(self, part: Part) -> int:
