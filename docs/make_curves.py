@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from hrl_escape.agents.registry import SMDP_PREFIX, list_agents
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.comparison import Comparison, run_grid
-from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.files import write_json

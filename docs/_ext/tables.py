@@ -28,7 +28,7 @@ from hrl_escape.agents.registry import (
     get_agent_class,
     get_recipe,
     list_agents,
-    list_given_agents,
+    list_hierarchy_agents,
     list_recipes,
 )
 from hrl_escape.agents.training.results import METRICS
@@ -142,7 +142,7 @@ class TunedSettings(Table):
                  " ".join(filter(None, (entry.note, f"({entry.source})"))))
                 for entry in record]
         tuned = {agent for entry in record for agent in entry.agents}
-        others = ", ".join(f"`{agent}`" for agent in (*list_agents(), *list_given_agents()) if agent not in tuned)
+        others = ", ".join(f"`{agent}`" for agent in (*list_agents(), *list_hierarchy_agents()) if agent not in tuned)
         head = ("agent", "defaults", "tried in", "settings tried", "training seeds", "note and source")
         return f"{make_table(head, rows)}\n\nNo trial is on record for {others}."
 

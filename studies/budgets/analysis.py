@@ -11,8 +11,8 @@ from functools import cache
 from typing import Any, TypeAlias
 
 from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import compute_digest
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.protocols import get_budget

@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.comparison import Comparison, run_grid
-from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
+from hrl_escape.comparison.grid import Grid, GridRun
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.runs import RunResult

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from hrl_escape.agents.registry import SMDP_PREFIX
-from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.agents.spec import BAYES, AgentSpec
 from hrl_escape.comparison.inference import (
     ALPHA,
     compare_pairs,
@@ -21,7 +21,7 @@ from hrl_escape.comparison.inference import (
     correct_by_holm,
 )
 from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, TOWER, compute_ladder_score, get_budget
-from hrl_escape.comparison.references.registry import BAYES, SEARCHERS
+from hrl_escape.comparison.references.registry import SEARCH_BASELINES
 from hrl_escape.comparison.reporting.figures import SPARE
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
@@ -131,7 +131,7 @@ def tell_bar(cells: _Cells, rungs: Sequence[str]) -> str:
     """Bar for an agent: the best searcher, or where that does worse, whatever else learns nothing."""
     agents = _sort_agents(agent for _, agent in cells)
     blind = [agent for agent in agents if not (spec := AgentSpec.parse(agent)).learns and spec.name not in
-             ("planner", "smdp-bayes")]
+             ("oracle", "bayes")]
     above: dict[str, list[str]] = {}
     for rung, best in find_best_searchers(cells, rungs).items():
         known = [agent for agent in blind if (rung, agent) in cells]
@@ -166,7 +166,7 @@ def tell_blank(cells: _Cells, rungs: Sequence[str]) -> list[str]:
 def find_best_searchers(cells: _Cells, rungs: Sequence[str]) -> dict[str, str | None]:
     """The searcher that does best on each rung, of equal ones the first whatever the order of a set; None without."""
     agents = _sort_agents(agent for _, agent in cells)
-    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCHERS]
+    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCH_BASELINES]
     return {rung: max((agent for agent in searchers if len(cells.get((rung, agent), ())) >= LEAST_RUNS),
                       key=lambda agent, rung=rung: compute_run_efficiency(cells[rung, agent]), default=None)
             for rung in rungs}
@@ -201,7 +201,7 @@ def draw(cells: _Cells, rungs: Sequence[str]) -> Figure:
             spec = AgentSpec.parse(agent)
             values = np.array([compute_run_efficiency(cells[rung, agent]) if (rung, agent) in cells else np.nan
                                for rung in shown])
-            if spec.name in SEARCHERS:
+            if spec.name in SEARCH_BASELINES:
                 searched = np.fmax(searched, values)
             elif spec.name == BAYES:
                 axes.plot(shown, values, ":", color=palette.INK, linewidth=1.3, label="told how rooms are drawn")

@@ -32,7 +32,7 @@ from studies.statistics import correct_by_benjamini_hochberg
 __all__ = ["MEASURES", "Claim", "Criterion", "Finding", "advise", "choose_level", "judge_claims"]
 
 TWO, META = "paper-figure-2", "paper-figure-3"
-CHANCE = "smdp-random"
+CHANCE = "random-options+primitives"
 EARLY = 2_000
 """Primitives; a tenth of a run."""
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from hrl_escape.agents.spec import ORACLE, AgentSpec
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.references.registry import PLANNER, make_reference
+from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
@@ -158,7 +158,7 @@ def _make_room(config: RoomConfig, seed: int) -> RoomInstance:
 @lru_cache(maxsize=8)
 def _find_fewest(room: RoomInstance) -> int | None:
     """Primitives of the best known plan."""
-    return find_first_escape(PLANNER, room, 0, 1_000)
+    return find_first_escape(ORACLE, room, 0, 1_000)
 
 
 def make_config(room: Mapping[str, Any], buttons: int, rule: str) -> RoomConfig:

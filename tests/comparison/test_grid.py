@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView, load_grid
+from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.comparison.grid import Grid, load_grid
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.presets import GRIDS, get_grid
 from hrl_escape.env.presets import get_preset
@@ -24,8 +25,8 @@ def make_runs(grid: Grid):
 
 
 def test_short_texts_name_recipe_and_instance():
-    assert AgentSpec.parse("smdp-dqn@paper") == AgentSpec("smdp-dqn", recipe="paper")
-    assert AgentSpec.parse("smdp-dqn@paper").label == "smdp-dqn@paper"
+    assert AgentSpec.parse("smdp-dqn@keras-rl-2019") == AgentSpec("smdp-dqn", recipe="paper")
+    assert AgentSpec.parse("smdp-dqn@keras-rl-2019").label == "smdp-dqn@keras-rl-2019"
     assert RoomSpec.parse("clutter#3") == RoomSpec("clutter", seed=3)
     assert RoomSpec.parse("some/room.json") == RoomSpec(file="some/room.json")
 
@@ -91,7 +92,7 @@ def test_a_runs_key_depends_on_what_decides_its_numbers_and_on_nothing_else():
     ]
     different = [
         find_key(agents=["dqn"]),
-        find_key(agents=["smdp-dqn@paper"]),
+        find_key(agents=["smdp-dqn@keras-rl-2019"]),
         find_key(agents=[AgentSpec("smdp-dqn", settings={"gamma": 0.9})]),
         find_key(agents=[AgentSpec("smdp-dqn", options=OptionsView(include_primitives=False))]),
         find_key(agents=["smdp-dqn"], rooms=["paper-two-button"]),
@@ -137,7 +138,8 @@ def test_an_impossible_grid_is_refused_with_its_reason(changes: dict, message: s
 
 
 @pytest.mark.parametrize(("name", "message"), [
-    ("dqqn", "unknown agent 'dqqn'; did you mean 'dqn'"), ("smdp-untired", "did you mean 'smdp-untried'"), ("", "dqn")])
+    ("dqqn", "unknown agent 'dqqn'; did you mean 'dqn'"), ("search-randm", "did you mean 'search-random'"),
+    ("", "dqn")])
 def test_an_unknown_agent_is_refused_where_it_is_named(name: str, message: str):
     for make in (lambda: AgentSpec(name), lambda: Grid(agents=(AgentSpec.parse(name),)),
                  lambda: Grid.from_dict({"agents": [name]})):
@@ -187,7 +189,7 @@ def test_another_version_of_a_library_is_another_run(monkeypatch):
 
 def test_an_agent_with_a_synthesised_hierarchy_is_short_text_and_its_privileges_are_known():
     spec = AgentSpec.parse("maxq-q+planned")
-    assert (spec.label, spec.leaves) == ("maxq-q+planned", "planned")
+    assert (spec.label, spec.low_level) == ("maxq-q+planned", "planned")
     assert spec.privileges == ("task graph", "state", "planner")
     assert AgentSpec.parse("hamq+learned").privileges == ("program", "state")
     assert AgentSpec.parse("dqn").privileges == ()
@@ -202,4 +204,4 @@ def test_an_agent_with_a_synthesised_hierarchy_is_short_text_and_its_privileges_
 def test_leaves_tell_runs_apart_and_change_no_key_of_others():
     grid = Grid(agents=tuple(map(AgentSpec.parse, ("maxq-q", "maxq-q+planned", "maxq-q+learned"))), runs=1)
     flat, planned, learned = (run.identity for run in make_runs(grid))
-    assert "leaves" not in flat and (planned["leaves"], learned["leaves"]) == ("planned", "learned")
+    assert "low_level" not in flat and (planned["low_level"], learned["low_level"]) == ("planned", "learned")

@@ -177,7 +177,8 @@ def test_claims_are_rarely_answered_where_nothing_is_true():
 
 def test_a_claim_is_judged_by_the_papers_recipe_agent_by_agent():
     results = make_paper_results(1.0, 1.0)
-    results[FIGURES[0]] = [run if run.agent != "ddpg@paper" else make_run("ddpg@paper", [0.0] * 11, seed=run.seed)
+    ddpg = "ddpg@keras-rl-2019"
+    results[FIGURES[0]] = [run if run.agent != ddpg else make_run(ddpg, [0.0] * 11, seed=run.seed)
                            for run in results[FIGURES[0]]]
     finding = next(finding for finding in judge_claims(CLAIMS, results) if "25 %" in finding.claim.says)
     assert finding.agrees == "yes: dqn, sarsa; no: ddpg"
@@ -248,7 +249,7 @@ def test_a_damaged_run_is_named_by_file_and_line(tmp_path: Path, damage: dict[st
     store.add([make_run("dqn", [0.5] * 11)])
     whole = store.path.read_text()
     store.path.write_text(whole + json.dumps(json.loads(whole) | damage) + "\n")
-    with pytest.raises(FileReadError, match="raw.jsonl, line 2: this is no result of the study"):
+    with pytest.raises(FileReadError, match="raw.jsonl, line 3: this is no result of the study"):
         store.load()
 
 
