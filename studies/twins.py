@@ -428,7 +428,7 @@ def draw(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> Figure:
             if specs[agent].algorithm == "random" and specs[agent].chooses_options:
                 axes.axvline(float(np.mean(average(agent))), color=palette.MUTED, linestyle="--", linewidth=1.2,
                              label="random options")
-        axes.set_yticks(range(len(learners)), [agent.removesuffix("+no-primitives") for agent in learners])
+        axes.set_yticks(range(len(learners)), learners)
         axes.set_xlabel("efficiency after training", color=palette.INK)
         finish_axes(axes)
         axes.set_xlim(-0.03, 1.03)

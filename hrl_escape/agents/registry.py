@@ -171,7 +171,7 @@ def list_recipes(name: str) -> dict[str, Any]:
     agent_class, (base, over_options) = get_agent_class(name), split_name(name)
     settings = agent_class.Settings()
     recipes = {DEFAULT_RECIPE: settings, **agent_class.recipes}
-    known = settings.__dataclass_fields__
+    known = getattr(settings, "__dataclass_fields__", {})
     recipes |= {recipe: replace_settings(settings, changes) for recipe, changes in SHARED_RECIPES.items()
                 if changes.keys() <= known.keys()}
     if base in _find_shipped() and base in CHANGES:

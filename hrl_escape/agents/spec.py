@@ -22,10 +22,11 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from typing_extensions import Self
 
+from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.hierarchy_kinds import find_kind, list_privileges
 from hrl_escape.agents.old_specs import refuse_old
 from hrl_escape.agents.registry import (
@@ -42,9 +43,6 @@ from hrl_escape.agents.titles import find_title
 from hrl_escape.errors import AgentSettingsError, GridError, UnknownNameError
 from hrl_escape.files import read_text
 from hrl_escape.settings import Range, Settings, replace_settings
-
-if TYPE_CHECKING:
-    from hrl_escape.agents.agent import Agent
 
 LARGEST = 100_000_000
 
@@ -212,6 +210,8 @@ class AgentSpec(Settings):
     @classmethod
     def _describe(cls, agent: type[Agent] | Agent) -> Self:
         kind = agent if isinstance(agent, type) else type(agent)
+        if not issubclass(kind, Agent):
+            raise AgentSettingsError("agent", agent, "the text of a spec, an AgentSpec, or an agent or its class")
         name = find_agent_name(kind)
         if isinstance(agent, type):
             return cls(name)

@@ -55,8 +55,6 @@ class Grid(Settings):
     """A comparison: every agent in every room with every training seed."""
 
     _section = "grid"
-    format: Literal[2] = FORMAT
-    """Version of the fields."""
     name: str = "comparison"
     """Name of the comparison and of its folder."""
     description: str = ""
@@ -89,6 +87,8 @@ class Grid(Settings):
     """Trials in each room of `train_rooms` and `test_rooms`, through which memories last; see `SequenceEnv`."""
     until_solved: SolvedRule | None = None
     """Rule that ends a run before its budget; None for none."""
+    format: Literal[2] = FORMAT
+    """Version of the fields."""
 
     def __post_init__(self) -> None:
         if isinstance(self.agents, (tuple, list)):

@@ -170,7 +170,7 @@ def count_fewest(room: RoomInstance) -> int:
 
 
 def _play_room(preset: str, room: RoomInstance, agent: str, seed: int, primitives: int, episodes: int) -> PlayedRun:
-    spec = AgentSpec.parse(f"{agent}+no-primitives")
+    spec = AgentSpec.parse(agent)
     env, recorder = make_env(spec, room, "features")
     try:
         if spec.is_reference:

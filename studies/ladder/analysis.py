@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 
-from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.agents.registry import RANDOM_OPTIONS
 from hrl_escape.agents.spec import BAYES, AgentSpec
 from hrl_escape.comparison.inference import (
     ALPHA,
@@ -93,7 +93,7 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
         "beyond": tell_beyond_searching(over, rungs), "visible": tell_visible(over, rungs),
         "advice": tell_bar(over, rungs), "blank": tell_blank(over, rungs),
         "lines": lines, "rungs": {line.rung for line in lines}, "mastery": _find_mastery(lines, rungs),
-        "has_three_parents": any("+three-parents" in line.agent for line in lines),
+        "has_three_parents": any("@three-parents" in line.agent for line in lines),
         "protocols": {name: _describe_protocol(own, rungs) for name in ("per-instance", "generalise")
                       if (own := [line for line in lines if line.protocol == name])},
         "calibration": tell_calibration(group_runs(next(iter(alone.values()))), rungs, noisy) if alone else [],
@@ -150,7 +150,7 @@ def tell_blank(cells: _Cells, rungs: Sequence[str]) -> list[str]:
     def list_ends(rung: str, agent: str) -> dict[tuple[str, int], tuple[float, float]]:
         return {(run.rooms, run.seed): (run.efficiency, run.escapes) for run in cells.get((rung, agent), ())}
 
-    chance = next((agent for _, agent in cells if AgentSpec.parse(agent).name == f"{SMDP_PREFIX}random"), "")
+    chance = next((agent for _, agent in cells if AgentSpec.parse(agent).name == RANDOM_OPTIONS), "")
     found: dict[str, list[str]] = {}
     for rung in rungs:
         blind = list_ends(rung, chance)
@@ -207,7 +207,7 @@ def draw(cells: _Cells, rungs: Sequence[str]) -> Figure:
                 axes.plot(shown, values, ":", color=palette.INK, linewidth=1.3, label="told how rooms are drawn")
             elif spec.learns:
                 axes.plot(shown, values, "o-", markersize=4, linewidth=1.3, color=next(colours),
-                          label=agent.removesuffix("+no-primitives"))
+                          label=agent)
             elif spec.algorithm == "random":
                 axes.plot(shown, values, "--", color=palette.MUTED, linewidth=1.3, label="random options")
         axes.plot(shown, searched, color=palette.INK, linewidth=2.2, label="best searcher without learning")
@@ -250,7 +250,7 @@ def _part(lines: Sequence[BaselineRun]) -> dict[str, list[BaselineRun]]:
     """Lines by what their agents choose among: tables are of agents that have the same choices."""
     parts: dict[str, list[BaselineRun]] = {"Over options": [], "Over primitives": []}
     for line in lines:
-        has_options = line.agent.startswith(SMDP_PREFIX) or line.agent == KNOWN
+        has_options = line.agent == KNOWN or AgentSpec.parse(line.agent).chooses_options
         parts["Over options" if has_options else "Over primitives"].append(line)
     return {title: part for title, part in parts.items() if part}
 

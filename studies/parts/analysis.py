@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from hrl_escape.agents.old_specs import convert_label
 from hrl_escape.agents.spec import ORACLE, AgentSpec
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.references.registry import make_reference
@@ -170,7 +171,7 @@ def make_config(room: Mapping[str, Any], buttons: int, rule: str) -> RoomConfig:
 
 def _search(reference: str, config: RoomConfig, seed: int, budget: int) -> int | None:
     """Primitives to the first escape of a reference, which may ask how the room was drawn."""
-    spec = AgentSpec.parse(f"{reference}+no-primitives")
+    spec = AgentSpec.parse(convert_label(reference))  # study.toml is registered with names of version 0.3
     env, recorder = make_env(spec, InstanceSet(reference, config, [seed]), "features")
     try:
         return train(make_reference(spec.name, env, recorder), env, primitives=budget, seed=seed, eval_episodes=0,

@@ -90,8 +90,10 @@ def test_settings_of_a_spec_cannot_be_changed():
     ("dqn)gamma(", "dqn"),
     ("bayes+primitives", "bayes, which chooses among options alone"),
     ("smdp-random", "random-options"),
+    (7, "text of a spec"),
+    (dict, "text of a spec"),
 ])
-def test_a_spec_that_means_nothing_is_refused(text: str, error: str):
+def test_a_spec_that_means_nothing_is_refused(text: object, error: str):
     with pytest.raises((UnknownNameError, AgentSettingsError), match=error):
         AgentSpec.parse(text)
 

@@ -86,7 +86,8 @@ def test_names_that_cannot_be_trained_are_told_what_to_do_instead(capsys):
     said = call(capsys, "train", "maxq")[2]
     assert "did you mean 'maxq-q'" in said
     known = said.partition("Known: ")[2]
-    assert "maxq-q" in known and "hamq" in known and known.endswith("each also with smdp- in front, which chooses among options\n")
+    assert "maxq-q" in known and "hamq" in known and known.endswith(
+        "each also with smdp- in front, which chooses among options\n")
 
 
 def heed_ctrl_c():
@@ -136,7 +137,8 @@ def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(cap
     (["smdp-q-learning", "--eval-every", "0"], "eval_every = 0 is not possible"),
     (["smdp-iql", "--data", "pair-play-v1", "--primitives", "0"], "primitives = 0 is not possible"),
     (["smdp-iql", "--data", "pair-play-v1", "--preset", "clutter"], "--preset does not go with --data"),
-    (["q-learning", "--flavour", "press"], "--flavour is for agents that choose among options, such as smdp-q-learning"),
+    (["q-learning", "--flavour", "press"],
+     "--flavour is for agents that choose among options, such as smdp-q-learning"),
     (["hamq+planned", "--flavour", "press-markov"], "--flavour is for agents that choose among options"),
 ])
 def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):

@@ -372,7 +372,7 @@ def test_two_buttons_touched_at_once_confuse_no_belief():
     marks = dataclasses.replace(config.puzzle.marks, motifs=2)
     rooms = InstanceSet("", dataclasses.replace(config, puzzle=dataclasses.replace(config.puzzle, marks=marks)),
                         [699512341362768345])
-    env, recorder = make_env(AgentSpec.parse(f"{BAYES}+no-primitives"), rooms, "features", {"0": 0})
+    env, recorder = make_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
     assert evaluate(make_reference(BAYES, env, recorder), env, 1).successes == (True,)
     assert any((after.puzzle & ~before.puzzle).bit_count() > 1 for before, after in itertools.pairwise(recorder.states))
     env.close()
@@ -384,7 +384,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
     config = dataclasses.replace(get_preset("four-button-chain"), puzzle=ButtonsConfig(count=3, on_violation=rule))
     monkeypatch.setattr(bayes, "find_schematic", lambda room: config)  # the room's name is that of another
     room = relabel(generate(config, 5), (1, 0, 2))
-    env, recorder = make_env(AgentSpec.parse(f"{BAYES}+no-primitives"), room, "features")
+    env, recorder = make_env(AgentSpec(BAYES), room, "features")
     searcher = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
     searcher.act(observation, info["action_mask"] != 0)
@@ -398,7 +398,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
 def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_are_drawn(rung: str, graphs: int):
     """A ceiling is a ceiling only where beliefs are listed: a sample does not plan."""
     rooms = load_benchmark("marks-4")[rung].test[:1]
-    env, recorder = make_env(AgentSpec.parse(f"{BAYES}+no-primitives"), rooms, "features", {"0": 0})
+    env, recorder = make_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
     searcher: Any = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
     searcher.act(observation, info["action_mask"] != 0)

@@ -126,7 +126,7 @@ def test_hierarchies_are_held_against_their_flat_twins():
     assert f"1 loses: `{DAC}` (-0.3" in page and "21 cannot be told apart." in page
     turned = read(change({TABLE: 0.6, PPO: 0.1}))
     (told,) = [line for line in turned.splitlines() if "held against the flat" in line]
-    assert re.search(r"6 gain, most of all `smdp-\w+\+no-primitives` \(\+0\.\d", told)
+    assert re.search(r"6 gain, most of all `smdp-\w+` \(\+0\.\d", told)
     assert "; 10 lose, most of all `" in told
     assert told.count("`smdp-") == 6 and told.endswith("; 7 cannot be told apart."), "three of each are named"
     assert f"- `{CRITIC}` against `{TABLE}`: **-0.2" in turned, "all stand further down"

@@ -182,11 +182,11 @@ def test_whole_cells_come_first_and_grids_of_more_agents_and_seeds_hold_the_runs
 
 
 def test_the_page_says_what_an_agent_with_three_parents_is_told():
-    agents = [f"smdp-factored-r-max{trait}+no-primitives" for trait in ("", "+three-parents")]
+    agents = [f"smdp-factored-r-max{named}" for named in ("", "@three-parents")]
     lines = [line for agent, value in zip(agents, (0.4, 0.9), strict=True)
              for line in make_lines("high", agent, value, 1.0, 10)]
     page = tell(lines, RUNGS)
-    assert "`+three-parents`: told that up to three buttons may have to be on together" in page
+    assert "`@three-parents`: told that up to three buttons may have to be on together" in page
     assert f"| rung | `{agents[0]}` | `{agents[1]}` |" in page and f"masters is `high`, by `{agents[1]}`." in page
 
 

@@ -198,14 +198,14 @@ def test_intervals_leave_the_level_out_where_a_verdict_is_given():
 
 
 @pytest.mark.parametrize(("paper", "corrected", "words"), [
-    (0.2, 0.9, "Use the corrected recipes, which are the defaults: with meta-actions they raise the training score of"),
-    (0.9, 0.2, "Mind the recipe: with the corrected one the training score falls for dqn (-70), sarsa (-70) and ddpg"),
-    (0.5, 0.5, "Take either recipe"),
+    (0.2, 0.9, "Use the default settings: with meta-actions they raise the training score of"),
+    (0.9, 0.2, "Mind the settings: with the default ones the training score falls for dqn (-70), sarsa (-70) and ddpg"),
+    (0.5, 0.5, "Take either settings"),
 ])
 def test_advice_on_recipes_follows_their_scores(paper: float, corrected: float, words: str):
     results = make_paper_results(1.0, 1.0)
     results[FIGURES[2]] = [make_run(run.agent, [0.0] * 11, seed=run.seed, training=[
-        (paper if run.agent.endswith("@paper") else corrected) + 0.01 * (-1) ** run.seed * run.agent.endswith("@paper")]
+        (paper if ("@keras-rl-2019" in run.agent) else corrected) + 0.01 * (-1) ** run.seed * ("@keras-rl-2019" in run.agent)]
         * BINS) for run in results[FIGURES[2]]]
     assert advise(results).startswith(words), advise(results)
 

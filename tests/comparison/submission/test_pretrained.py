@@ -26,18 +26,18 @@ AGENTS = [(rung, agent) for rung, agents in list_pretrained().items() for agent 
 
 
 @pytest.mark.in_turn_for(
-    "ladder-1/chain-smdp-factored-r-max+no-primitives", "ladder-1/chain-3-smdp-ppo+objects+memory+no-primitives",
-    "ladder-1/chain-3-smdp-q-learning+no-primitives", "ladder-1/clutter-smdp-factored-r-max+no-primitives",
-    "ladder-1/code-smdp-r-max+no-primitives", "ladder-1/house-smdp-factored-r-max+three-parents+no-primitives",
-    "ladder-1/lattice-smdp-factored-r-max+no-primitives", "ladder-1/lattice-7-smdp-factored-r-max+no-primitives",
-    "ladder-1/lattice-8-smdp-factored-r-max+three-parents+no-primitives",
-    "ladder-1/reach-smdp-factored-r-max+no-primitives", "ladder-1/chain-4-smdp-factored-r-max+no-primitives",
-    "ladder-1/doors-smdp-q-learning+no-primitives", "ladder-1/freight-smdp-r-max+no-primitives",
-    "ladder-1/lattice-5-smdp-factored-r-max+no-primitives", "ladder-1/lattice-6-smdp-factored-r-max+no-primitives",
-    "ladder-1/switchboard-smdp-r-max+no-primitives", "marks-1/told-smdp-ppo+objects+memory+no-primitives",
-    "marks-2/motifs-smdp-ppo+objects+memory+no-primitives",
-    "marks-3/deceived-smdp-ppo+objects+memory+no-primitives",
-    "marks-3/places-smdp-ppo+objects+memory+no-primitives")
+    "ladder-1/chain-smdp-factored-r-max", "ladder-1/chain-3-smdp-ppo+objects+memory",
+    "ladder-1/chain-3-smdp-q-learning", "ladder-1/clutter-smdp-factored-r-max",
+    "ladder-1/code-smdp-r-max", "ladder-1/house-smdp-factored-r-max@three-parents",
+    "ladder-1/lattice-smdp-factored-r-max", "ladder-1/lattice-7-smdp-factored-r-max",
+    "ladder-1/lattice-8-smdp-factored-r-max@three-parents",
+    "ladder-1/reach-smdp-factored-r-max", "ladder-1/chain-4-smdp-factored-r-max",
+    "ladder-1/doors-smdp-q-learning", "ladder-1/freight-smdp-r-max",
+    "ladder-1/lattice-5-smdp-factored-r-max", "ladder-1/lattice-6-smdp-factored-r-max",
+    "ladder-1/switchboard-smdp-r-max", "marks-1/told-smdp-ppo+objects+memory",
+    "marks-2/motifs-smdp-ppo+objects+memory",
+    "marks-3/deceived-smdp-ppo+objects+memory",
+    "marks-3/places-smdp-ppo+objects+memory")
 @pytest.mark.parametrize(("rung", "agent"), AGENTS)
 def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent):
     found = load_once(rung, agent)
