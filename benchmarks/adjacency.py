@@ -11,8 +11,8 @@ import dataclasses
 import numpy as np
 import tyro
 
-from hrl_escape.agents.algorithms.given.hiro import Hiro
-from hrl_escape.agents.algorithms.given.hrac import Hrac
+from hrl_escape.agents.algorithms.task_hierarchies.hiro import Hiro
+from hrl_escape.agents.algorithms.task_hierarchies.hrac import Hrac
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.inference import compare_pairs

@@ -16,9 +16,10 @@ import jinja2
 import tyro
 from rich.console import Console
 
+from hrl_escape.agents.spec import BAYES, REFERENCES
 from hrl_escape.cli import run_script
 from hrl_escape.comparison.inference import Estimate
-from hrl_escape.comparison.references.registry import BAYES, BY_LIGHTS, REFERENCES
+from hrl_escape.comparison.references.registry import BY_LIGHTS
 from hrl_escape.comparison.submission import (
     Cell,
     Check,

@@ -116,7 +116,7 @@ def learn() -> Generator[None]:
     """Short training runs of a network over options."""
     for seed in range(SEEDS):
         env = OptionsEnv(EscapeRoomEnv(instance=generate(get_preset("paper-two-button"), 0), observation="features"))
-        train("smdp-dqn", env, primitives=300, seed=seed, eval_episodes=0, progress=False)
+        train("smdp-dqn+primitives", env, primitives=300, seed=seed, eval_episodes=0, progress=False)
         env.close()
         yield
 

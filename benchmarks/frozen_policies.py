@@ -2,8 +2,8 @@
 
     python -m benchmarks.frozen_policies --room clutter --primitives 50000 --seeds 2
 
-Trains `smdp-dqn` among primitives and options, at its defaults and at those before them (`studies/tuning.toml`). On the
-way it plays greedy episodes and looks at the choices of each that fails: a policy that comes back to a state goes round
+Trains `smdp-dqn+primitives`, at its defaults and at those before them (`studies/tuning.toml`). On the way it plays
+greedy episodes and looks at the choices of each that fails: a policy that comes back to a state goes round
 for ever, for it has no memory and the room no chance. Beside it stand the training episodes since the last look, whose
 exploration leads out of any cycle.
 """
@@ -116,7 +116,7 @@ def look(room: str, settings: dict[str, Any], seed: int, primitives: int, looks:
     """Train an agent and look at it on the way."""
     env, frozen = (make_options_env(room, observation="features") for _ in range(2))
     probe = FrozenProbe(frozen, primitives // looks)
-    train("smdp-dqn", env, primitives=primitives, seed=seed, settings=settings, eval_episodes=0, probe=probe)
+    train("smdp-dqn+primitives", env, primitives=primitives, seed=seed, settings=settings, eval_episodes=0, probe=probe)
     return probe.looks
 
 

@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 import tyro
 
-from hrl_escape.agents.algorithms.given.hq_learning import HqLearning
+from hrl_escape.agents.algorithms.task_hierarchies.hq_learning import HqLearning
 from hrl_escape.agents.training.evaluation import evaluate
 from tests.agents.running import learn
 from tests.classic.winding_maze import WindingMaze

@@ -1,7 +1,7 @@
 """Kills (SIGKILL) at random moments, each resumed by the same command, against work that was left alone.
 
 Run: `python benchmarks/kills.py --only train --kills 100` and so on; exits with 1 if a byte differs or a process
-outlives its parent. `train` is one run of smdp-dqn, `compare` a comparison of six agents, `study` that of given
+outlives its parent. `train` is one run of smdp-dqn, `compare` a comparison of six agents, `study` that of task
 hierarchies, `ray` the comparison on a Ray of this machine (extra `ray`). What is finished is compared and begun anew in
 another folder, until the kills are done.
 """
@@ -27,10 +27,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.train import train
 from hrl_escape.cli import main as main_of_cli
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.presets import get_grid
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
@@ -39,7 +39,7 @@ from hrl_escape.files import write_json
 from hrl_escape.options.options_env import OptionsEnv
 from studies.__main__ import main as main_of_studies
 
-AGENTS = ("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn", "smdp-ppo")
+AGENTS = ("random", "dqn", "random-options", "smdp-q-learning", "smdp-dqn", "smdp-ppo")
 LONGEST_SECONDS = 2.0
 ORPHAN_SECONDS = 60.0
 """Longest that a process may outlive the one that was killed above it; on a busy machine it may be loading still."""
@@ -88,7 +88,7 @@ def learn(folder: Path | None, primitives: int = 10_000) -> None:
     torch.set_num_threads(1)
     room = generate(dataclasses.replace(get_preset("paper-two-button"), horizon=100), 0)
     env = OptionsEnv(EscapeRoomEnv(instance=room, observation="features"))
-    train("smdp-dqn", env, primitives=primitives, seed=0, out=folder, checkpoint_seconds=0.0, progress=False)
+    train("smdp-dqn+primitives", env, primitives=primitives, seed=0, out=folder, checkpoint_seconds=0.0, progress=False)
 
 
 def read_train(folder: Path) -> Any:
@@ -99,7 +99,7 @@ def read_train(folder: Path) -> Any:
 
 
 def study(folder: Path) -> None:
-    """The study of given hierarchies with one run of each."""
+    """The study of task hierarchies with one run of each."""
     sys.exit(main_of_studies(["hierarchies", "--runs", "1", "--primitives", "400",
                               "--out", str(folder / "runs"), "--docs", str(folder / "docs")]))
 

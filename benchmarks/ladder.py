@@ -1,8 +1,8 @@
 """Calibration and freezing of a ladder: what agents reach on each rung, and the roots of its sets.
 
     python -m benchmarks.ladder calibrate --rung doormat pair chain
-    python -m benchmarks.ladder calibrate --agents smdp-dqn+no-primitives smdp-ppo+no-primitives --primitives 20000
-    python -m benchmarks.ladder calibrate --agents smdp-ppo+objects+memory+no-primitives --protocol generalise
+    python -m benchmarks.ladder calibrate --agents smdp-dqn smdp-ppo --primitives 20000
+    python -m benchmarks.ladder calibrate --agents smdp-ppo+objects+memory --protocol generalise
     python -m benchmarks.ladder freeze my-ladder.json
     python -m benchmarks.ladder costs
 
@@ -33,9 +33,9 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.agents.registry import list_agents
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.cli import run_script
 from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.comparison.summary import summarise
@@ -47,8 +47,8 @@ from studies.ladder.calibration import find_miscalibration, find_steps
 from studies.ladder.freezing import freeze_manifest
 
 _ROOT = Path(__file__).parents[1]
-_YARDSTICKS = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives", "smdp-index-order+no-primitives",
-               "planner")
+_YARDSTICKS = ("random-options", "sweep-random", "sweep",
+               "oracle")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -75,7 +75,7 @@ TASKS = {
     "CartPole-v1": Task("ppo", 40_960, zoo={
         "n_steps": 32, "batch_size": 256, "gae_lambda": 0.8, "gamma": 0.98, "n_epochs": 20, "ent_coef": 0.0,
         "learning_rate": lambda left: 1e-3 * left, "clip_range": lambda left: 0.2 * left}),
-    OPTIONS: Task("smdp-ppo", 81_920, {"observation": "features"}, {"output": "torch"}, has_peer=False,
+    OPTIONS: Task("smdp-ppo+primitives", 81_920, {"observation": "features"}, {"output": "torch"}, has_peer=False,
                   variants=("both",), episodes=1, numbers=(1, 64, MOST)),  # all of its episodes begin alike
     "Acrobot-v1": Task("ppo", 40_960, vector_arguments={"vectorization_mode": "sync"}, variants=("both",)),
 }

@@ -15,22 +15,22 @@ import tempfile
 from pathlib import Path
 
 from hrl_escape.agents import train
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.comparison.runs import get_training_folder
 from hrl_escape.comparison.submission import Card, describe_score, pack_submission
 from hrl_escape.ladder import load_benchmark
 from studies.unseen import make_streams
 
-READER = "smdp-ppo+objects+memory+no-primitives"
+READER = "smdp-ppo+objects+memory"
 STREAMS, TRAIN_ROOMS, READ, EVALUATIONS = 256, 1000, 2_000_000, 10
 """Of a reader of marks: rooms at once, training rooms, primitives and evaluations."""
 READ_RUNGS = ("marks-2/motifs", "marks-3/deceived", "marks-3/places")
 ON_DEMAND = ("marks-4/rules", "marks-4/wires")
 """Rungs whose readers stand on the board and are made when asked for: agents in the package stay below 4 MB."""
-TABLE, MODEL, STRUCTURE, THREE = (f"smdp-{name}+no-primitives" for name in (
-    "q-learning", "r-max", "factored-r-max", "factored-r-max+three-parents"))
+TABLE, MODEL, STRUCTURE, THREE = (f"smdp-{name}" for name in (
+    "q-learning", "r-max", "factored-r-max", "factored-r-max@three-parents"))
 LEARNED = {
     **dict.fromkeys(("doormat", "pair", "chain-3", "doors"), (TABLE, 20_000)),
     **dict.fromkeys(("code", "freight", "switchboard"), (MODEL, 10_000)),
@@ -44,8 +44,8 @@ FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/pretrained"
 def train_reader(place: str, primitives: int, out: Path) -> Path:
     """Train on many rooms of a rung at once; returns the run's folder."""
     spec = AgentSpec.parse(READER)
-    train(spec.name, make_streams(*place.split("/"), TRAIN_ROOMS, STREAMS, READER), primitives=primitives,
-          settings=spec.settings, eval_every=primitives // EVALUATIONS, eval_episodes=10, out=out / "run")
+    train(spec, make_streams(*place.split("/"), TRAIN_ROOMS, STREAMS, READER), primitives=primitives,
+          eval_every=primitives // EVALUATIONS, eval_episodes=10, out=out / "run")
     return out / "run"
 
 

@@ -5,7 +5,7 @@
     python -m benchmarks.references choose benchmarks/ladder-2.toml
 
 To measure is to play an episode in each of the first test rooms: random choices, the searchers that learn nothing, the
-planner, and `smdp-bayes` where all graphs can be listed. What was measured before is kept.
+planner, and `bayes` where all graphs can be listed. What was measured before is kept.
 
 To choose is to go along each axis of a profile, whose candidates stand from easy to hard, and to measure its yardstick
 in rooms that are in no set: the best of the searchers, or random moves. Rung by rung the candidate is taken whose
@@ -24,11 +24,11 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from hrl_escape.agents.spec import BAYES, ORACLE, AgentSpec
 from hrl_escape.cli import run_script
 from hrl_escape.commands.room_choice import change_field, split_assignment
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.bayes import GraphFamily, condition_on_room, make_family
-from hrl_escape.comparison.references.registry import BAYES, BY_LIGHTS, PLANNER
+from hrl_escape.comparison.references.registry import BY_LIGHTS
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -40,7 +40,7 @@ from hrl_escape.ladder.manifest import AxisRecord, Manifest, RungRecord, RungRef
 from hrl_escape.ladder.rung import Rung, derive_seed
 
 _FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/references"
-CHANCE, MOVES = "smdp-random", "random"
+CHANCE, MOVES = "random-options", "random"
 YARDSTICKS: Mapping[str, tuple[str, ...]] = {"searchers": BY_LIGHTS, "moves": (MOVES,)}
 """Agents of which the best is an axis's yardstick."""
 
@@ -71,7 +71,7 @@ def play(agent: str, rooms: InstanceSet) -> float | None:
     """Mean efficiency of who does not learn; None where the puzzle is not for it."""
     from studies.unseen import make_unseen, play_agent  # loads torch and the batched engine, ten seconds
 
-    spec = AgentSpec.parse(agent if agent in (PLANNER, MOVES) else f"{agent}+no-primitives")
+    spec = AgentSpec.parse(agent)
     try:
         return play_agent(spec, make_unseen(rooms), rooms[:1])[0]
     except UnsupportedError:
@@ -100,7 +100,7 @@ def measure_information(config: ButtonsConfig, rooms: Sequence[RoomInstance]) ->
 def measure_rung(rung: Rung, rooms: int) -> RungReferences:
     """References in the first test rooms."""
     tested, puzzle = rung.test[:rooms], rung.config.puzzle
-    found = {agent: play(agent, tested) for agent in (CHANCE, *BY_LIGHTS, PLANNER)}
+    found = {agent: play(agent, tested) for agent in (CHANCE, *BY_LIGHTS, ORACLE)}
     searcher, by = max((value, name) for name in BY_LIGHTS if (value := found[name]) is not None)
     ceiling = told = hidden = None
     if isinstance(puzzle, ButtonsConfig):
@@ -108,8 +108,8 @@ def measure_rung(rung: Rung, rooms: int) -> RungReferences:
             told, hidden = (round(bits, 3) for bits in measure_information(puzzle, tested))
             ceiling = play(BAYES, tested)
         except UnsupportedError:
-            pass  # too many graphs, of which smdp-bayes would play by a sample
-    return RungReferences(found[CHANCE] or 0.0, searcher, by, found[PLANNER] or 0.0, ceiling, told, hidden)
+            pass  # too many graphs, of which bayes would play by a sample
+    return RungReferences(found[CHANCE] or 0.0, searcher, by, found[ORACLE] or 0.0, ceiling, told, hidden)
 
 
 def measure(args: Measure) -> int:

@@ -258,7 +258,7 @@ PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
     "claims of the paper": is_wrong_of_claims,
     "why it worsens": is_wrong_of_screening,
     "its paths": is_wrong_of_paths,
-    "given hierarchies and their twins": lambda draw, rng: is_wrong_of_twins("hierarchies", draw, rng),
+    "task hierarchies and their twins": lambda draw, rng: is_wrong_of_twins("hierarchies", draw, rng),
     "learned hierarchies and their twins": lambda draw, rng: is_wrong_of_twins("learned", draw, rng),
     "intra-option learning and its twin": lambda draw, rng: is_wrong_of_twins("intra-option", draw, rng),
     "why it worsens: what suffices": is_wrong_of_sufficiency,

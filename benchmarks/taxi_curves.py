@@ -16,8 +16,8 @@ import numpy as np
 import tyro
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.algorithms.given.hamq import Hamq
-from hrl_escape.agents.algorithms.given.maxq_q import MaxqQ
+from hrl_escape.agents.algorithms.task_hierarchies.hamq import Hamq
+from hrl_escape.agents.algorithms.task_hierarchies.maxq_q import MaxqQ
 from hrl_escape.agents.training.evaluation import evaluate
 from tests.agents.hierarchy.taxi_program import drive, read
 from tests.agents.hierarchy.taxi_tasks import make_taxi_tasks

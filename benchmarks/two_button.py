@@ -1,7 +1,8 @@
 """Two buttons, 20,000 primitives, ten seeds: do agents over options reach a score of 0.95, and what do others do?
 
 Run: `python benchmarks/two_button.py` (about four minutes on two cores); the report is in `runs/two-button`. Exits
-with 1 if smdp-dqn or smdp-q-learning falls short. Flat agents and the random policies are reported as they are.
+with 1 if smdp-dqn+primitives or smdp-q-learning+primitives falls short. Flat agents and the random policies are
+reported as they are.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.presets import get_grid
 from hrl_escape.comparison.reporting.report import write_report
 
-NEEDED = {"smdp-dqn": 0.95, "smdp-q-learning": 0.95}
+NEEDED = {"smdp-dqn+primitives": 0.95, "smdp-q-learning+primitives": 0.95}
 
 
 def main() -> int:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hrl_escape.agents.registry import SMDP_PREFIX, list_agents
+from hrl_escape.agents.registry import join_name, list_agents
 from hrl_escape.comparison.comparison import Comparison, run_grid
-from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.files import write_json
@@ -27,10 +27,11 @@ CURVES = Path(__file__).parent / "curves"
 
 
 def make_grid(name: str) -> Grid:
-    """An agent without options and with."""
-    names = (SMDP_PREFIX + name,) if name in OPTIONS_ONLY else (name, SMDP_PREFIX + name)
+    """An agent over primitives, and over options and primitives."""
+    over_options = f"{join_name(name, True)}+primitives"
+    agents = (over_options,) if name in OPTIONS_ONLY else (name, over_options)
     return Grid(name=f"curve-{name}", description=f"How {name} learns.", rooms=(RoomSpec(ROOM),), runs=RUNS,
-                agents=tuple(map(AgentSpec, names)), primitives=PRIMITIVES,
+                agents=agents, primitives=PRIMITIVES,
                 eval_every=PRIMITIVES // POINTS, eval_episodes=1)
 
 
@@ -45,7 +46,7 @@ def summarise(name: str, comparison: Comparison) -> dict:
                 points = [(e.primitives, np.mean(e.returns)) for e in result.evaluations]
                 lines.append(np.interp(grid, *zip(*points, strict=True)))
                 best = float(np.mean(result.score_range.reachable))
-        curves.append({"agent": spec.name, "primitives": grid.tolist(),
+        curves.append({"agent": spec.label, "primitives": grid.tolist(),
                        **{key: np.round(of(lines, axis=0), 1).tolist()
                           for key, of in (("mean", np.mean), ("low", np.min), ("high", np.max))}})
     return {"room": ROOM, "runs": RUNS, "primitives": PRIMITIVES, "best": best, "curves": curves,

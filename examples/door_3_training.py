@@ -11,11 +11,11 @@ from hrl_escape.agents import play_episode, train
 from hrl_escape.options.options_env import OptionsEnv
 
 
-def main(agent: str = "smdp-dqn", primitives: int = 20_000, seed: int = 0, out: Path | None = None) -> None:
+def main(agent: str = "smdp-dqn+primitives", primitives: int = 20_000, seed: int = 0, out: Path | None = None) -> None:
     """Train, then print the learning curve and the first decisions of an episode.
 
     Args:
-        agent: `smdp-dqn`, `smdp-q-learning`, `smdp-ppo`, ...
+        agent: `smdp-dqn+primitives`, `smdp-q-learning+primitives`, `smdp-ppo+primitives`, ...
         primitives: training budget.
         seed: seed of the training run.
         out: folder for log and checkpoints; a stopped run resumes from there.

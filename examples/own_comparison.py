@@ -1,6 +1,6 @@
 """Your own comparison in Python: a grid of agents and rooms as data, parallel runs that are kept, and a report.
 
-The same from a shell: hrl-escape compare --agents smdp-random smdp-q-learning --rooms four-button-chain
+The same from a shell: hrl-escape compare --agents random-options smdp-q-learning --rooms four-button-chain
 """
 
 from pathlib import Path
@@ -8,12 +8,10 @@ from pathlib import Path
 import tyro
 
 from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.reporting.report import write_report
 from hrl_escape.comparison.verdict import write_verdict
-
-ONLY_OPTIONS = OptionsView(include_primitives=False)
 
 
 def main(primitives: int = 5_000, runs: int = 4, out: Path = Path("runs/own-comparison")) -> None:
@@ -28,10 +26,10 @@ def main(primitives: int = 5_000, runs: int = 4, out: Path = Path("runs/own-comp
         name="own-comparison",
         description="Does it help to leave the primitives out of the choices?",
         agents=(
-            AgentSpec("smdp-random"),
-            AgentSpec("smdp-random", label="chance, options only", options=ONLY_OPTIONS),
-            AgentSpec("smdp-q-learning"),
-            AgentSpec("smdp-q-learning", label="q-learning, options only", options=ONLY_OPTIONS),
+            "random-options",
+            "random-options+primitives",
+            "smdp-q-learning",
+            "smdp-q-learning+primitives",
         ),
         rooms=(RoomSpec("paper-two-button"), RoomSpec("four-button-chain")),
         runs=runs,

@@ -1,7 +1,8 @@
 """Results of a study: a file that only grows, one line of JSON a run, small enough to come with the source.
 
-A run that was made again gets a new line, which counts in place of the one before. Processes take turns, so that none
-loses the lines of another.
+The first line holds the version of the labels of agents; a file of version 0.3 has none and is refused. A run that was
+made again gets a new line, which counts in place of the one before. Processes take turns, so that none loses the lines
+of another.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ from hrl_escape.files import read_text, write_text
 from hrl_escape.processes import taking_turns
 from hrl_escape.settings import read_record
 
-__all__ = ["Line", "Store"]
+__all__ = ["HEADER", "Line", "Store", "read_rows"]
+
+HEADER = '{"format":2}'
+"""First line of a file of results."""
 
 
 class Line(Protocol):
@@ -29,6 +33,19 @@ class Line(Protocol):
     def place(self) -> Hashable:
         """Subject of the line: a later one about the same counts in its place."""
         ...
+
+
+def read_rows(path: Path) -> list[str]:
+    """Lines of a file of results, each a JSON value, without the header.
+
+    Raises:
+        FileReadError: it cannot be read, or is of version 0.3.
+    """
+    header, *rows = read_text(path, "file of results").splitlines() or [""]
+    if header != HEADER:
+        raise FileReadError(f"{path}: the first line is not {HEADER}, so its agents may be of version 0.3, where "
+                            "smdp-dqn also chose primitives. Begin another file")
+    return rows
 
 
 class Store:
@@ -63,13 +80,13 @@ class Store:
             new = [line for line in lines if there.get((type(line), line.place)) != line]
             if new:
                 rows = [json.dumps(dataclasses.asdict(line), separators=(",", ":"), allow_nan=False) for line in new]
-                text = read_text(self.path) if self.path.exists() else ""
+                text = read_text(self.path) if self.path.exists() else HEADER
                 write_text(self.path, "\n".join([*text.splitlines(), *rows, ""]))
 
     def _load(self) -> dict[tuple[type[Line], Hashable], Line]:
         found: dict[tuple[type[Line], Hashable], Line] = {}
-        rows = read_text(self.path, "file of results").splitlines() if self.path.exists() else []
-        for number, row in enumerate(rows, 1):
+        rows = read_rows(self.path) if self.path.exists() else []
+        for number, row in enumerate(rows, 2):
             try:
                 line = self._read(json.loads(row))
             except (EscapeError, TypeError, ValueError) as error:

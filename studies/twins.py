@@ -17,9 +17,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.inference import ALPHA, compute_interval
-from hrl_escape.comparison.references.registry import SEARCHERS
+from hrl_escape.comparison.references.registry import SEARCH_BASELINES
 from hrl_escape.comparison.statistics import LEAST_RUNS, compute_iqm
 from hrl_escape.comparison.verdict import count_things, tell_privileges
 from hrl_escape.env.pictures import palette
@@ -222,7 +222,7 @@ def compare_with_searchers(cells: Cells, rooms: Sequence[str], agents: Sequence[
 
     The best of several is taken after a look at them, which favours the searcher: what beats it, beats all.
     """
-    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCHERS]
+    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCH_BASELINES]
     best = {room: max((agent for agent in searchers if len(cells.get((room, agent), {})) >= LEAST_RUNS),
                       key=lambda agent, room=room: _average(cells[room, agent]), default="") for room in rooms}
     return _compare([(agent, "the best searcher", best) for agent in agents if AgentSpec.parse(agent).learns], cells,
@@ -238,8 +238,8 @@ def compare_with_chance(cells: Cells, rooms: Sequence[str], agents: Sequence[str
 
 
 def chooses_presses(spec: AgentSpec) -> bool:
-    """An agent chooses among planned presses, or calls planned leaves; others choose single moves."""
-    return spec.chooses_options or spec.leaves == "planned"
+    """An agent chooses among planned presses, or calls a planned low level; others choose single moves."""
+    return spec.chooses_options or spec.low_level == "planned"
 
 
 def _compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells, rooms: Sequence[str]
@@ -410,7 +410,7 @@ def draw(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> Figure:
 
     specs = {agent: AgentSpec.parse(agent) for agent in agents}
     learners = sorted((agent for agent in agents if specs[agent].learns), key=lambda agent: np.mean(average(agent)))
-    searchers = [agent for agent in agents if specs[agent].name in SEARCHERS]
+    searchers = [agent for agent in agents if specs[agent].name in SEARCH_BASELINES]
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(7.6, 1.2 + 0.24 * len(learners)), facecolor=palette.BACKGROUND, layout="constrained")
         axes = figure.subplots()
@@ -428,7 +428,7 @@ def draw(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> Figure:
             if specs[agent].algorithm == "random" and specs[agent].chooses_options:
                 axes.axvline(float(np.mean(average(agent))), color=palette.MUTED, linestyle="--", linewidth=1.2,
                              label="random options")
-        axes.set_yticks(range(len(learners)), [agent.removesuffix("+no-primitives") for agent in learners])
+        axes.set_yticks(range(len(learners)), learners)
         axes.set_xlabel("efficiency after training", color=palette.INK)
         finish_axes(axes)
         axes.set_xlim(-0.03, 1.03)

@@ -10,10 +10,10 @@ import gymnasium
 import numpy as np
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.statistics import compute_mean_efficiency

@@ -13,7 +13,7 @@ import pytest
 
 from hrl_escape import EscapeRoomEnv, OptionsEnv, RoomInstance, RoomPlanner, generate, get_preset, train
 from hrl_escape.comparison.comparison import read_comparison, run_grid
-from hrl_escape.comparison.grid import AgentSpec, Grid, RoomSpec
+from hrl_escape.comparison.grid import Grid, RoomSpec
 from hrl_escape.ladder import load_benchmark
 from hrl_escape.planning import ArmPlanner
 from hrl_escape.planning.plan import Plan
@@ -98,7 +98,7 @@ def test_a_reach_map_draws_itself():
 
 
 def test_a_comparison_draws_its_agents_curves(tmp_path: Path):
-    grid = Grid(agents=(AgentSpec("random"), AgentSpec("smdp-random")), rooms=(RoomSpec("paper-one-button"),), runs=1,
+    grid = Grid(agents=("random", "random-options"), rooms=(RoomSpec("paper-one-button"),), runs=1,
                 primitives=200)
     run_grid(grid, tmp_path)
     comparison = read_comparison(tmp_path)

@@ -36,8 +36,9 @@ HOUSE = """
 cli errors files settings checks.option commands.list
 comparison.grid comparison.reporting.report viewer.scene
 agents.agent agents.registry agents.components.networks agents.training.train
-agents.algorithms.dqn agents.algorithms.sarsa agents.algorithms.given.hamq agents.algorithms.given.maxq_q
-agents.hierarchy.task agents.factored.search agents.larg2019.recipes
+agents.algorithms.dqn agents.algorithms.sarsa agents.algorithms.task_hierarchies.hamq
+agents.algorithms.task_hierarchies.maxq_q
+agents.hierarchy.task agents.factored.search agents.keras_rl_2019.recipes
 options.option options.options_env options.meta_actions
 planning.goals planning.planner planning.paths.navigator planning.arm.model planning.search.a_star floor.clearance
 env.config env.presets env.instance env.robot env.primitives env.geometry env.observations env.engine
@@ -86,7 +87,7 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("planning.new", "hrl_escape.env.bullet.engine", "no engine but through"),
     ("commands.new", "hrl_escape.env.bullet.physics", "no engine but through"),
     ("env.puzzles.new", "hrl_escape.env.puzzles.buttons", "puzzles do not import puzzles"),
-    ("agents.hierarchy.new", "hrl_escape.agents.algorithms.given.hamq", "agents: the protocol and parts"),
+    ("agents.hierarchy.new", "hrl_escape.agents.algorithms.task_hierarchies.hamq", "agents: the protocol and parts"),
     ("agents.components.new", "hrl_escape.agents.training.train", "agents: the protocol and parts"),
     ("env.bullet.new", "gymnasium", "within env, gymnasium only"),
     ("comparison.new", "studies.store", "the package knows neither"),
@@ -122,7 +123,7 @@ def test_import_contracts_allow_what_the_house_plan_allows(tmp_path: Path):
 
 @pytest.mark.parametrize(("one", "other"), [
     ("env.robot", "env.primitives"), ("agents.algorithms.dqn", "agents.algorithms.sarsa"),
-    ("agents.algorithms.given.hamq", "agents.algorithms.dqn")])
+    ("agents.algorithms.task_hierarchies.hamq", "agents.algorithms.dqn")])
 def test_import_contracts_find_a_cycle(tmp_path: Path, one: str, other: str):
     imports = ((one, f"hrl_escape.{other}"), (other, f"hrl_escape.{one}"))
     assert "no cycles BROKEN" in lint_imports(write_house(tmp_path, imports)).stdout

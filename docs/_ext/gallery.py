@@ -23,7 +23,7 @@ from sphinx.util.docutils import SphinxDirective
 from strip import Strip
 
 from hrl_escape.comparison.recording import record_episode
-from hrl_escape.comparison.references.registry import SEARCHERS
+from hrl_escape.comparison.references.registry import SEARCH_BASELINES
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, Rules
 from hrl_escape.env.observations.base import make_observer
@@ -36,11 +36,12 @@ from hrl_escape.options import OptionsEnv
 from hrl_escape.planning.plan import Plan
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.templates import embed_json
+from studies.store import read_rows
 
 ROOT = Path(__file__).parents[2]
 BENCHMARK = "ladder-1"
-CHANCE, PLANNER = "smdp-random", "planner"
-SEARCHER, SEARCHES = "smdp-untried-nearest", 3
+CHANCE, ORACLE = "random-options", "oracle"
+SEARCHER, SEARCHES = "search-nearest", 3
 PLAYED = {CHANCE: "chance", "smdp-r-max": "learner"}
 """Agents of the study of puzzles, by what they are."""
 
@@ -84,7 +85,7 @@ def make_replay(room: RoomInstance, plan: Plan | None) -> dict[str, object]:
 
 def read_lines(study: str) -> list[dict[str, Any]]:
     """The lines of a study's results."""
-    return [json.loads(line) for line in (ROOT / "studies" / study / "raw.jsonl").read_text("utf-8").splitlines()]
+    return [json.loads(line) for line in read_rows(ROOT / "studies" / study / "raw.jsonl")]
 
 
 def describe_spaces(room: RoomInstance) -> str:
@@ -137,9 +138,9 @@ def list_rungs() -> Iterator[Card]:
                 run["efficiency"])
     for rung in load_benchmark(BENCHMARK):
         means = {agent: statistics.fmean(values) for agent, values in scores[rung.name].items()}
-        searchers = {agent: value for agent, value in means.items() if agent in SEARCHERS}
+        searchers = {agent: value for agent, value in means.items() if agent in SEARCH_BASELINES}
         learners = {agent: value for agent, value in means.items()
-                    if agent not in SEARCHERS and agent not in (CHANCE, PLANNER) and "round" not in agent}
+                    if agent not in SEARCH_BASELINES and agent not in (CHANCE, ORACLE) and "round" not in agent}
         facts = [("asks for", rung.isolates)]
         facts += [("chance over options", f"{means[CHANCE]:.2f}")] if CHANCE in means else []
         for what, found in (("best searcher", searchers), ("best learner", learners)):

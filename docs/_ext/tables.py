@@ -24,11 +24,12 @@ from sphinx.util.docutils import SphinxDirective
 
 from hrl_escape.agents.recommended import RECOMMENDED, format_answer
 from hrl_escape.agents.registry import (
-    SMDP_PREFIX,
+    KERAS_RL,
     get_agent_class,
     get_recipe,
+    join_name,
     list_agents,
-    list_given_agents,
+    list_hierarchy_agents,
     list_recipes,
 )
 from hrl_escape.agents.training.results import METRICS
@@ -98,16 +99,16 @@ class Knobs(Table):
 
 
 class AgentSettings(Table):
-    """`{settings} dqn`: an agent's settings, and those that the paper's recipe changes."""
+    """`{settings} dqn`: an agent's settings, and those that `keras-rl-2019` changes."""
 
     def write(self) -> str:
-        """One row a field; the last column only where there is a recipe `paper`."""
+        """One row a field; the last column only where there are settings `keras-rl-2019`."""
         name = self.arguments[0]
         documents = read_field_documents(get_agent_class(name).Settings)
         recommended = dataclasses.asdict(get_recipe(name))
         head, columns = ["setting", "default"], [recommended]
-        for label, title in ((name, "paper"), (SMDP_PREFIX + name, "paper, options")):
-            paper = list_recipes(label).get("paper")
+        for label, title in ((name, KERAS_RL), (join_name(name, True), f"{KERAS_RL}, options")):
+            paper = list_recipes(label).get(KERAS_RL)
             if paper is not None and (settings := dataclasses.asdict(paper)) != columns[-1]:
                 head.append(title)
                 columns.append(settings)
@@ -142,7 +143,7 @@ class TunedSettings(Table):
                  " ".join(filter(None, (entry.note, f"({entry.source})"))))
                 for entry in record]
         tuned = {agent for entry in record for agent in entry.agents}
-        others = ", ".join(f"`{agent}`" for agent in (*list_agents(), *list_given_agents()) if agent not in tuned)
+        others = ", ".join(f"`{agent}`" for agent in (*list_agents(), *list_hierarchy_agents()) if agent not in tuned)
         head = ("agent", "defaults", "tried in", "settings tried", "training seeds", "note and source")
         return f"{make_table(head, rows)}\n\nNo trial is on record for {others}."
 

@@ -43,11 +43,11 @@ flat = learn("q-learning", env)
 # but a decision may be an option that goes to a button and presses it:
 
 env = hrl_escape.OptionsEnv(env)
-with_options = learn("smdp-q-learning", env)
+with_options = learn("smdp-q-learning+primitives", env)
 
 # Is that fair? Not by itself: the options know the room's geometry. So measure random choice over the same options.
 
-chance = learn("smdp-random", env)
+chance = learn("random-options+primitives", env)
 
 # Random choice over options escapes too. (Its five numbers are the same fixed episode: it learns nothing.) Learning
 # adds the difference between the last two lines. Read every comparison in this project that way.

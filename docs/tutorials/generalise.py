@@ -25,8 +25,7 @@ def make_env(rooms):
     return DecisionMemory(rooms.make_env(options={"include_primitives": False}, observation="objects"))
 
 
-result = train("smdp-ppo", make_env(rung.train[:64]), primitives=6_000, seed=0, settings={"network": "objects"},
-               progress=False)
+result = train("smdp-ppo+objects+memory", make_env(rung.train[:64]), primitives=6_000, seed=0, progress=False)
 result
 
 # Now the test: rooms that it has never seen, with frozen weights. Here is one of these episodes.
@@ -34,15 +33,15 @@ result
 unseen = make_env(rung.test)
 record_episode(result.agent, unseen, seed=1)
 
-# Is that good? Chance over the same options escapes too, and so does a searcher that learns nothing: it tries what is
-# unlit and untried, the nearest first. Read a learner beside both. (Twenty episodes are enough for a page, not for a
+# Is that good? The random policy over the same options escapes too, and so does a search baseline: it tries what is
+# unlit and untried, the nearest first. Compare a learner with both. (Twenty episodes are enough for a page, not for a
 # claim: `hrl-escape ladder run` makes a report with ten seeds and intervals.)
 
 plain = rung.test.make_env(options={"include_primitives": False})
-chance = make_agent("smdp-random", plain.observation_space, plain.action_space, seed=0)
-for name, player, env in (("learner", result.agent, unseen), ("chance", chance, plain),
-                          ("searcher", "smdp-untried-nearest", plain), ("planner", "planner", rung.test.make_env())):
+chance = make_agent("random-options", plain.observation_space, plain.action_space, seed=0)
+for name, player, env in (("learner", result.agent, unseen), ("random policy", chance, plain),
+                          ("search baseline", "search-nearest", plain), ("oracle", "oracle", rung.test.make_env())):
     episodes = [record_episode(player, env, seed) for seed in range(20)]
     print(f"{name}: {sum(episode.success for episode in episodes)} of 20 escapes, "
           f"{np.mean([len(episode.states) - 1 for episode in episodes]):.0f} primitives an episode")
-record_episode("smdp-untried-nearest", plain, seed=1)
+record_episode("search-nearest", plain, seed=1)

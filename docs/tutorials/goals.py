@@ -25,7 +25,7 @@ print("displacements:", *displacements.names, sep="\n  ")
 # what can happen here, not when.
 
 plan = RoomPlanner(room).solve(here)
-env = HierarchyEnv(flat_room, kind="events", leaves="learned")
+env = HierarchyEnv(flat_room, kind="events", low_level="learned")
 observation, _ = env.reset(seed=0)
 known, way = np.zeros(len(events.goals), bool), [(here.x, here.y)]
 for step, primitive in enumerate(plan.primitives, 1):
@@ -38,7 +38,7 @@ for step, primitive in enumerate(plan.primitives, 1):
 # Displacements are relative, so a goal is told anew at each step, as h(s, g, s') = s + g - s' (Nachum et al. 2018). One
 # that stayed as it was when it was named would run away from the robot.
 
-env = HierarchyEnv(flat_room, kind="displacements", leaves="learned")
+env = HierarchyEnv(flat_room, kind="displacements", low_level="learned")
 before, _ = env.reset(seed=0)
 goal = displacements.goals[0]
 for _ in range(2):
@@ -50,7 +50,7 @@ for _ in range(2):
 # them; beside it a flat learner, in a room with one button.
 
 easy = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-one-button", observation="features")
-for agent, env in (("option-keyboard", HierarchyEnv(easy, kind="events", leaves="learned")), ("q-learning", easy)):
+for agent, env in (("option-keyboard", HierarchyEnv(easy, kind="events", low_level="learned")), ("q-learning", easy)):
     result = train(agent, env, primitives=15_000, seed=0, eval_every=3_000, eval_episodes=1, progress=False)
     returns = [round(evaluation.mean_return) for evaluation in result.evaluations]
     print(f"{agent}: first escape after {result.first_escape} primitives, greedy returns {returns}")

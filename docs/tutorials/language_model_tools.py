@@ -21,7 +21,7 @@ print(session.call("open_door").text)
 # A caller is any function from transcript and tools to a call. Here a scripted manager goes on, which reads nothing but
 # the transcript; put your language model in its place.
 
-model = make_model("untried-nearest")
+model = make_model("search-nearest")
 while not session.env.is_over:
     call = model(session.transcript, session.tools())
     assert isinstance(call, ToolCall)

@@ -50,9 +50,10 @@ pair = load_benchmark("ladder-1")["pair"]
 arguments = {"options": {"include_primitives": False}, "observation": "objects"}
 rooms = pair.train[:16]
 unseen = DecisionMemory(pair.test.make_env(**arguments))
-rows = {"settings": {"network": "objects"}, "eval_env": unseen, "eval_every": 10_000, "progress": False}
+rows = {"eval_env": unseen, "eval_every": 10_000, "progress": False}
 start = time.perf_counter()
-many = train("smdp-ppo", MemoryStreams(rooms.make_vec(16, **arguments, compile=False)), primitives=30_000, **rows)
+many = train("smdp-ppo+objects+memory", MemoryStreams(rooms.make_vec(16, **arguments, compile=False)),
+             primitives=30_000, **rows)
 print(f"16 rooms at once: {many.primitives:,} primitives in {time.perf_counter() - start:.0f} s")
 many
 
@@ -63,7 +64,7 @@ print(f"an unseen room: {'escaped' if episode.success else 'stuck'} after {len(e
 episode
 
 # With `compile=True`, the default, a step is one compiled kernel: that takes half a minute once, and pays from a few
-# hundred rooms on. In a shell it is `hrl-escape train smdp-ppo --memory --observation objects --settings
-# network=objects --batch 256`. Budgets of a million primitives, and learners in other rungs than their own, are the
-# subject of [generalisation](../results/generalisation.md); learners at the ladder's own budgets that of
+# hundred rooms on. In a shell it is `hrl-escape train smdp-ppo+objects+memory --batch 256`. Budgets of a million
+# primitives, and learners in other rungs than their own, are the subject of
+# [generalisation](../results/generalisation.md); learners at the ladder's own budgets that of
 # [budgets](../results/budgets.md).

@@ -98,15 +98,15 @@ for name in ("stroll", "fetch", "to-the-door"):
 
 settings = {"learning_rate": 1.0, "epsilon_steps": 4_000}
 results = []
-for agent, learned_on in (("smdp-q-learning", make_env()), ("q-learning", TimeLimit(Courier(), 200))):
+for agent, learned_on in (("smdp-q-learning+primitives", make_env()), ("q-learning", TimeLimit(Courier(), 200))):
     result = train(agent, learned_on, primitives=8_000, seed=0, settings=settings, progress=False)
     print(f"{agent}: mean return {result.evaluations[-1].mean_return:.1f} after {result.decisions:,} decisions")
     results.append(result)
 results[0].plot(beside=results[1:])
 
-# The options came from somebody who knows the floor. To see what learning adds, always run `smdp-random`, a random
-# policy over the same options, beside it.
+# The options came from somebody who knows the floor. To see what learning adds, always run
+# `random-options+primitives` too, a random policy over the same choices.
 
-chance = train("smdp-random", make_env(), primitives=8_000, seed=0, progress=False)
-print(f"smdp-random: mean return {chance.evaluations[-1].mean_return:.1f}")
+chance = train("random-options+primitives", make_env(), primitives=8_000, seed=0, progress=False)
+print(f"random-options+primitives: mean return {chance.evaluations[-1].mean_return:.1f}")
 results[0].plot(beside=[chance, results[1]])

@@ -15,7 +15,7 @@ from hrl_escape.figures import LINES, get_figure_class
 from hrl_escape.files import read_toml
 
 folder = Path(hrl_escape.__file__).parents[1] / "studies" / "parts"
-runs = [json.loads(line) for line in (folder / "raw.jsonl").read_text().splitlines()]
+runs = [json.loads(line) for line in (folder / "raw.jsonl").read_text().splitlines()[1:]]  # the first has the format
 fresh = read_toml(folder / "study.toml")["slices"]["confirmation"]["first_seed"]
 first = [run for run in runs if run["seed"] < fresh and not run["failure"]]  # without the confirmation
 print(f"{len(first):,} runs of design {first[0]['design']}")

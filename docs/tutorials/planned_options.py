@@ -53,6 +53,6 @@ for name in ("meta-01", "meta-02", "meta-exit"):
     replans += noisy.planning_report.replans
 print(f"with noise 0.2 and slip 0.1: escaped {terminated}, planned again: {replans > 0}")
 
-# Such an episode, recorded: the reference `smdp-index-order` presses 1, then 2, and leaves.
+# Such an episode, recorded: the reference `sweep` presses 1, then 2, and leaves.
 
-record_episode("smdp-index-order", noisy)
+record_episode("sweep", noisy)

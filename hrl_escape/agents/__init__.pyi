@@ -11,7 +11,9 @@ from .hierarchy.machine import choose, do, machine
 from .hierarchy.runner import StackAgent
 from .hierarchy.task import BaseTask, Call, Hierarchy
 from .hierarchy.task_graph import maxq
-from .registry import get_recipe, list_agents, make_agent, register_agent
+from .making import make_agent
+from .registry import get_recipe, list_agents, register_agent
+from .spec import AgentSpec
 from .state import Kept, Stateful
 from .training.archive import pack_run, read_summary, unpack_run
 from .training.callbacks import Callback, MLflow, OptunaPruning, TensorBoard, WeightsAndBiases
@@ -21,6 +23,7 @@ from .training.train import load_agent, load_env, train
 
 __all__ = [
     "Agent",
+    "AgentSpec",
     "AgentSettings",
     "BaseTask",
     "Call",

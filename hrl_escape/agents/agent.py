@@ -136,7 +136,7 @@ class Agent(Stateful, ABC):
     Settings: ClassVar[type]
     """Dataclass of its settings; by default that of the annotation of `settings` in the class, found in its module."""
     recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({})
-    """Name -> settings, beside `corrected`, which is `Settings()`. Names with the prefix `smdp-` hold over options."""
+    """Name -> settings, beside `default`, which is `Settings()`; with the prefix `smdp-` for agents over options."""
     needs_trace: ClassVar[bool] = False
     """Learns from `SMDPTransition.trace`, so that environments of options are made to give one."""
     is_markov: bool = False

@@ -21,19 +21,19 @@ class Recommendation:
 
 RECOMMENDED = (
     Recommendation(
-        "one room", "smdp-r-max+no-primitives", "R-MAX over options",
+        "one room", "smdp-r-max", "R-MAX over options",
         "Efficiency 0.91 to 1.00 after 20,000 primitives in the room where it is tested, in seven kinds of rooms with "
         "two to ten buttons. The search baseline, which forgets earlier episodes, has 0.35 to 0.84. Four agents that "
-        "learn structure show no significant difference. The best agent with a network is smdp-rainbow+no-primitives.",
+        "learn structure show no significant difference. The best agent with a network is smdp-rainbow.",
     ),
     Recommendation(
-        "unseen rooms", "smdp-ppo+objects+memory+no-primitives", "PPO over options, with memory",
+        "unseen rooms", "smdp-ppo+objects+memory", "PPO over options, with memory",
         "Efficiency 0.76 to 0.96 in unseen rooms where marks reveal the order, after 1,000 training rooms and up to "
         "two million primitives. The search baseline has 0.38 to 0.76. Without such marks, no gain over the search "
         "baseline holds in fresh rooms.",
     ),
     Recommendation(
-        "to compare with", "smdp-retrace", "search baseline",
+        "to compare with", "search-backtrack", "search baseline",
         "The most efficient of three search baselines, or level with it, in each of the seven kinds of rooms. It "
         "forgets earlier episodes.",
     ),

@@ -2,12 +2,12 @@
 
     hrl-escape compare                                     # quickstart: do options help, does learning add to them?
     hrl-escape compare demo                                # the same as hrl-escape demo
-    hrl-escape compare --agents smdp-r-max+no-primitives smdp-retrace smdp-random+no-primitives --rooms clutter
+    hrl-escape compare --agents smdp-r-max search-backtrack random-options --rooms clutter
     hrl-escape compare paper --workers 8
     hrl-escape compare ladder --rooms clutter clutter#1 --runs 5
-    hrl-escape compare --agents dqn smdp-dqn smdp-dqn@paper smdp-random --rooms four-button-chain
+    hrl-escape compare --agents dqn smdp-dqn smdp-dqn@keras-rl-2019 random-options --rooms four-button-chain
     hrl-escape compare my-grid.toml --out runs/mine
-    hrl-escape compare --agents smdp-dqn smdp-random --observation objects \
+    hrl-escape compare --agents smdp-dqn random-options --observation objects \
         --train-rooms ladder-1/pair/train[:16] --test-rooms ladder-1/pair/test
 
 Finished runs are kept: the same command goes on where it was stopped, however it was stopped. In a grid's file, agents
@@ -15,7 +15,7 @@ and rooms are tables or the same short texts:
 
     primitives = 20000
     rooms = ["clutter#3", { preset = "larg-2019", arguments = { size = 4 } }, { file = "my-room.json" }]
-    agents = ["smdp-random", { name = "smdp-dqn", label = "far-sighted", settings = { gamma = 0.999 } },
+    agents = ["random-options", { name = "smdp-dqn", label = "far-sighted", settings = { gamma = 0.999 } },
               { name = "smdp-dqn", label = "no primitives", options = { include_primitives = false } }]
 """
 
@@ -34,12 +34,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from hrl_escape.agents.label import TRAITS
+from hrl_escape.agents.spec import PARTS, AgentSpec
 from hrl_escape.commands.agent_choice import VectorObservation
 from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.comparison.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.comparison.cost import describe_cost
-from hrl_escape.comparison.grid import AgentSpec, Grid, load_grid
+from hrl_escape.comparison.grid import Grid, load_grid
 from hrl_escape.comparison.launching.clusters import RayLauncher, SlurmLauncher
 from hrl_escape.comparison.launching.local import Launcher, LocalLauncher
 from hrl_escape.comparison.places import RoomSpec
@@ -52,8 +52,8 @@ from hrl_escape.names import join_words, make_console_text, make_file_name, tell
 
 DEFAULT, DEMO = "quickstart", "demo"
 AGENTS_HELP = ("Other agents: names from `hrl-escape list agents references`, smdp- in front for those that choose "
-               f"options, @ and a recipe, then traits: {join_words('+' + name for name in TRAITS)}, see `hrl-escape "
-               "list traits`.")
+               "among options, @ and the name of settings, then parts: "
+               f"{join_words('+' + name for name in PARTS)}, see `hrl-escape list parts`.")
 PIPED_WIDTH = 110
 
 

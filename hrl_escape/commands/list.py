@@ -23,19 +23,19 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.agents.label import TRAITS
 from hrl_escape.agents.recommended import RECOMMENDED
 from hrl_escape.agents.registry import (
     SMDP_PREFIX,
     find_agent_module,
     list_agents,
-    list_given_agents,
+    list_hierarchy_agents,
     list_offline_agents,
     list_recipes,
     list_stream_agents,
 )
+from hrl_escape.agents.spec import PARTS, REFERENCES
 from hrl_escape.comparison.presets import GRIDS
-from hrl_escape.comparison.references.registry import REFERENCES, describe_rule
+from hrl_escape.comparison.references.registry import describe_rule
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset
@@ -44,14 +44,14 @@ from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
 from hrl_escape.names import join_words
 
 Kind = Literal["recommended", "presets", "environments", "puzzles", "observations", "cameras", "primitives",
-               "agents", "traits", "recipes", "batched", "hierarchical", "offline", "references", "comparisons"]
+               "agents", "parts", "recipes", "batched", "hierarchical", "offline", "references", "comparisons"]
 
 TITLES = {"recommended": "recommended: which agent to begin with",
-          "traits": "traits: words behind an agent's name, as in smdp-ppo+objects+memory",
-          "recipes": "recipes: those of agents that have more than one, as in smdp-dqn@paper",
+          "parts": "parts of an agent's spec, as in smdp-ppo+objects+memory",
+          "recipes": "recipes: named settings of agents that have several, as in smdp-dqn@keras-rl-2019",
           "batched": "batched: agents that learn in many rooms at once, see --batch of `hrl-escape train`",
-          "agents": f"agents; with {SMDP_PREFIX} in front they choose options",
-          "hierarchical": "hierarchical: agents that are given a hierarchy, see --leaves of `hrl-escape train`",
+          "agents": f"agents; with {SMDP_PREFIX} in front they choose among options",
+          "hierarchical": "hierarchical: agents that are given a hierarchy, as in maxq-q+planned",
           "offline": "offline: agents that learn from a data set, `hrl-escape train smdp-iql --data pair-play-v1`",
           "references": "references: they learn nothing, and a learner has to beat the best of them"}
 
@@ -61,7 +61,7 @@ SLOW = ("recipes", "batched")
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
               "macros": "macro-actions", "tree": "cells", "simulator": "simulator", "goal_space": "goals",
               "count_steps": "adjacency", "abstraction": "abstraction"}
-"""Arguments of agents with a given hierarchy -> what they tell the agent beyond what a flat one knows."""
+"""Arguments of agents with a task hierarchy -> what they tell the agent beyond what a flat one knows."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,11 +84,11 @@ def run(args: ListArgs) -> None:
         "observations": lambda: {observation.name: observation.doc for observation in list_observations()},
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
-        "agents": lambda: {name: _summarise(_parse_agent(name)) for name in (*list_agents(), *list_given_agents())},
-        "traits": lambda: {f"+{name}": trait.about for name, trait in TRAITS.items()},
+        "agents": lambda: {name: _summarise(_parse_agent(name)) for name in (*list_agents(), *list_hierarchy_agents())},
+        "parts": lambda: {f"+{name}": part.about for name, part in PARTS.items()},
         "recipes": _describe_recipes,
         "batched": lambda: {name: _summarise(_parse_agent(name)) for name in list_stream_agents()},
-        "hierarchical": lambda: {name: _describe_hierarchical(name) for name in list_given_agents()},
+        "hierarchical": lambda: {name: _describe_hierarchical(name) for name in list_hierarchy_agents()},
         "offline": lambda: {name: _summarise(_parse_agent(name)) for name in list_offline_agents()},
         "references": lambda: {name: describe_rule(name) for name in REFERENCES},
         "comparisons": lambda: {grid.name: grid.description for grid in GRIDS.values()},
@@ -107,8 +107,9 @@ def run(args: ListArgs) -> None:
 
 
 def _describe_recipes() -> dict[str, str]:
-    """Recipes of every agent with several, the default first."""
-    found = {name: list(list_recipes(name)) for name in (*list_agents(), *list_given_agents(), *list_offline_agents())}
+    """Named settings of every agent with several, the default first."""
+    names = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents())
+    found = {name: list(list_recipes(name)) for name in names}
     return {name: join_words(recipes, "or") for name, recipes in found.items() if len(recipes) > 1}
 
 
@@ -133,7 +134,7 @@ def _describe_puzzle(name: str) -> str:
 
 
 def _describe_hierarchical(name: str) -> str:
-    """The same for an agent on a given hierarchy, and what that tells it."""
+    """The same for an agent on a task hierarchy, and what that tells it."""
     source = _parse_agent(name)
     taken = {node.arg for node in ast.walk(source) if isinstance(node, ast.arg)}
     told = [privilege for part, privilege in PRIVILEGES.items() if part in taken]

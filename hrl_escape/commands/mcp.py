@@ -14,10 +14,10 @@ import dataclasses
 import sys
 from pathlib import Path
 
+from hrl_escape.agents.text_agent import Level
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError, UnsupportedError
-from hrl_escape.text.settings import Level
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,8 +5,8 @@
     hrl-escape record runs/smdp-dqn-paper-two-button-0-5a1d3f0c --out learned.html
     hrl-escape record episodes/paper-two-button-0-31-primitives-3f9c02ab.json --out mine.mp4
 
-Without a name the planner drives. Otherwise name the folder of a run (see `hrl-escape train`), the file of an episode
-saved from `hrl-escape play`, a rung with a trained agent, a reference such as smdp-retrace, or the name or label of an
+Without a name the oracle drives. Otherwise name the folder of a run (see `hrl-escape train`), the file of an episode
+saved from `hrl-escape play`, a rung with a trained agent, a reference such as search-backtrack, or the spec of an
 agent, which is recorded in its first episode of training.
 """
 
@@ -19,6 +19,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from hrl_escape.agents.spec import ORACLE
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.pictures.video import save_video
@@ -27,7 +28,7 @@ from hrl_escape.figures import VIDEO_FORMATS
 from hrl_escape.names import make_console_text
 from hrl_escape.viewer.play.episode import load_episode
 from hrl_escape.viewer.recording import Recording, record_driver, record_saved
-from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, open_driver
+from hrl_escape.viewer.watch.drivers import find_driver, open_driver
 
 PAGE_ENDING = ".html"
 
@@ -36,7 +37,7 @@ PAGE_ENDING = ".html"
 class RecordArgs(RoomChoice):
     """Options of `hrl-escape record`."""
 
-    driver: Annotated[str, tyro.conf.Positional] = PLANNER_NAME
+    driver: Annotated[str, tyro.conf.Positional] = ORACLE
     """The driver: planner, the folder of a run, the file of a saved episode, a rung, or an agent by its name or
     label."""
     out: tuple[Path, ...] = (Path("escape.html"),)

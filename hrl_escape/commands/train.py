@@ -1,19 +1,19 @@
 """Train one agent in one room, with a curve, a log and checkpoints; a stopped run resumes.
 
     hrl-escape train smdp-dqn
-    hrl-escape train smdp-r-max+no-primitives
-    hrl-escape train smdp-ppo+objects+memory+no-primitives --preset clutter --seed 3 --primitives 50000
+    hrl-escape train smdp-r-max
+    hrl-escape train smdp-ppo+objects+memory --preset clutter --seed 3 --primitives 50000
     hrl-escape train smdp-dqn --settings gamma=0.995 hidden=[128,128]
     hrl-escape train smdp-dqn --list-settings
-    hrl-escape train dqn --recipe paper --training-seed 7 --json
-    hrl-escape train maxq-q --leaves planned
+    hrl-escape train dqn@keras-rl-2019 --training-seed 7 --json
+    hrl-escape train maxq-q+planned
     hrl-escape train ppo --batch 1024 --primitives 5000000
     hrl-escape train dac --batch 64 --primitives 500000
-    hrl-escape train smdp-tools --settings model=untried told=names --primitives 2000
+    hrl-escape train text-agent --settings model=search-random told=names --primitives 2000
     hrl-escape train smdp-iql --data pair-play-v1
 
-`hrl-escape list agents` names the agents and the words behind + of their labels; with smdp- in front they choose
-options beside primitives. `hrl-escape list recommended` says which to begin with.
+`hrl-escape list agents parts` names the agents and the parts of their specs. With smdp- in front they choose among
+options, and with +primitives among primitives too. `hrl-escape list recommended` says which to begin with.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.registry import get_recipe, list_given_agents
+from hrl_escape.agents.hierarchy_kinds import find_kind
+from hrl_escape.agents.registry import get_recipe, join_name, list_hierarchy_agents
+from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.agents.text_agent import TEXT_AGENT, TextAgentSettings
 from hrl_escape.agents.training.callbacks import TensorBoard
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import TrainResult
@@ -38,7 +41,6 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.room_choice import RoomChoice, refuse_options
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.runs import find_starts, make_env, make_player
@@ -47,8 +49,6 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text, make_file_name
 from hrl_escape.planning.best_known import best_known_return, find_best_known
 from hrl_escape.settings import read_field_documents
-from hrl_escape.synthesis.kinds import find_kind
-from hrl_escape.text.settings import TOOLS, ToolsSettings
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -56,9 +56,8 @@ if TYPE_CHECKING:
     from hrl_escape.agents.streams import Streams
 
 SHOWN_EVALUATIONS, PRIMITIVES = 12, 20_000
-OF_OPTIONS = ("options_only", "flavour", "memory")
-OF_ROOMS = (*(field.name for field in dataclasses.fields(RoomChoice)), "batch", "device", "compile", "leaves",
-            *OF_OPTIONS)
+OF_OPTIONS = ("flavour",)
+OF_ROOMS = (*(field.name for field in dataclasses.fields(RoomChoice)), "batch", "device", "compile", *OF_OPTIONS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +65,7 @@ class TrainArgs(AgentChoice, RoomChoice):
     """Options of `hrl-escape train`."""
 
     agent: Annotated[str, tyro.conf.Positional] = "smdp-dqn"
-    """Name or label of the agent, such as smdp-ppo+objects+memory; the prefix smdp- makes it choose options."""
+    """Spec of the agent, such as smdp-ppo+objects+memory; the prefix smdp- makes it choose among options."""
     primitives: int | None = None
     """Primitives to train for; 20,000 by default, with --data as many as the agent's passes over it come to."""
     data: str | None = None
@@ -99,16 +98,16 @@ class TrainArgs(AgentChoice, RoomChoice):
         """Copies of the room that train together."""
         assert self.batch is not None
         observation = self.choose_observation(spec)
-        if spec.leaves is not None or not spec.chooses_options:
+        if spec.low_level is not None or not spec.chooses_options:
             from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 
             rooms = EscapeRoomVectorEnv(self.batch, instance=instance, observation=observation, output="torch",
                                         device=self.device, compile=self.compile)
-            if spec.leaves is None:
+            if spec.low_level is None:
                 return rooms
             from hrl_escape.synthesis import HierarchyVectorEnv
 
-            return HierarchyVectorEnv(rooms, find_kind(spec.name), spec.leaves)
+            return HierarchyVectorEnv(rooms, find_kind(spec.name), spec.low_level)
         from hrl_escape.options.batched.env import BatchedOptionsEnv
         from hrl_escape.options.memory import MemoryStreams
 
@@ -122,7 +121,7 @@ class TrainArgs(AgentChoice, RoomChoice):
 def run(args: TrainArgs) -> None:
     """Train an agent, evaluate it as the options say, and print its learning curve."""
     spec = args.make_spec(args.agent)
-    if spec.is_reference and spec.name != TOOLS:
+    if spec.is_reference and spec.name != TEXT_AGENT:
         raise UnsupportedError(f"{spec.name} learns nothing: `hrl-escape watch {spec.name}` shows it, and `hrl-escape "
                                "compare` holds learners against it")
     resolved = spec.resolve_settings()
@@ -131,17 +130,18 @@ def run(args: TrainArgs) -> None:
         return
     if args.data is not None:
         refuse_options(args, OF_ROOMS, f"does not go with --data, whose rooms and options are those of {args.data}")
-        if spec.options != OptionsView() or spec.leaves is not None:
+        if spec.options not in (OptionsView(), OptionsView(include_primitives=True)) or spec.low_level is not None:
             raise UnsupportedError(f"{spec.label} does not go with --data, whose rooms and options are those of "
                                    f"{args.data}: name {spec.name}")
-        _train_offline(args, spec, resolved)
+        _train_offline(args, spec)
         return
     if not spec.chooses_options:
-        refuse_options(args, OF_OPTIONS, f"is for agents that choose options, such as smdp-{spec.algorithm}")
-    if spec.leaves is None and spec.algorithm in list_given_agents():
+        refuse_options(args, OF_OPTIONS, "is for agents that choose among options, such as "
+                       f"{join_name(spec.algorithm, True)}")
+    if spec.low_level is None and spec.algorithm in list_hierarchy_agents():
         acts = "options" if spec.chooses_options else "primitives"
-        print(f"{spec.name} is given no hierarchy: it learns over {acts}, as one task. --leaves planned or --leaves "
-              "learned gives it one", file=sys.stderr)
+        print(f"{spec.name} is given no hierarchy: it learns over {acts}, as one task. {spec.algorithm}+planned and "
+              f"{spec.algorithm}+learned give it one", file=sys.stderr)
     instance = args.make_instance()
     name = make_file_name(f"{spec.label}-{RunPlace.of_room(instance).name}-{args.training_seed}")
     out = args.out or Path("runs") / f"{name}-{{key}}"
@@ -151,11 +151,11 @@ def run(args: TrainArgs) -> None:
         refuse_options(args, ("compile", "device"), "is for many copies of the room: give --batch N too; one room is "
                        "stepped by Bullet, on the CPU")
         env, recorder = make_env(spec, instance, args.choose_observation(spec))
-        player = make_player(spec, env, recorder) if spec.name == TOOLS else None
+        player = make_player(spec, env, recorder) if spec.name == TEXT_AGENT else None
     else:
         env = args.make_batch(spec, instance)
-    result = train(player or spec.name, env, primitives=PRIMITIVES if args.primitives is None else args.primitives,
-                   seed=args.training_seed, settings=None if player else resolved, eval_every=args.eval_every,
+    result = train(player or spec, env, primitives=PRIMITIVES if args.primitives is None else args.primitives,
+                   seed=args.training_seed, eval_every=args.eval_every,
                    eval_episodes=args.eval_episodes, out=out, callbacks=[TensorBoard()] if args.tensorboard else [],
                    threads=args.threads, observed=recorder is None)
     if isinstance(env, gymnasium.Env) and recorder is not None:
@@ -165,13 +165,13 @@ def run(args: TrainArgs) -> None:
     _tell(args, spec, result, best_known_return(instance))
 
 
-def _train_offline(args: TrainArgs, spec: AgentSpec, settings: dict[str, Any]) -> None:
+def _train_offline(args: TrainArgs, spec: AgentSpec) -> None:
     """Train from a data set, and print the curve."""
     from hrl_escape.data.materialise import load_data
 
     data = load_data(args.data or "", observation=args.choose_observation(spec))
     out = args.out or Path("runs") / f"{make_file_name(f'{spec.label}-{data.name}-{args.training_seed}')}-{{key}}"
-    result = train(spec.name, data=data, primitives=args.primitives, seed=args.training_seed, settings=settings,
+    result = train(spec, data=data, primitives=args.primitives, seed=args.training_seed,
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
                    callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads)
     _tell(args, spec, result, data.tape.about["scores"].get("best_known"))
@@ -185,7 +185,7 @@ def _record(env: gymnasium.Env, recorder: StateRecorder, result: TrainResult, so
 
 
 def _print_settings(args: TrainArgs, spec: AgentSpec, resolved: dict[str, Any]) -> None:
-    kind = ToolsSettings if spec.name == TOOLS else type(get_recipe(spec.name, spec.recipe))
+    kind = TextAgentSettings if spec.name == TEXT_AGENT else type(get_recipe(spec.name, spec.recipe))
     documents = read_field_documents(kind)
     if args.json:
         print(json.dumps({name: {"value": value, "about": documents.get(name, "")} for name, value in resolved.items()},

@@ -1,15 +1,15 @@
 """Watch an agent drive: options and plans, action values, SMDP transitions, what-if previews.
 
     hrl-escape watch
-    hrl-escape watch smdp-r-max+no-primitives --preset clutter --seed 3
-    hrl-escape watch smdp-retrace --preset four-button-chain
-    hrl-escape watch maxq-q --leaves planned
+    hrl-escape watch smdp-r-max --preset clutter --seed 3
+    hrl-escape watch search-backtrack --preset four-button-chain
+    hrl-escape watch maxq-q+planned
     hrl-escape watch runs/smdp-dqn-paper-two-button-0-5a1d3f0c
     hrl-escape watch lattice
-    hrl-escape watch smdp-tools --settings model=untried told=names
+    hrl-escape watch text-agent --settings model=search-random told=names
 
 Without a name the planner drives. An agent's name or label trains that agent while you watch, and a reference such as
-smdp-retrace plays by its rule. The folder of a run (see
+search-backtrack plays by its rule. The folder of a run (see
 `hrl-escape train`) lets the trained agent drive in its room; the name of a rung (see `hrl-escape ladder list`) that of
 the trained agent that comes with the package. Space pauses, P runs one primitive, D one decision.
 """
@@ -23,11 +23,12 @@ from typing import Annotated
 import torch
 import tyro
 
+from hrl_escape.agents.spec import ORACLE
 from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.play import PageAddress
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
-from hrl_escape.viewer.watch.drivers import PLANNER_NAME, check_driver, find_driver, names_run, open_driver
+from hrl_escape.viewer.watch.drivers import find_driver, names_run, open_driver, parse_driver
 from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
@@ -35,7 +36,7 @@ from hrl_escape.viewer.watch.watch import Gate, Watch
 class WatchArgs(PageAddress, AgentChoice, RoomChoice):
     """Options of `hrl-escape watch`."""
 
-    driver: Annotated[str, tyro.conf.Positional] = PLANNER_NAME
+    driver: Annotated[str, tyro.conf.Positional] = ORACLE
     """The driver: planner or another reference, the name or label of an agent to train, the folder of a run, or a rung
     with a trained agent."""
     pace: float = 5.0
@@ -53,7 +54,7 @@ def run(args: WatchArgs) -> None:
     torch.set_num_threads(1)
     text, own = find_driver(args.driver)
     instance = (None if args.load else own) or args.make_instance()
-    chosen = text if names_run(text) else args.make_spec(check_driver(text))
+    chosen = text if names_run(text) else args.make_spec(parse_driver(text))
     driver = open_driver(chosen, instance, observation=args.observation, seed=args.episode_seed, trust=args.trust)
     gate = Gate(args.pace or None, args.paused)
     watch = Watch(driver, gate, args.episode_seed)

@@ -1,5 +1,5 @@
 from .comparison import run_grid
-from .grid import AgentSpec, Grid
+from .grid import Grid
 from .places import RoomSpec
 from .pretrained import Pretrained, list_pretrained, load_pretrained
 from .recording import RecordedEpisode, record_episode
@@ -7,7 +7,6 @@ from .reporting.report import write_report
 from .verdict import write_verdict
 
 __all__ = [
-    "AgentSpec",
     "RecordedEpisode",
     "Grid",
     "Pretrained",

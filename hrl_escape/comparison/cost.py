@@ -14,7 +14,8 @@ from importlib.resources import files
 
 import numpy as np
 
-from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.generation import sample_puzzle

@@ -18,146 +18,19 @@ from typing import Annotated, Any, Literal
 
 from typing_extensions import Self
 
-from hrl_escape.agents.label import DEFAULT_RECIPE, SMDP_PREFIX, AgentLabel
-from hrl_escape.agents.registry import check_agent_name, get_agent_class, get_recipe
+from hrl_escape.agents.spec import LARGEST, AgentSpec
 from hrl_escape.comparison.places import RoomSpec, RunPlace
-from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.env.observations.base import get_observation
 from hrl_escape.errors import EscapeError, GridError
-from hrl_escape.files import read_json, read_text, read_toml
+from hrl_escape.files import read_json, read_toml
 from hrl_escape.ladder.room_sets import parse_rooms
 from hrl_escape.names import make_file_name
-from hrl_escape.settings import Range, Settings, replace_settings
-from hrl_escape.synthesis.kinds import find_kind, list_privileges
-from hrl_escape.text.settings import TOOLS, ToolsSettings
+from hrl_escape.settings import Range, Settings
 from hrl_escape.version import __version__, find_versions
 
-LARGEST = 100_000_000
+FORMAT = 2
+"""Version of grid files; files of version 0.3 have none."""
 DEFAULT_ROOMS = (RoomSpec("paper-two-button"),)
-
-
-@dataclasses.dataclass(frozen=True)
-class OptionsView(Settings):
-    """Options that an agent chooses among; see `OptionsEnv`."""
-
-    _section = "options"
-    include_primitives: bool = True
-    """Include the primitives among the choices."""
-    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
-    """Meta-actions: press one button, press its ancestors first, or press one by a function of the state."""
-    interruptible: bool = False
-    """Options return to the agent after every primitive."""
-    max_duration: Annotated[int, Range(1, LARGEST)] | None = None
-    """Primitives after which an option is stopped."""
-    memory: bool = False
-    """Append an episode's failures and successes to the rows of the observation `objects`; see `DecisionMemory`."""
-
-
-@dataclasses.dataclass(frozen=True)
-class AgentSpec(Settings):
-    """An agent of the comparison: name, recipe, changed settings and options."""
-
-    _section = "agent"
-    name: str = "random"
-    """Name in the registry, smdp- in front to choose options; or one of `REFERENCES`, which learn nothing."""
-    label: str = ""
-    """Name in tables and curves; empty for the agent's name (and recipe)."""
-    recipe: str = "corrected"
-    """Recipe of its settings."""
-    settings: dict[str, Any] = dataclasses.field(default_factory=dict)
-    """Settings that differ from the recipe's, by name."""
-    options: OptionsView = OptionsView()
-    """Options it chooses among, if its name begins with smdp-."""
-    leaves: Literal["planned", "learned"] | None = None
-    """Leaves of the hierarchy that is synthesised from the room, for agents such as maxq-q or hamq; None for none."""
-
-    def check(self) -> None:
-        """Refuse an unknown agent, and fill in the label."""
-        check_agent_name(self.name, (*REFERENCES, TOOLS))
-        if not self.label:
-            recipe = f"@{self.recipe}" if self.recipe != "corrected" else ""
-            object.__setattr__(self, "label", self.name + recipe + (f"+{self.leaves}" if self.leaves else ""))
-
-    @property
-    def chooses_options(self) -> bool:
-        """Agent acts on the SMDP view of a room."""
-        return self.name.startswith(SMDP_PREFIX)
-
-    @property
-    def algorithm(self) -> str:
-        """Name without the prefix smdp-."""
-        return self.name.removeprefix(SMDP_PREFIX)
-
-    @property
-    def is_reference(self) -> bool:
-        """Agent follows a rule or calls tools, without training: one of `REFERENCES`, or `smdp-tools`."""
-        return self.name in REFERENCES or self.name == TOOLS
-
-    @property
-    def learns(self) -> bool:
-        """Agent learns, so is neither chance nor a reference."""
-        return not self.is_reference and self.algorithm != "random"
-
-    def resolve_settings(self) -> dict[str, Any]:
-        """All its settings, as a JSON value; of the references only `smdp-tools` has some.
-
-        Raises:
-            EscapeError: no such agent, recipe or setting, an impossible value, or no hierarchy for this agent.
-        """
-        if self.leaves is not None:
-            find_kind(self.name, self.leaves)
-        if self.name == TOOLS:
-            return self._resolve_tools()
-        if self.is_reference:
-            if self.settings or self.recipe != "corrected":
-                raise GridError(f"{self.label}: a reference has no settings and no recipe")
-            return {}
-        chosen = replace_settings(get_recipe(self.name, self.recipe), self.settings)
-        return json.loads(json.dumps(dataclasses.asdict(chosen)))
-
-    def _resolve_tools(self) -> dict[str, Any]:
-        """Settings of the agent that calls tools; of recorded games the content counts, not the file's name alone."""
-        chosen = dataclasses.asdict(replace_settings(ToolsSettings(), self.settings))
-        recorded = chosen["model"].endswith(".jsonl")
-        content = read_text(chosen["model"], "recorded game") if recorded else ""
-        return chosen | ({"recorded": hashlib.sha256(content.encode()).hexdigest()[:12]} if recorded else {})
-
-    @property
-    def remembers(self) -> bool:
-        """Agent keeps what it has met in a room through the trials there."""
-        return self.settings.get("memory", "none") != "none" or (self.chooses_options and self.options.memory)
-
-    @property
-    def reads_objects(self) -> bool:
-        """Agent needs the observation `objects`."""
-        return self.settings.get("network") == "objects" or (self.chooses_options and self.options.memory)
-
-    @property
-    def default_observation(self) -> str:
-        """Observation of the agent where none is asked for."""
-        return "objects" if self.reads_objects else "features"
-
-    @property
-    def privileges(self) -> tuple[str, ...]:
-        """Information that its hierarchy gives it and that others lack; printed in tables."""
-        return () if self.leaves is None else list_privileges(self.name, self.leaves)
-
-    @property
-    def needs_trace(self) -> bool:
-        """Agent learns from the primitives inside options."""
-        return self.chooses_options and not self.is_reference and get_agent_class(self.name).needs_trace
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Read a label such as `dqn`, `smdp-dqn@paper`, `maxq-q+planned` or `smdp-dqn+objects+memory`.
-
-        Raises:
-            UnknownNameError: no such trait; see `agents.label.TRAITS`.
-            AgentSettingsError: traits contradict each other or the agent.
-        """
-        label = AgentLabel.parse(text)
-        return cls(label.name, text if "+" in text else "", label.recipe or DEFAULT_RECIPE, dict(label.settings),
-                   OptionsView(**label.options), label.leaves)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -187,7 +60,7 @@ class Grid(Settings):
     description: str = ""
     """Purpose, in one sentence."""
     agents: tuple[AgentSpec, ...] = (AgentSpec("random"),)
-    """Agents to compare, each in every room; labels must differ."""
+    """Agents to compare, each in every room: specs, their texts, or agent classes; labels must differ."""
     rooms: tuple[RoomSpec, ...] = DEFAULT_ROOMS
     """Rooms to train and be tested in, one after another; empty with `train_rooms`."""
     train_rooms: tuple[str, ...] = ()
@@ -214,9 +87,17 @@ class Grid(Settings):
     """Trials in each room of `train_rooms` and `test_rooms`, through which memories last; see `SequenceEnv`."""
     until_solved: SolvedRule | None = None
     """Rule that ends a run before its budget; None for none."""
+    format: Literal[2] = FORMAT
+    """Version of the fields."""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.agents, (tuple, list)):
+            agents = (each if isinstance(each, Mapping) else AgentSpec.parse(each) for each in self.agents)
+            object.__setattr__(self, "agents", tuple(agents))
+        super().__post_init__()
 
     def check(self) -> None:
-        """Require agents, rooms, and labels that tell the agents apart."""
+        """Require agents, rooms, and labels that distinguish the agents."""
         if self.train_rooms or self.test_rooms:
             self._check_sets()
         elif self.trials > 1:
@@ -238,7 +119,7 @@ class Grid(Settings):
                             f"or as many, not {len(self.test_rooms)}")
         if self.until_solved is not None:
             raise GridError(f"grid {self.name!r}: until_solved is about one room, not about train_rooms")
-        given = [agent.label for agent in self.agents if agent.leaves is not None]
+        given = [agent.label for agent in self.agents if agent.low_level is not None]
         if self.trials > 1 and given:
             raise GridError(f"grid {self.name!r}: the hierarchy of {given[0]} ends with an episode: give it no trials")
 
@@ -274,11 +155,9 @@ class Grid(Settings):
     @classmethod
     def from_dict(cls, data: Any) -> Self:
         """Build from nested dicts; agents and rooms may be short texts, see `AgentSpec.parse`, `RoomSpec.parse`."""
-        if isinstance(data, Mapping):
-            data = dict(data)
-            for key, kind in (("agents", AgentSpec), ("rooms", RoomSpec)):
-                if isinstance(data.get(key), list):
-                    data[key] = [kind.parse(item).to_dict() if isinstance(item, str) else item for item in data[key]]
+        if isinstance(data, Mapping) and isinstance(data.get("rooms"), list):
+            rooms = [RoomSpec.parse(item).to_dict() if isinstance(item, str) else item for item in data["rooms"]]
+            data = {**data, "rooms": rooms}
         return super().from_dict(data)
 
     def make_runs(self, places: Sequence[RunPlace]) -> list[GridRun]:
@@ -356,7 +235,7 @@ class GridRun:
             "seed": self.seed,
         }
         rule, trials = self.grid.until_solved, self.grid.trials
-        asked_for = {"leaves": self.agent.leaves, "trials": trials if trials > 1 else None,
+        asked_for = {"low_level": self.agent.low_level, "trials": trials if trials > 1 else None,
                      "until_solved": None if rule is None else rule.to_dict()}
         return identity | {name: value for name, value in asked_for.items() if value is not None}
 
@@ -383,10 +262,14 @@ def load_grid(path: str | Path) -> Grid:
 
     Raises:
         FileReadError: the file is missing, or neither.
-        GridError: it holds no possible grid; the message names file and field.
+        GridError: it holds no possible grid, or one of version 0.3; the message names file and field.
     """
     path = Path(path)
     content = read_toml(path, "grid") if path.suffix.lower() == ".toml" else read_json(path, "grid")
+    if isinstance(content, dict) and "format" not in content:
+        raise GridError(f"{path} has no `format = {FORMAT}`: its agents may be of version 0.3, where `smdp-dqn` also "
+                        f"chose primitives. `hrl-escape convert {path}` writes them in the new form; in a grid of your "
+                        f"own for this version add `format = {FORMAT}`")
     try:
         grid = Grid.from_dict({"name": path.stem} | content if isinstance(content, dict) else content)
     except EscapeError as error:

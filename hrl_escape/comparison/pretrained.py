@@ -11,6 +11,7 @@ from pathlib import Path
 import gymnasium
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.archive import unpack_run
 from hrl_escape.agents.training.results import TrainResult, load_result
 from hrl_escape.agents.training.train import load_agent
@@ -83,18 +84,18 @@ def list_pretrained() -> dict[str, tuple[str, ...]]:
     return found
 
 
-def load_pretrained(rung: str, agent: str = "") -> Pretrained:
+def load_pretrained(rung: str, agent: str | AgentSpec | type[Agent] = "") -> Pretrained:
     """Load a trained agent that comes with the package.
 
     Args:
         rung: benchmark and rung, such as `marks-1/told`.
-        agent: as `hrl-escape ladder run` names it, such as `smdp-ppo+objects+memory+no-primitives`; the rung's first
-            one by default.
+        agent: its spec, as `hrl-escape ladder run` takes it, such as `smdp-ppo+objects+memory`; the rung's first one
+            by default.
 
     Raises:
         UnknownNameError: there is none; the message names those that there are.
     """
-    path = _find_pretrained(rung, agent)
+    path = _find_pretrained(rung, str(AgentSpec.parse(agent)) if agent else "")
     with tempfile.TemporaryDirectory() as made:
         submission, run = _unpack(path, Path(made))
         found = find_rung(submission.entry)

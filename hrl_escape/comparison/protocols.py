@@ -15,23 +15,24 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.agents.spec import BAYES, AgentSpec
+from hrl_escape.agents.text_agent import TEXT_AGENT
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.inference import LEVEL, RESAMPLES, Estimate, compute_wilson_interval, draw_weights
 from hrl_escape.comparison.places import RoomSpec
-from hrl_escape.comparison.references.registry import BAYES, BY_LIGHTS, BY_NUMBER
+from hrl_escape.comparison.references.registry import BY_LIGHTS, BY_NUMBER
 from hrl_escape.comparison.statistics import Floats, Scores, compute_iqm
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.errors import ConfigError
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.room_sets import ABOVE, TOWER_HORIZON, list_sets
-from hrl_escape.text.settings import TOOLS
 
 LEAST_HEADROOM = 0.05
 """Least efficiency between search baseline and Bayes planner for which the learned share is given."""
 
 
 def compute_learned_share(efficiency: float, searcher: float, ceiling: float) -> float | None:
-    """Place on the scale from the best search baseline (0) to the Bayes planner, `smdp-bayes` (1), in efficiency.
+    """Place on the scale from the best search baseline (0) to the Bayes planner, `bayes` (1), in efficiency.
 
     The Bayes planner is given how rooms are drawn and what marks mean, and discovers the graph; the baseline is not
     given the schematic. Below 0 for an agent worse than the baseline, above 1 for one better than the Bayes planner;
@@ -190,7 +191,7 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
     if len(rungs) != 1 if repeats else len(rungs) < 2 or len(set(rungs)) < len(rungs):
         raise ConfigError("rung", " ".join(rungs), "one with several floors" if repeats else
                           "two or more with the protocol tower, each once")
-    followers = [agent.label for agent in agents if agent.name in (*BY_NUMBER, TOOLS)]
+    followers = [agent.label for agent in agents if agent.name in (*BY_NUMBER, TEXT_AGENT)]
     if followers:
         raise ConfigError("agents", followers[0], "one that does not follow the options of one room, which the floors "
                           "of a tower have not in common")
@@ -227,7 +228,7 @@ class RungStanding(NamedTuple):
     """Efficiencies (runs,) of each room that was learned in, or of each run alone that was tested in others."""
     floors: int = 1  # number of floors of a tower, of which the escapes are the share climbed; 1 on a rung
     learned: float | None = None
-    """Share of what could be learned across rooms, see `compute_learned_share`; None where searchers and `smdp-bayes`
+    """Share of what could be learned across rooms, see `compute_learned_share`; None where searchers and `bayes`
     were not run on the rung, or are alike."""
 
 

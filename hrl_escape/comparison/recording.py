@@ -10,9 +10,10 @@ from typing import Any
 import gymnasium
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.spec import REFERENCES
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.references.registry import REFERENCES, make_reference
+from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.pictures.moving_map import embed_moving_map, make_frames, make_moving_map
@@ -80,7 +81,7 @@ def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> Rec
     """Play one greedy episode of a room and keep it.
 
     Args:
-        agent: acts with frozen weights; or the name of a reference, such as `smdp-untried-nearest`.
+        agent: acts with frozen weights; or the name of a reference, such as `search-nearest`.
         env: a room, or what wraps one, such as an `OptionsEnv`; reset with `seed` first.
         seed: the episode's.
 

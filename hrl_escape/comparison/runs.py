@@ -18,10 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.hierarchy_kinds import find_kind
+from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.agents.text_agent import TEXT_AGENT
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
-from hrl_escape.comparison.grid import AgentSpec, GridRun
+from hrl_escape.comparison.grid import GridRun
 from hrl_escape.comparison.places import RoomSchedule, RunPlace, Split
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.records import record_returns
@@ -38,8 +41,6 @@ from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.room_sets import RoomSets, Tower, list_sets
 from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
 from hrl_escape.settings import read_record
-from hrl_escape.synthesis.kinds import find_kind
-from hrl_escape.text.settings import TOOLS
 from hrl_escape.version import __version__, find_versions
 
 
@@ -144,10 +145,10 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | RoomSets, observation: str,
         flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=rooms, observation=observation,
                               disable_env_checker=True)
     recorder = StateRecorder(flat)
-    if agent.leaves is not None:
+    if agent.low_level is not None:
         from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
 
-        return HierarchyEnv(recorder, find_kind(agent.name), agent.leaves), recorder
+        return HierarchyEnv(recorder, find_kind(agent.name), agent.low_level), recorder
     env = _add_options(agent, recorder, trials) if agent.chooses_options else _add_trials(recorder, trials)
     return (env if common is None else CommonSpacesEnv(env, *common)), recorder
 
@@ -163,7 +164,7 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
     arguments = agent.options.to_dict()
     has_memory = arguments.pop("memory")
     env: gymnasium.Env = OptionsEnv(recorder, trace=agent.needs_trace, **arguments)
-    if agent.name == TOOLS:
+    if agent.name == TEXT_AGENT:
         from hrl_escape.text.told_env import ToldEnv
 
         env = ToldEnv(env, agent.resolve_settings()["told"])
@@ -173,7 +174,7 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
 
 def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -> Agent:
     """Make an agent that is not trained, a reference or the caller of tools, for an environment from `make_env`."""
-    if agent.name != TOOLS:
+    if agent.name != TEXT_AGENT:
         return make_reference(agent.name, env, recorder)
     from hrl_escape.text.managers import ToolsAgent, make_model
 

@@ -13,10 +13,11 @@ import gymnasium
 import numpy as np
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.results import EpisodeRecord
-from hrl_escape.comparison.grid import AgentSpec, SolvedRule
+from hrl_escape.comparison.grid import SolvedRule
 from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.comparison.statistics import compute_score
 from hrl_escape.env.instance import RoomInstance

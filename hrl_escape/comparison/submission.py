@@ -34,6 +34,7 @@ from typing_extensions import Self
 
 import hrl_escape
 from hrl_escape.agents.agent import Agent, FixedPolicy, SMDPTransition
+from hrl_escape.agents.spec import REFERENCES, AgentSpec, OptionsView
 from hrl_escape.agents.training.archive import (
     ArchiveKind,
     Part,
@@ -49,9 +50,8 @@ from hrl_escape.agents.training.results import load_result
 from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.inference import Estimate, compute_interval
-from hrl_escape.comparison.references.registry import REFERENCES, make_reference
+from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.score_range import compute_score_range
 from hrl_escape.comparison.statistics import compute_efficiency, compute_mean, compute_mean_efficiency
@@ -440,7 +440,7 @@ def read_view(described: Mapping[str, Any]) -> RoomView:
 def make_view_env(view: RoomView, rooms: InstanceSet, schedule: Mapping[str, int] | None = None
                   ) -> tuple[gymnasium.Env, StateRecorder]:
     """Environment over a set of rooms as a view shows it; see `make_env`."""
-    name = "smdp-random" if view.choices == "options" else "random"
+    name = "random-options" if view.choices == "options" else "random"
     return make_env(AgentSpec(name, options=view.options), rooms, view.observation, schedule)
 
 
@@ -489,7 +489,7 @@ def pack_submission(path: Path, rung: Rung, card: Card, source: str = "", files:
         path: the file to write.
         rung: of a benchmark.
         card: of the agent; view and costs of a run are filled in from the run.
-        source: folder of a training run, or a reference such as `smdp-untried-nearest`; empty for the card's program.
+        source: folder of a training run, or a reference such as `search-nearest`; empty for the card's program.
         files: folder of the program's files.
         rooms: number of test rooms, from the first; all by default.
         beacon: round that decides the hidden test, which the benchmark has announced; empty for no hidden test.

@@ -15,8 +15,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hrl_escape.agents.spec import ORACLE, AgentSpec
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
+from hrl_escape.comparison.grid import Grid, GridRun
 from hrl_escape.comparison.inference import (
     Estimate,
     Pair,
@@ -26,7 +27,6 @@ from hrl_escape.comparison.inference import (
     compute_wilson_interval,
 )
 from hrl_escape.comparison.places import RunPlace
-from hrl_escape.comparison.references.registry import PLANNER
 from hrl_escape.comparison.runs import RunResult
 from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.comparison.statistics import (
@@ -167,7 +167,7 @@ def summarise(comparison: Comparison) -> Summary:
     ]
     finals = [{(run.place_id, run.seed): result.get_final("efficiency") for run, result in runs
                if run.agent.label == agent.label} for agent in agents]
-    pairs = compare_agents(finals, [agent.spec.name != PLANNER for agent in agents], _make_rng())
+    pairs = compare_agents(finals, [agent.spec.name != ORACLE for agent in agents], _make_rng())
     return Summary(comparison.grid, tuple(rooms), tuple(agents), tuple(runs), pairs, _join_versions(runs))
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from hrl_escape.comparison.grid import AgentSpec, OptionsView
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.inference import is_better
 from hrl_escape.comparison.references import registry as references
 from hrl_escape.comparison.score_range import CEILING, PLANNER
@@ -45,7 +45,7 @@ def write_verdict(summary: Summary) -> list[Sentence]:
 
 def find_leader(agents: Sequence[AgentSummary]) -> AgentSummary:
     """Most efficient agent; the planner that knows the room only where it is alone."""
-    contenders = [agent for agent in agents if agent.spec.name != references.PLANNER] or agents
+    contenders = [agent for agent in agents if agent.spec.name != references.ORACLE] or agents
     return max(contenders, key=lambda agent: agent.efficiency.value)
 
 
@@ -57,7 +57,7 @@ def _beats(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
 
 
 def _write_headline(summary: Summary) -> str:
-    contenders = [agent for agent in summary.agents if agent.spec.name != references.PLANNER]
+    contenders = [agent for agent in summary.agents if agent.spec.name != references.ORACLE]
     leader = find_leader(summary.agents)
     if leader.success.value == 0:
         return f"No agent escapes within {summary.grid.primitives:,} primitives of training."
@@ -117,7 +117,7 @@ def _describe_escapes(agent: AgentSummary) -> str:
 
 def _compare_views(summary: Summary) -> list[str]:
     """With options against without."""
-    policies = [agent for agent in summary.agents if not (agent.spec.is_reference or agent.spec.leaves)]
+    policies = [agent for agent in summary.agents if not (agent.spec.is_reference or agent.spec.low_level)]
     flat = [agent for agent in policies if not agent.spec.chooses_options]
     hierarchical = [agent for agent in policies if agent.spec.chooses_options]
     if not flat or not hierarchical:
@@ -175,13 +175,13 @@ def _compare_with_chance(summary: Summary) -> list[str]:
 
 def _list_searchers(summary: Summary) -> list[AgentSummary]:
     """Search baselines, which are given nothing of what learners must learn."""
-    return [agent for agent in summary.agents if agent.spec.name in references.SEARCHERS]
+    return [agent for agent in summary.agents if agent.spec.name in references.SEARCH_BASELINES]
 
 
 def _compare_with_searchers(summary: Summary) -> list[str]:
     """Learners over options or hierarchies against the best search baseline."""
     learners = [agent for agent in summary.agents
-                if (agent.spec.chooses_options or agent.spec.leaves) and agent.spec.learns]
+                if (agent.spec.chooses_options or agent.spec.low_level) and agent.spec.learns]
     searchers = _list_searchers(summary)
     if not learners or not searchers:
         return []
@@ -220,8 +220,8 @@ def _describe_gap(summary: Summary) -> list[str]:
     if leader.gap.options > 0.0005:
         return [f"{way}; of the rest, {leader.gap.options:.3f} is out of reach of its options and "
                 f"{max(leader.gap.learning, 0):.3f} is left to learn."]
-    if leader.spec.leaves == "planned":
-        return [f"{way}; how much of the rest its planned leaves put out of reach was not measured."]
+    if leader.spec.low_level == "planned":
+        return [f"{way}; how much of the rest its planned low level put out of reach was not measured."]
     return [f"{way}; its actions can reach that."]
 
 
@@ -254,7 +254,7 @@ def _describe_trials(summary: Summary) -> list[str]:
 
 
 def _describe_better_ways(summary: Summary) -> list[str]:
-    sentences, labels = [], {agent.label for agent in summary.agents if agent.spec.name != references.PLANNER}
+    sentences, labels = [], {agent.label for agent in summary.agents if agent.spec.name != references.ORACLE}
     for room in summary.rooms:
         finders = [f"`{source}`" for source in room.source.split(", ") if source in labels]
         if finders:
@@ -287,8 +287,8 @@ def _write_cautions(summary: Summary) -> list[str]:
         cautions.append(f"No random policy over the same options was run for {join_words(unmatched)}, so the share of "
                         "the score that the options' planners bring is unknown.")
     if learners and not any(agent.spec.name in references.BY_LIGHTS for agent in summary.agents):
-        cautions.append(f"No search baseline such as `{references.RETRACE}` was run, so what can be reached without "
-                        "learning is unknown.")
+        cautions.append(f"No search baseline such as `{references.SEARCH_BACKTRACK}` was run, so what can be reached "
+                        "without learning is unknown.")
     for room in summary.rooms:
         if room.place.split is not None and (known := room.place.split.room_overlap):
             cautions.append(f"{known:.0%} of the test rooms of {room.name} are training rooms too, so efficiency there "

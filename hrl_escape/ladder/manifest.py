@@ -145,7 +145,7 @@ class RungReferences:
     searcher: float  # of the best searcher that learns nothing
     by: str  # its name
     oracle: float  # of the planner, which knows the graph; below 1 only where presses fail by chance
-    ceiling: float | None = None  # of `smdp-bayes`, which knows how rooms are drawn; None where graphs cannot be listed
+    ceiling: float | None = None  # of `bayes`, which knows how rooms are drawn; None where graphs cannot be listed
     told: float | None = None  # bits of the hidden graph that marks and places tell; None where graphs cannot be listed
     hidden: float | None = None  # bits of the hidden graph
 

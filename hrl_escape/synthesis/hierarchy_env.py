@@ -15,10 +15,10 @@ from gymnasium.vector import AutoresetMode, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from hrl_escape.agents.hierarchy_kinds import HierarchyKind
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import ConfigError, UnsupportedError
-from hrl_escape.synthesis.kinds import HierarchyKind
 from hrl_escape.synthesis.situation import Situations
 from hrl_escape.synthesis.synthesise import make_structure
 
@@ -32,29 +32,29 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
     Args:
         env: a flat room, always the same instance.
         kind: kind of hierarchy that the agent takes, as in `synthesise`.
-        leaves: `planned` or `learned`.
+        low_level: `planned` or `learned`.
         abstract: let each task see only what is relevant to it.
-        cell: squares by which poses are told apart in learned leaves, m; the length of a move by default.
+        cell: squares by which poses are distinguished in a learned low level, m; the length of a move by default.
 
     Attributes:
         structure: arguments of the agent beside spaces and settings.
 
     Raises:
-        UnknownNameError: no such kind or leaves.
-        UnsupportedError: the puzzle needs more than presses, the environment changes its room, or leaves of this kind
-            cannot be planned.
+        UnknownNameError: no such kind or low level.
+        UnsupportedError: the puzzle needs more than presses, the environment changes its room, or a low level of this
+            kind cannot be planned.
     """
 
-    def __init__(self, env: gymnasium.Env, kind: HierarchyKind = "maxq", leaves: str = "planned", abstract: bool = True,
-                 cell: float | None = None) -> None:
-        RecordConstructorArgs.__init__(self, kind=kind, leaves=leaves, abstract=abstract, cell=cell)
+    def __init__(self, env: gymnasium.Env, kind: HierarchyKind = "maxq", low_level: str = "planned",
+                 abstract: bool = True, cell: float | None = None) -> None:
+        RecordConstructorArgs.__init__(self, kind=kind, low_level=low_level, abstract=abstract, cell=cell)
         gymnasium.Wrapper.__init__(self, env)
         self._room: Any = env.unwrapped
         instance: RoomInstance = self._room.instance
         self._id = instance.id
         self._situations = Situations(instance, cell)
         self.observation_space = self._situations.space
-        self.structure = make_structure(self._situations, kind, leaves, abstract)
+        self.structure = make_structure(self._situations, kind, low_level, abstract)
 
     def observe(self, state: RoomState) -> NDArray[np.float64]:
         """The observation of a state of the room; for `make_learned_options`."""
@@ -86,13 +86,13 @@ class HierarchyVectorEnv(VectorWrapper):
         env: copies of one instance, of which none begins an episode in the step in which the last one ends.
 
     Raises:
-        UnknownNameError: no such kind or leaves.
-        UnsupportedError: the puzzle needs more than presses, there are several instances, or leaves of this kind cannot
-            be planned.
+        UnknownNameError: no such kind or low level.
+        UnsupportedError: the puzzle needs more than presses, there are several instances, or a low level of this kind
+            cannot be planned.
         ConfigError: another kind of automatic reset.
     """
 
-    def __init__(self, env: EscapeRoomVectorEnv, kind: HierarchyKind = "maxq", leaves: str = "planned") -> None:
+    def __init__(self, env: EscapeRoomVectorEnv, kind: HierarchyKind = "maxq", low_level: str = "planned") -> None:
         super().__init__(env)
         instance, *others = env.instances
         if others:
@@ -100,9 +100,9 @@ class HierarchyVectorEnv(VectorWrapper):
         if env.autoreset_mode == AutoresetMode.SAME_STEP:
             raise ConfigError("autoreset_mode", env.autoreset_mode.value, "'NextStep' or 'Disabled'")
         self._rooms = env
-        self._single: tuple[HierarchyKind, str] = kind, leaves
+        self._single: tuple[HierarchyKind, str] = kind, low_level
         self._situations = Situations(instance)
-        make_structure(self._situations, kind, leaves)  # which refuses what cannot be
+        make_structure(self._situations, kind, low_level)  # which refuses what cannot be
         self.single_observation_space = self._situations.space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 

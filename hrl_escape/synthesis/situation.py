@@ -24,7 +24,7 @@ from hrl_escape.planning.route import Route
 from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
 
 SECTORS = 8
-"""Directions that learned leaves tell apart at most."""
+"""Most directions that a learned low level distinguishes."""
 
 _Pose = tuple[int, int, int, tuple[int, ...], int, bool]
 """Column and row of a cell, sector of the heading, joints, touched targets as bits, an open door."""

@@ -1,7 +1,8 @@
 """Hierarchies synthesised from a room: operators become tasks, preconditions legality, relevance abstraction.
 
 The symbolic model of the puzzle says which tasks there are, when each may be called and when it is over. What remains
-to be learned is their order and, with learned leaves, the way to each target. With planned leaves the planner walks.
+to be learned is their order and, with a learned low level, the way to each target. With a planned low level the
+planner walks.
 
 Landmarks are facts that every plan makes true, and the exit after them: goals of a manager. Which are left, and which
 of them come first, is found anew from the facts that hold, so that a landmark that was lost is one again.
@@ -22,17 +23,25 @@ from typing import Any, TypeAlias
 import numpy as np
 from gymnasium import spaces
 
-from hrl_escape.agents.algorithms.given.feudal_rl import DIRECTIONS, Quadtree
+from hrl_escape.agents.algorithms.task_hierarchies.feudal_rl import DIRECTIONS, Quadtree
 from hrl_escape.agents.hierarchy.goal_space import GoalSet, GoalSpace, GoalView
 from hrl_escape.agents.hierarchy.machine import Machine, choose, do, machine
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen
 from hrl_escape.agents.hierarchy.task_graph import Until, View, maxq
+from hrl_escape.agents.hierarchy_kinds import (
+    KINDS,
+    LOW_LEVELS,
+    PARTS,
+    WITHOUT_PLANS,
+    HierarchyKind,
+    LowLevel,
+    check_low_level,
+)
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.planning.goals import Goal, RegionGoal
 from hrl_escape.synthesis.goal_points import make_displacement_space, make_event_space
-from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, WITHOUT_PLANS, HierarchyKind, LeafKind, check_leaves
 from hrl_escape.synthesis.situation import Situations
 
 _ROOT, EXIT = "escape", "exit"
@@ -41,7 +50,7 @@ Literal: TypeAlias = tuple[str, bool]
 """A fact, and whether it holds."""
 
 
-def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", leaves: LeafKind = "planned", *,
+def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", low_level: LowLevel = "planned", *,
                abstract: bool = True, cell: float | None = None
                ) -> Hierarchy | Machine | GoalSet | Quadtree | GoalSpace:
     """Make a hierarchy for a room from its symbolic model.
@@ -51,26 +60,26 @@ def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", leaves: Lea
         kind: `maxq`, a task graph for `maxq-q`, `r-maxq` and `h-uct`; `ham`, a program for `hamq`;
             `landmarks`, goals for `h-dqn`; `feudal`, cells of the floor for `feudal-rl`; `events`, a goal space for
             `hac`, `sol` and `option-keyboard`; `displacements`, one for `hiro` and `hrac`.
-        leaves: `planned`, the planner walks to each target; `learned`, walking is learned over primitives.
+        low_level: `planned`, the planner walks to each target; `learned`, walking is learned over primitives.
         abstract: let each task see only what is relevant to it; without, all see pose and facts.
-        cell: squares by which poses are told apart in learned leaves, m; the length of a move by default.
+        cell: squares by which poses are distinguished in a learned low level, m; the length of a move by default.
 
     Raises:
-        UnknownNameError: no such kind or leaves.
-        UnsupportedError: the puzzle needs more than presses, or leaves of this kind cannot be planned.
+        UnknownNameError: no such kind or low level.
+        UnsupportedError: the puzzle needs more than presses, or a low level of this kind cannot be planned.
     """
-    structure = make_structure(Situations(instance, cell), kind, leaves, abstract)
+    structure = make_structure(Situations(instance, cell), kind, low_level, abstract)
     return structure[PARTS[kind]]
 
 
-def make_structure(situations: Situations, kind: HierarchyKind, leaves: str, abstract: bool = True
+def make_structure(situations: Situations, kind: HierarchyKind, low_level: str, abstract: bool = True
                    ) -> Mapping[str, Any]:
     """Arguments, beside spaces and settings, of an agent that takes this kind; raises as `synthesise`."""
-    for what, name, known in (("kind of hierarchy", kind, KINDS), ("leaves", leaves, LEAVES)):
+    for what, name, known in (("kind of hierarchy", kind, KINDS), ("low_level", low_level, LOW_LEVELS)):
         if name not in known:
             raise UnknownNameError(what, name, known)
-    check_leaves(kind, leaves)
-    planned = leaves == "planned"
+    check_low_level(kind, low_level)
+    planned = low_level == "planned"
     if kind in WITHOUT_PLANS:
         return {"goal_space": (make_event_space if kind == "events" else make_displacement_space)(situations)}
     if kind == "maxq":
@@ -129,7 +138,7 @@ def _make_length_view(rooms: Situations, target: int | None) -> View:
 
 
 def _make_primitive_view(rooms: Situations, primitive: int, planned: bool) -> View:
-    """A primitive earns the same everywhere but where it escapes; learned leaves must find out where that is."""
+    """A primitive earns the same everywhere but where it escapes; a learned low level must find out where that is."""
 
     def see(seen: Seen) -> Any:
         if not seen.state.is_open:
@@ -267,7 +276,7 @@ class OpenLandmarks:
 def make_landmark_goals(rooms: Situations, planned: bool, abstract: bool) -> GoalSet:
     """Landmarks as the goals of two levels: the manager sees facts and touched targets, the worker pose and open door.
 
-    With planned leaves the planner walks to the target whose press begins the shortest way to the landmark; else
+    With a planned low level the planner walks to the target whose press begins the shortest way to the landmark; else
     walking is learned over primitives. Not abstract, both levels see pose and facts.
     """
     landmarks = OpenLandmarks(rooms)
@@ -307,7 +316,7 @@ BORDER_MARGIN = 1e-3
 
 
 def compute_depth(rooms: Situations, planned: bool) -> int:
-    """Finest level: its cells are at least two moves wide; with planned leaves they are quarters.
+    """Finest level: its cells are at least two moves wide; with a planned low level they are quarters.
 
     A planner crosses a quarter as well as a small cell, and every finer level is one more manager that must learn which
     of its orders serve the one above.
@@ -320,10 +329,10 @@ def compute_depth(rooms: Situations, planned: bool) -> int:
 
 
 def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
-    """The floor, cut into four at every level, once for planned leaves; north is +y.
+    """The floor, cut into four at every level, once for a planned low level; north is +y.
 
-    With planned leaves the planner obeys: it walks into the next cell, or to the nearest thing that a search in this
-    cell is for, provided that its way ends here.
+    With a planned low level the planner obeys: it walks into the next cell, or to the nearest thing that a search in
+    this cell is for, provided that its way ends here.
     """
     half_width, half_depth = rooms.instance.reach_x, rooms.instance.reach_y
     landmarks, depth = OpenLandmarks(rooms), compute_depth(rooms, planned)

@@ -1,14 +1,14 @@
-"""The agent `smdp-tools` and its scripted managers: callers that read nothing but the transcript, as a model would.
+"""The agent `text-agent` and its scripted managers: callers that read nothing but the transcript, as a model would.
 
 | name | what it does | what it reads |
 |---|---|---|
-| `uniform` | carries out any option that can start, at random | names |
-| `untried` | what is off and untried since something last changed, at random | names, what is on |
-| `untried-nearest` | the same, the nearest first, by places as they are told | names, what is on, places |
-| `planner` | solves the PDDL that it is told, in as few actions as possible, and leaves | the symbolic model |
+| `random` | carries out any option that can start, at random | names |
+| `search-random` | what is off and untried since something last changed, at random | names, what is on |
+| `search-nearest` | the same, the nearest first, by places as they are told | names, what is on, places |
+| `oracle` | solves the PDDL that it is told, in as few actions as possible, and leaves | the symbolic model |
 
-They show that what is told is enough to play by, and are the rows that a model is held against. `untried` makes the
-choices of the searcher `smdp-untried`, which reads the room itself.
+They show that what is told is enough to play by, and are the rows that a model is compared with. Here
+`search-random` makes the choices of the agent of that name, which reads the room itself.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import FixedPolicy
+from hrl_escape.agents.text_agent import TextAgentSettings
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.registry import Registry
 from hrl_escape.text.recordings import RecordedModel
-from hrl_escape.text.settings import ToolsSettings
 from hrl_escape.text.told_env import ToolCall, Turn, find_told_env
 from hrl_escape.text.words import LEAVE
 
@@ -41,7 +41,7 @@ _THING = re.compile(r'"([^"]*)"(?: at \((-?[\d.]+), (-?[\d.]+)\))?, (on|off)')
 _QUOTED = re.compile(r'"([^"]*)"')
 
 
-class UniformManager:
+class RandomManager:
     """Carries out any option that can start, at random; leaves once the exit is open."""
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class UniformManager:
         return presses[int(self.rng.integers(len(presses)))]
 
 
-class UntriedManager(UniformManager):
+class SearchRandomManager(RandomManager):
     """Takes what is off and untried since something last changed, at random."""
 
     def _choose(self, presses: list[str], transcript: Sequence[Turn], options: Sequence[str]) -> str:
@@ -86,7 +86,7 @@ class UntriedManager(UniformManager):
         return presses[int(self.rng.integers(len(presses)))]
 
 
-class NearestManager(UntriedManager):
+class SearchNearestManager(SearchRandomManager):
     """Takes what is off and untried since something last changed, the nearest first; at random without places."""
 
     def _pick(self, presses: list[str], transcript: Sequence[Turn]) -> str:
@@ -98,7 +98,7 @@ class NearestManager(UntriedManager):
         return min(presses, key=lambda press: math.dist(here, places.get(press.partition(" ")[2], (math.inf, 0.0))))
 
 
-class PDDLPlanner(UniformManager):
+class PDDLPlanner(RandomManager):
     """Solves the PDDL that it is told by a planner of unified-planning, follows the plan, and leaves.
 
     Raises:
@@ -188,8 +188,8 @@ def _note(turn: Turn, options: Sequence[str], tried: set[str], lit: set[str]) ->
 
 models: Registry[Callable[..., Any]] = Registry("model", "a callable", callable)
 """Models by name: those of this module are classes, which are called once to make the model."""
-for _name, _manager in {"uniform": UniformManager, "untried": UntriedManager, "untried-nearest": NearestManager,
-                        "planner": PDDLPlanner}.items():
+for _name, _manager in {"random": RandomManager, "search-random": SearchRandomManager,
+                        "search-nearest": SearchNearestManager, "oracle": PDDLPlanner}.items():
     models.register(_name, _manager)
 
 
@@ -211,7 +211,7 @@ def make_model(name: str) -> Model:
     if name not in models:
         raise UnknownNameError("model", name, [*models, "a file of recorded games (.jsonl)"])
     model = models.get(name)
-    return model() if isinstance(model, type) and issubclass(model, UniformManager) else model
+    return model() if isinstance(model, type) and issubclass(model, RandomManager) else model
 
 
 class ToolsAgent(FixedPolicy):
@@ -228,11 +228,11 @@ class ToolsAgent(FixedPolicy):
         caller: name of the model, by which runs are told apart: its attribute `name`, or that of its function or class.
     """
 
-    Settings: ClassVar[type] = ToolsSettings
+    Settings: ClassVar[type] = TextAgentSettings
     STATE = ("caller",)
 
     def __init__(self, env: gymnasium.Env, model: Model) -> None:
-        self.settings = ToolsSettings()
+        self.settings = TextAgentSettings()
         self.told, self.model = find_told_env(env), model
         self.caller = str(getattr(model, "name", None) or getattr(model, "__qualname__", type(model).__qualname__))
         self._rng = np.random.default_rng(0)

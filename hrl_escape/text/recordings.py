@@ -13,12 +13,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hrl_escape.agents.text_agent import Level
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import EscapeError, FileReadError, UnsupportedError, VerificationError
 from hrl_escape.files import parse_json, read_text, write_text
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.text.settings import Level
 from hrl_escape.text.told_env import RoomSession, Score, ToldEnv, ToolCall, Turn
 
 _SCHEMA = 1

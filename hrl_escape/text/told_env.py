@@ -19,6 +19,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 
 from hrl_escape.agents.agent import SMDPTransition, make_transition, read_action_mask
+from hrl_escape.agents.text_agent import TOLD_LEVELS, Level
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.errors import ResetNeededError, UnknownNameError, UnsupportedError
@@ -27,7 +28,6 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import compute_expected_escape, find_best_known
 from hrl_escape.planning.goals import make_goal
 from hrl_escape.planning.symbolic.pddl import clean_name, export_pddl
-from hrl_escape.text.settings import TOLD_LEVELS, Level
 from hrl_escape.text.words import clean, phrase_options, place, tell_changes, tell_goal, tell_room
 
 MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200

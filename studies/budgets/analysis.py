@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeAlias
 
-from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import compute_digest
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.protocols import get_budget
@@ -128,7 +127,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     rungs = [rung for rung in study.data["rungs"] if any(line.rung == rung for line in lines)]
     known = [line for line in open_store(find_study("ladder"), None).load() if isinstance(line, BaselineRun)
              and line.protocol == PROTOCOL and line.rung in rungs and line.primitives < get_budget(line.rung)
-             and (line.agent.startswith(SMDP_PREFIX) or line.agent == KNOWN)]
+             and (line.agent == KNOWN or AgentSpec.parse(line.agent).chooses_options)]
     lines = [line for line in lines if line.primitives == get_budget(line.rung)]
     cells = group_runs([*(line for line in known if not line.primitives), *lines])
     headline = tell_beyond_searching(cells, rungs)

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.inference import ALPHA
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.references.registry import make_reference

@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.comparison import Comparison, run_grid
-from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
+from hrl_escape.comparison.grid import Grid, GridRun
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.runs import RunResult
@@ -632,11 +633,10 @@ def tell_course(family: Family, label: str, found: Standing) -> Iterator[str]:
 
 
 def shorten(labels: Sequence[str]) -> dict[str, str]:
-    """Labels without traits that all of a family share, but where two would be the same."""
-    short = {label: label.removesuffix("+no-primitives") for label in labels}
-    bare = {label: name.removesuffix("+learned").removesuffix("+planned") for label, name in short.items()}
+    """Specs without the parts that all of a family share, but where two would be the same."""
+    bare = {label: label.removesuffix("+learned").removesuffix("+planned") for label in labels}
     counts = Counter(bare.values())
-    return {label: name if counts[name] == 1 else short[label] for label, name in bare.items()}
+    return {label: name if counts[name] == 1 else label for label, name in bare.items()}
 
 
 def draw(found: Standing) -> Figure:

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
+from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.presets import ladder_room

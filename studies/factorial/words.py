@@ -94,8 +94,8 @@ def advise(findings: Findings, factors: Sequence[Factor]) -> str:
     better, worse = ([f"{effect.factor} ({words[effect.factor]})" for effect in findings.shown
                       if effect.test.difference * sign > 0] for sign in (1, -1))
     said = ("If an agent over options gets worse as it trains, look at the slope of its curve first, and take these "
-            f"parts of the corrected recipe: {join_words(better)}" if better else
-            "Take the corrected recipe as a whole: no part of it is shown to help alone")
+            f"parts of the default settings: {join_words(better)}" if better else
+            "Take the default settings as a whole: no part of them is shown to help alone")
     return f"{said}{f'; leave {join_words(worse)} as published' if worse else ''}."
 
 

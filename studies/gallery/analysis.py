@@ -11,9 +11,9 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.instance import RoomInstance
@@ -170,7 +170,7 @@ def count_fewest(room: RoomInstance) -> int:
 
 
 def _play_room(preset: str, room: RoomInstance, agent: str, seed: int, primitives: int, episodes: int) -> PlayedRun:
-    spec = AgentSpec.parse(f"{agent}+no-primitives")
+    spec = AgentSpec.parse(agent)
     env, recorder = make_env(spec, room, "features")
     try:
         if spec.is_reference:

@@ -31,7 +31,7 @@ from studies.generalisation.grids import (
     MEMORY,
     NAMES,
     OBJECTS,
-    SEARCHERS,
+    SEARCH_BASELINES,
     TRAINED,
     TRANSFER,
     GeneralisationArgs,
@@ -90,7 +90,7 @@ def _measure_courses(bench: Benchmark, args: GeneralisationArgs, store: Store, c
     if part == "transfer":
         there = {(line.rung, line.agent) for line in store.load() if line.protocol == part}
         store.add(run_reference(bench.name, rung, agent, args.rooms) for rung in courses
-                  for agent in (*SEARCHERS, *CEILING, CHANCE) if (rung, agent) not in there)
+                  for agent in (*SEARCH_BASELINES, *CEILING, CHANCE) if (rung, agent) not in there)
     names = {course: TRAINED if course == TRAINED else name_rooms(bench.name, course, "train", args.shallow_rooms)
              for course in courses}
     known = {(line.rooms.split(" > ")[0], line.agent.removesuffix(AT_ONCE), line.seed)
@@ -255,7 +255,7 @@ def _draw_panel(axes: Axes, lines: Sequence[BaselineRun]) -> None:
         shift = 1.1 ** (number - (len(agents) - 1) / 2)
         axes.scatter([shift * _count_rooms(line) for line in own], [line.efficiency for line in own],
                      color=_COLOURS[agent], s=8, alpha=0.5, linewidths=0)
-    beside = {CHANCE: "options, at random"} | SEARCHERS | CEILING
+    beside = {CHANCE: "options, at random"} | SEARCH_BASELINES | CEILING
     for (agent, name), style in zip(beside.items(), ("--", "-.", ":", "-"), strict=True):
         values = [line.efficiency for line in lines if line.agent == agent]
         if values:

@@ -16,7 +16,7 @@ from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_hol
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun
-from studies.generalisation.grids import CEILING, DEPTHS, FLAT, FLAT_CHANCE, SEARCHERS
+from studies.generalisation.grids import CEILING, DEPTHS, FLAT, FLAT_CHANCE, SEARCH_BASELINES
 from studies.statistics import choose_holm_levels, find_visible_difference
 
 __all__ = ["advise", "tell_best", "tell_puzzle_depths", "tell_room_numbers"]
@@ -50,7 +50,7 @@ def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Se
     """
     enough = _keep_enough(cells)
     learned = {place: seeds for place, seeds in enough.items() if place[0] in agents}
-    searched = {place: seeds for place, seeds in enough.items() if place[0] in SEARCHERS}
+    searched = {place: seeds for place, seeds in enough.items() if place[0] in SEARCH_BASELINES}
     if not learned or not searched:
         return ""
     searcher = max(searched, key=lambda place: _mean(searched[place]))
@@ -120,7 +120,7 @@ def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], ag
     """
     enough = _keep_enough(cells)
     chance = {agent: seeds for (agent, _), seeds in reversed(enough.items())}
-    searcher = max((agent for agent in SEARCHERS if agent in chance), key=lambda agent: _mean(chance[agent]),
+    searcher = max((agent for agent in SEARCH_BASELINES if agent in chance), key=lambda agent: _mean(chance[agent]),
                    default=None)
     known = [agent for agent in agents if any(agent == other for other, _ in enough)]
     tests = {agent: {count: cells[agent, count] for other, count in enough if other == agent} for agent in known}
@@ -176,7 +176,7 @@ def tell_puzzle_depths(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], a
                   for first, second in ((chain, layered), (deepest, layered))
                   if (agent, first) in enough and (agent, second) in enough]
         for kind in DEPTHS:
-            searchers = [name for name in SEARCHERS if (name, kind) in enough]
+            searchers = [name for name in SEARCH_BASELINES if (name, kind) in enough]
             other = max(searchers, key=lambda name: _mean(enough[name, kind]), default=chance)
             if (agent, kind) in enough and (other, kind) in enough:
                 words = f"the best searcher, `{other}`," if searchers else "random choices"

@@ -6,7 +6,8 @@ import dataclasses
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
-from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.agents.spec import list_specs
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.env.config import Between, RoomConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -18,8 +19,9 @@ from hrl_escape.ladder.rung import derive_seed
 from studies.ladder.calibration import CHANCE, KNOWN
 from studies.running import GridArgs
 
-__all__ = ["AT_ONCE", "CEILING", "DEPTHS", "FLAT", "FLAT_CHANCE", "MEMORY", "OBJECTS", "NAMES", "SEARCHERS", "TRAINED",
-           "TRANSFER", "VECTORS", "GeneralisationArgs", "make_depth_grid", "make_depth_sets", "make_sizes_grid"]
+__all__ = ["AT_ONCE", "CEILING", "DEPTHS", "FLAT", "FLAT_CHANCE", "MEMORY", "OBJECTS", "NAMES", "SEARCH_BASELINES",
+           "TRAINED", "TRANSFER", "VECTORS", "GeneralisationArgs", "make_depth_grid", "make_depth_sets",
+           "make_sizes_grid"]
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
 DEPTHS: dict[str, dict[str, Any]] = _DATA["depths"]
@@ -30,7 +32,7 @@ FLAT, VECTORS, OBJECTS, MEMORY = NAMES
 AT_ONCE = ", many rooms at once"
 """End of the labels of learners that learn from many rooms at once."""
 FLAT_CHANCE = "random"
-SEARCHERS: dict[str, str] = _DATA["searchers"]
+SEARCH_BASELINES: dict[str, str] = _DATA["searchers"]
 CEILING: dict[str, str] = _DATA["ceiling"]
 
 
@@ -66,8 +68,8 @@ def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
     Raises:
         EscapeError: no such rung, or more rooms than it has.
     """
-    names = args.agents or (*NAMES, *SEARCHERS, *CEILING, CHANCE, FLAT_CHANCE)
-    agents = tuple(map(AgentSpec.parse, names))
+    names = args.agents or (*NAMES, *SEARCH_BASELINES, *CEILING, CHANCE, FLAT_CHANCE)
+    agents = list_specs(names)
     sizes = tuple(size for size in args.sizes if size <= bench[args.rung].record.train.count)
     settings = LadderSettings(args.runs, args.primitives, args.rooms, sizes, first_seed=args.first_seed)
     grid = make_protocol_grid(bench, args.rung, "generalise", agents, settings)
@@ -83,7 +85,7 @@ def make_depth_grid(bench: Benchmark, args: GeneralisationArgs, folder: Path) ->
     train, tests = make_depth_sets(bench, args.shallow_rooms, args.rooms)
     return Grid(
         name="depth", description="Trained in rooms of 2 to 4 buttons, tested in deeper ones without learning.",
-        agents=tuple(map(AgentSpec.parse, args.agents or (OBJECTS, MEMORY, *SEARCHERS, *CEILING, CHANCE, KNOWN))),
+        agents=list_specs(args.agents or (OBJECTS, MEMORY, *SEARCH_BASELINES, *CEILING, CHANCE, KNOWN)),
         train_rooms=(_save(folder, train),) * len(tests), test_rooms=tuple(_save(folder, test) for test in tests),
         runs=args.runs, first_seed=args.first_seed, primitives=args.primitives, eval_every=args.primitives,
         eval_episodes=args.rooms, observation="objects",

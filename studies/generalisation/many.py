@@ -10,10 +10,10 @@ from typing import Any, Literal, NamedTuple
 import gymnasium
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet

@@ -16,7 +16,7 @@ from hrl_escape.env.pictures import palette
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun
 from studies.figures import FIGURE_STYLE
-from studies.generalisation.grids import CEILING, SEARCHERS, TRANSFER
+from studies.generalisation.grids import CEILING, SEARCH_BASELINES, TRANSFER
 from studies.page import make_table
 
 __all__ = ["Transfers", "draw_transfers", "read_transfers", "tabulate_transfers", "tell_transfers"]
@@ -37,7 +37,7 @@ class Transfers(NamedTuple):
 
     def get_best(self, rung: str) -> tuple[str, float]:
         """The best searcher in a rung, and its efficiency."""
-        return max(((name, self.known[rung, name]) for name in SEARCHERS if (rung, name) in self.known),
+        return max(((name, self.known[rung, name]) for name in SEARCH_BASELINES if (rung, name) in self.known),
                    key=lambda item: item[1])
 
 
@@ -50,7 +50,7 @@ def read_transfers(lines: Sequence[BaselineRun]) -> Transfers | None:
             source = line.rooms.split("/train")[0].rpartition("/")[2]
             learned.setdefault((source, line.rung), {})[line.seed] = line.efficiency
     pairs = [(source, target) for source in TRANSFER for target in TRANSFER]
-    if any(len(learned.get(pair, ())) < LEAST_RUNS or not any((pair[1], name) in known for name in SEARCHERS)
+    if any(len(learned.get(pair, ())) < LEAST_RUNS or not any((pair[1], name) in known for name in SEARCH_BASELINES)
            for pair in pairs):
         return None
     return Transfers({pair: np.array([learned[pair][seed] for seed in sorted(learned[pair])]) for pair in pairs}, known)

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 
-from hrl_escape.agents.registry import SMDP_PREFIX
-from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.agents.registry import RANDOM_OPTIONS
+from hrl_escape.agents.spec import BAYES, AgentSpec
 from hrl_escape.comparison.inference import (
     ALPHA,
     compare_pairs,
@@ -21,7 +21,7 @@ from hrl_escape.comparison.inference import (
     correct_by_holm,
 )
 from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, TOWER, compute_ladder_score, get_budget
-from hrl_escape.comparison.references.registry import BAYES, SEARCHERS
+from hrl_escape.comparison.references.registry import SEARCH_BASELINES
 from hrl_escape.comparison.reporting.figures import SPARE
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.pictures import palette
@@ -93,7 +93,7 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
         "beyond": tell_beyond_searching(over, rungs), "visible": tell_visible(over, rungs),
         "advice": tell_bar(over, rungs), "blank": tell_blank(over, rungs),
         "lines": lines, "rungs": {line.rung for line in lines}, "mastery": _find_mastery(lines, rungs),
-        "has_three_parents": any("+three-parents" in line.agent for line in lines),
+        "has_three_parents": any("@three-parents" in line.agent for line in lines),
         "protocols": {name: _describe_protocol(own, rungs) for name in ("per-instance", "generalise")
                       if (own := [line for line in lines if line.protocol == name])},
         "calibration": tell_calibration(group_runs(next(iter(alone.values()))), rungs, noisy) if alone else [],
@@ -131,7 +131,7 @@ def tell_bar(cells: _Cells, rungs: Sequence[str]) -> str:
     """Bar for an agent: the best searcher, or where that does worse, whatever else learns nothing."""
     agents = _sort_agents(agent for _, agent in cells)
     blind = [agent for agent in agents if not (spec := AgentSpec.parse(agent)).learns and spec.name not in
-             ("planner", "smdp-bayes")]
+             ("oracle", "bayes")]
     above: dict[str, list[str]] = {}
     for rung, best in find_best_searchers(cells, rungs).items():
         known = [agent for agent in blind if (rung, agent) in cells]
@@ -150,7 +150,7 @@ def tell_blank(cells: _Cells, rungs: Sequence[str]) -> list[str]:
     def list_ends(rung: str, agent: str) -> dict[tuple[str, int], tuple[float, float]]:
         return {(run.rooms, run.seed): (run.efficiency, run.escapes) for run in cells.get((rung, agent), ())}
 
-    chance = next((agent for _, agent in cells if AgentSpec.parse(agent).name == f"{SMDP_PREFIX}random"), "")
+    chance = next((agent for _, agent in cells if AgentSpec.parse(agent).name == RANDOM_OPTIONS), "")
     found: dict[str, list[str]] = {}
     for rung in rungs:
         blind = list_ends(rung, chance)
@@ -166,7 +166,7 @@ def tell_blank(cells: _Cells, rungs: Sequence[str]) -> list[str]:
 def find_best_searchers(cells: _Cells, rungs: Sequence[str]) -> dict[str, str | None]:
     """The searcher that does best on each rung, of equal ones the first whatever the order of a set; None without."""
     agents = _sort_agents(agent for _, agent in cells)
-    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCHERS]
+    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCH_BASELINES]
     return {rung: max((agent for agent in searchers if len(cells.get((rung, agent), ())) >= LEAST_RUNS),
                       key=lambda agent, rung=rung: compute_run_efficiency(cells[rung, agent]), default=None)
             for rung in rungs}
@@ -201,13 +201,13 @@ def draw(cells: _Cells, rungs: Sequence[str]) -> Figure:
             spec = AgentSpec.parse(agent)
             values = np.array([compute_run_efficiency(cells[rung, agent]) if (rung, agent) in cells else np.nan
                                for rung in shown])
-            if spec.name in SEARCHERS:
+            if spec.name in SEARCH_BASELINES:
                 searched = np.fmax(searched, values)
             elif spec.name == BAYES:
                 axes.plot(shown, values, ":", color=palette.INK, linewidth=1.3, label="told how rooms are drawn")
             elif spec.learns:
                 axes.plot(shown, values, "o-", markersize=4, linewidth=1.3, color=next(colours),
-                          label=agent.removesuffix("+no-primitives"))
+                          label=agent)
             elif spec.algorithm == "random":
                 axes.plot(shown, values, "--", color=palette.MUTED, linewidth=1.3, label="random options")
         axes.plot(shown, searched, color=palette.INK, linewidth=2.2, label="best searcher without learning")
@@ -250,7 +250,7 @@ def _part(lines: Sequence[BaselineRun]) -> dict[str, list[BaselineRun]]:
     """Lines by what their agents choose among: tables are of agents that have the same choices."""
     parts: dict[str, list[BaselineRun]] = {"Over options": [], "Over primitives": []}
     for line in lines:
-        has_options = line.agent.startswith(SMDP_PREFIX) or line.agent == KNOWN
+        has_options = line.agent == KNOWN or AgentSpec.parse(line.agent).chooses_options
         parts["Over options" if has_options else "Over primitives"].append(line)
     return {title: part for title, part in parts.items() if part}
 

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.comparison import Comparison, read_comparison, run_grid
-from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.launching.local import Failure, LocalLauncher
 from hrl_escape.comparison.protocols import (
     TOWER,

@@ -21,13 +21,13 @@ from studies.baseline import BaselineRun, compute_run_efficiency
 __all__ = ["CHANCE", "IN_ORDER", "KNOWN", "ROUND", "average_rooms", "find_miscalibration", "find_steps",
            "tell_calibration"]
 
-CHANCE, ROUND = "smdp-random+no-primitives", "smdp-shuffled-round+no-primitives"
+CHANCE, ROUND = "random-options", "sweep-random"
 PERMUTATIONS = 2_000
 STEP = 0.9, 0.1
 """A learner steps between two neighbouring rungs where it falls from above the first efficiency to below the second."""
 MOST_CHANCE = 0.5
 """Efficiency that random choices among the options must stay below."""
-IN_ORDER, KNOWN = "smdp-index-order+no-primitives", "planner"
+IN_ORDER, KNOWN = "sweep", "oracle"
 
 
 def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: Sequence[str],

@@ -122,7 +122,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
         rooms = {seed: sample_replicate_room(size, seed) for seed in seeds}
         known = {line.place for line in store.load()}
         store.add(SearcherRun(data["searcher"], size, seed,
-                              find_first_escape(f"{data['searcher']}+no-primitives", room, seed, data["budget"]))
+                              find_first_escape(data["searcher"], room, seed, data["budget"]))
                   for seed, room in rooms.items() if (data["searcher"], size, seed) not in known)
         courses: dict[str, Course] = {}
         for learner in chosen:

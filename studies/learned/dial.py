@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.inference import LEVEL
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.escape_room import EscapeRoomEnv

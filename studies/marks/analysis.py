@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.protocols import compute_learned_share
 from hrl_escape.env.pictures import palette

@@ -15,12 +15,12 @@ from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.spec import REFERENCES, AgentSpec
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.references.registry import REFERENCES, SEARCHERS, make_reference
+from hrl_escape.comparison.references.registry import SEARCH_BASELINES, make_reference
 from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.materialise import load_data
@@ -47,7 +47,7 @@ WEAK = 0.1
 BEHAVIOUR, UNSEEN = "behaviour", "unseen"
 WHOLE = "play"
 """Kind whose trajectories begin where episodes do, so that they have an efficiency of their own."""
-OPTIONS_ALONE = AgentSpec.parse("smdp-random+no-primitives")
+OPTIONS_ALONE = AgentSpec.parse("random-options")
 """Says what all choose among in unseen rooms."""
 
 
@@ -309,7 +309,7 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
               for agent in outside for kind in data["unseen"]["kinds"]}
     searchers = {name: read(name, "") for name in data["searchers"]}
     elsewhere = {name: by[name, UNSEEN, 0] for name in data["searchers"]}
-    bars = [name for name in searchers if name in SEARCHERS]
+    bars = [name for name in searchers if name in SEARCH_BASELINES]
     searcher = searchers[max(bars, key=lambda name: np.mean(searchers[name]))]
     unseen = tell_unseen(scores, outside, max(elsewhere[name] for name in bars))
     best = max(data["learners"], key=lambda agent: np.mean(read(agent, "play")))
@@ -339,7 +339,7 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Page:
 
 def describe_searcher(name: str) -> str:
     """Words of a reference in the tables."""
-    is_bar = name in SEARCHERS
+    is_bar = name in SEARCH_BASELINES
     return f"{'searcher that learns nothing' if is_bar else 'told how rooms are drawn'} (`{name}`)"
 
 

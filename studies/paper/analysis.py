@@ -11,6 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hrl_escape.agents.registry import DEFAULT_RECIPE, KERAS_RL
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.inference import Estimate, compute_interval
 from hrl_escape.comparison.reporting.figures import GREYS
 from hrl_escape.comparison.statistics import Floats, compute_iqm
@@ -93,7 +95,7 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
         "best": [results[name][0].best for name in ("paper-figure-1", "paper-figure-2")],
         "runs": {name: _count_runs(results, name) for name in results}, "parted": parted, "alike": alike,
         "by_chance": tell_chance([finding.by_chance for finding in findings]),
-        "claims": make_table(["", "the paper says", "measured", "recipe `paper`", "recipe `corrected`", "agree?",
+        "claims": make_table(["", "the paper says", "measured", "settings `keras-rl-2019`", "default settings", "agree?",
                               "published program, rerun"], rows),
         "numbers": make_table(["figure", "agent", "final score", "slope", "settled", "escapes in training"], [
             _make_row(results, name, agent) for name in results
@@ -167,7 +169,7 @@ def _compute_late_share(run: RawRun) -> float:
 def draw_figure(runs: Sequence[RawRun]) -> Figure:
     """One panel a recipe: frozen weights in full lines with intervals, training episodes dotted, chance dashed."""
     labels = list(dict.fromkeys(run.agent for run in runs if _get_algorithm(run.agent) in _COLOURS))
-    recipes = [recipe for recipe in ("paper", "corrected") if any(_get_recipe(label) == recipe for label in labels)]
+    recipes = [recipe for recipe in (KERAS_RL, DEFAULT_RECIPE) if any(_get_recipe(label) == recipe for label in labels)]
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(4.4 * len(recipes) + 0.6, 3.3), facecolor=palette.BACKGROUND, layout="constrained")
         panels = figure.subplots(1, len(recipes), sharey=True, squeeze=False)[0]
@@ -175,7 +177,7 @@ def draw_figure(runs: Sequence[RawRun]) -> Figure:
             for label in labels:
                 if _get_recipe(label) in (recipe, "none"):
                     _draw_agent(axes, [run for run in runs if run.agent == label], _get_algorithm(label))
-            axes.set_title(f"recipe {recipe}", fontsize=9, color=palette.INK, loc="left")
+            axes.set_title(f"settings {recipe}", fontsize=9, color=palette.INK, loc="left")
             axes.set_xlabel(f"{runs[0].axis} of training", color=palette.INK)
             axes.set_ylim(-4, 104)
             finish_axes(axes)
@@ -189,13 +191,13 @@ def draw_figure(runs: Sequence[RawRun]) -> Figure:
 
 
 def _get_algorithm(label: str) -> str:
-    return label.removeprefix("smdp-").partition("@")[0]
+    return AgentSpec.parse(label).algorithm
 
 
 def _get_recipe(label: str) -> str:
     if _get_algorithm(label) == "random":
         return "none"
-    return label.partition("@")[2] or "corrected"
+    return AgentSpec.parse(label).recipe
 
 
 def _draw_agent(axes: Axes, runs: Sequence[RawRun], algorithm: str) -> None:

@@ -1,7 +1,7 @@
 """The claims of Menashe and Stone (2019), section 6, each with the measurement that tests it; `study.toml` lists them.
 
 A claim is tested agent by agent on runs with the paper's recipe; beside it stand the same measurement with the
-corrected recipe, and what the published program gave when it was rerun. Each criterion can come out either way, and all
+default settings, and what the published program gave when it was rerun. Each criterion can come out either way, and all
 claims and agents are one family of tests (Benjamini and Hochberg).
 """
 
@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from hrl_escape.agents.registry import DEFAULT_RECIPE, KERAS_RL, join_name
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.inference import ALPHA, Estimate, correct_by_holm
 from hrl_escape.comparison.statistics import compute_final
 from hrl_escape.names import join_words
@@ -32,13 +34,19 @@ from studies.statistics import correct_by_benjamini_hochberg
 __all__ = ["MEASURES", "Claim", "Criterion", "Finding", "advise", "choose_level", "judge_claims"]
 
 TWO, META = "paper-figure-2", "paper-figure-3"
-CHANCE = "smdp-random"
+CHANCE = "random-options+primitives"
 EARLY = 2_000
 """Primitives; a tenth of a run."""
 
 
 def _count(ask: Callable[[RawRun], bool]) -> Callable[[Results, str, str], Measurement]:
     return lambda results, figure, agent: measure_share_of_runs([ask(run) for run in get_runs(results, figure, agent)])
+
+
+def _leave_options(agent: str) -> str:
+    """Spec of the same agent over primitives."""
+    spec = AgentSpec.parse(agent)
+    return str(AgentSpec(spec.algorithm, recipe=spec.recipe))
 
 
 MEASURES: Mapping[str, Callable[[Results, str, str], Measurement]] = {
@@ -48,7 +56,7 @@ MEASURES: Mapping[str, Callable[[Results, str, str], Measurement]] = {
     "often-optimal": _count(lambda run: share_of_training(run, run.training_optimal) >= 0.25),
     "slope": lambda results, figure, agent: measure_slope(get_runs(results, figure, agent), True, 0.0),
     "gain-by-options": lambda results, figure, agent: measure_gain(
-        get_runs(results, figure, agent), get_runs(results, TWO, agent.removeprefix("smdp-"))),
+        get_runs(results, figure, agent), get_runs(results, TWO, _leave_options(agent))),
     "gain-over-chance": lambda results, figure, agent: measure_gain(
         get_runs(results, figure, agent), get_runs(results, figure, CHANCE)),
     "final-over-chance": lambda results, figure, agent: measure_gain(
@@ -131,7 +139,7 @@ class Finding:
     Attributes:
         claim: the claim.
         paper: algorithm -> estimate with the paper's recipe.
-        corrected: algorithm -> estimate with the corrected recipe; empty where it was not run.
+        corrected: algorithm -> estimate with the default settings; empty where it was not run.
         verdicts: algorithm -> True if the paper's recipe confirms the claim, False if it refutes it, None if open.
         p: algorithm -> p-value of the verdict, corrected over all claims and algorithms.
         by_chance: True where random choices confirm the claim by the same test (p < 0.05, alone), False where they
@@ -170,8 +178,9 @@ class Finding:
 
 def name_agent(algorithm: str, recipe: str, figure: str) -> str:
     """An agent's label in a figure's grid."""
-    prefix = "smdp-" if figure.startswith(META) else ""
-    return f"{prefix}{algorithm}" + ("@paper" if recipe == "paper" else "")
+    over_options = figure.startswith(META)
+    return str(AgentSpec(join_name(algorithm, over_options), recipe=recipe,
+                         options=OptionsView(include_primitives=over_options)))
 
 
 def judge_claims(claims: Sequence[Claim], results: Results) -> list[Finding]:
@@ -180,7 +189,7 @@ def judge_claims(claims: Sequence[Claim], results: Results) -> list[Finding]:
     Intervals are of the level at which 5 % of those behind verdicts miss at most on average (Benjamini and Yekutieli
     2005). A verdict whose test is two-sided is given just where that interval leaves its level out.
     """
-    measured = [(_measure(claim, results, "paper"), _measure(claim, results, "corrected")) for claim in claims]
+    measured = [(_measure(claim, results, KERAS_RL), _measure(claim, results, DEFAULT_RECIPE)) for claim in claims]
     tests = [(number, name, *claim.holds.test(found)) for number, (claim, (paper, _))
              in enumerate(zip(claims, measured, strict=True)) for name, found in paper.items()]
     adjusted = correct_by_benjamini_hochberg([p for *_, p in tests])
@@ -206,9 +215,9 @@ def _measure(claim: Claim, results: Results, recipe: str) -> dict[str, Measureme
 
 
 def advise(results: Results) -> str:
-    """Recipe to take, by training scores with meta-actions, corrected less paper's, pair by pair of seeds (Holm)."""
+    """Settings to take, by training scores with meta-actions, the defaults less those of 2019, pair by pair of seeds (Holm)."""
     labels = {run.agent for run in results[META]}
-    pairs = {name: [name_agent(name, recipe, META) for recipe in ("corrected", "paper")]
+    pairs = {name: [name_agent(name, recipe, META) for recipe in (DEFAULT_RECIPE, KERAS_RL)]
              for name in ("dqn", "sarsa", "ddpg")}
     gains = {name: measure_gain(get_runs(results, META, corrected), get_runs(results, META, paper))
              for name, (corrected, paper) in pairs.items() if {corrected, paper} <= labels}
@@ -219,18 +228,18 @@ def advise(results: Results) -> str:
     better, worse = ([f"{name} ({100 * value:+.0f})" for name, value in shown.items() if value * sign > 0]
                      for sign in (1, -1))
     if worse:
-        return f"Mind the recipe: with the corrected one the training score falls for {join_words(worse)} points."
+        return f"Mind the settings: with the default ones the training score falls for {join_words(worse)} points."
     if better:
-        return ("Use the corrected recipes, which are the defaults: with meta-actions they raise the training score of "
-                f"{join_words(better)} points; `recipe=\"paper\"` is there to compare with what was published.")
-    return "Take either recipe: the corrected one is not shown to raise the training score with meta-actions."
+        return ("Use the default settings: with meta-actions they raise the training score of "
+                f"{join_words(better)} points; `@{KERAS_RL}` is there to compare with what was published.")
+    return "Take either settings: the default ones are not shown to raise the training score with meta-actions."
 
 
 def _judge_chance(claim: Claim, results: Results) -> bool | None:
     """True if random choices confirm the claim, False if they refute it; None if neither."""
     if claim.measure not in OF_CHANCE:
         return None
-    found = MEASURES[claim.measure](results, claim.figure, name_agent("random", "corrected", claim.figure))
+    found = MEASURES[claim.measure](results, claim.figure, name_agent("random", DEFAULT_RECIPE, claim.figure))
     holds, p = claim.holds.test(found)
     return holds if p < ALPHA else None
 

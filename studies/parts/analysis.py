@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from hrl_escape.agents.old_specs import convert_label
+from hrl_escape.agents.spec import ORACLE, AgentSpec
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.references.registry import PLANNER, make_reference
+from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
@@ -158,7 +159,7 @@ def _make_room(config: RoomConfig, seed: int) -> RoomInstance:
 @lru_cache(maxsize=8)
 def _find_fewest(room: RoomInstance) -> int | None:
     """Primitives of the best known plan."""
-    return find_first_escape(PLANNER, room, 0, 1_000)
+    return find_first_escape(ORACLE, room, 0, 1_000)
 
 
 def make_config(room: Mapping[str, Any], buttons: int, rule: str) -> RoomConfig:
@@ -170,7 +171,7 @@ def make_config(room: Mapping[str, Any], buttons: int, rule: str) -> RoomConfig:
 
 def _search(reference: str, config: RoomConfig, seed: int, budget: int) -> int | None:
     """Primitives to the first escape of a reference, which may ask how the room was drawn."""
-    spec = AgentSpec.parse(f"{reference}+no-primitives")
+    spec = AgentSpec.parse(convert_label(reference))  # study.toml is registered with names of version 0.3
     env, recorder = make_env(spec, InstanceSet(reference, config, [seed]), "features")
     try:
         return train(make_reference(spec.name, env, recorder), env, primitives=budget, seed=seed, eval_episodes=0,

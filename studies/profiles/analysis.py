@@ -292,14 +292,14 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     efficiencies = {name: {rung: float(cells[agent, rung].mean()) for rung in rungs if (agent, rung) in cells}
                     for agent, name in everyone.items()}
     efficiencies[searcher] = {rung: float(values.mean()) for rung, values in best.items()}
-    efficiencies["smdp-bayes"] = list_references(load_references(bench.name)).get("smdp-bayes", {})
+    efficiencies["bayes"] = list_references(load_references(bench.name)).get("bayes", {})
     profiles, falls = make_profiles(axes, efficiencies), find_falls(cells, axes, everyone)
     headline = tell_leads(gains, order, names)
     sentences = [tell_searching(gains, order, names, searcher), tell_falls(falls, axes),
                  *(tell_others(cells, own, names, other["agents"], other["words"]) for other, own in others),
                  tell_upper(cells, axes, searcher), tell_tops(cells, axes, list(names))]
     marks = {(everyone[agent], axis): " ↓" for agent, axis in falls}
-    columns = [([*names.values(), searcher, "smdp-bayes"], axes),
+    columns = [([*names.values(), searcher, "bayes"], axes),
                *((list(other["agents"].values()), own) for other, own in others)]
     tables = [make_table(["axis", *shown], [[axis.name, *(
         f"{profiles[name].get(axis.name, '-')}{marks.get((name, axis.name), '')}" for name in shown)] for axis in rows])

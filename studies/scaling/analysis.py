@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.reporting.figures import choose_styles
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
@@ -115,7 +115,7 @@ def analyse(study: Study, lines: Sequence[ScalingRun]) -> Page:
         "certainty": tell_certainty(results), "bar": _tabulate_bar(results), "again": tell_replication(fresh, results),
         "escapes": _tabulate(results, _get_escape), "by_edges": _tabulate_bins(results, "edges"),
         "by_depth": _tabulate_bins(results, "depth"),
-        "near": _tabulate([run for run in results if run.agent != "smdp-random"], lambda run: run.near_best),
+        "near": _tabulate([run for run in results if run.agent != "random-options"], lambda run: run.near_best),
         "graphs": _tabulate_structure(results), "told": tell_told(everything), "told_rows": list_told_rows(everything),
         "told_room": TOLD_TASKS[0], "counts": {agent: sum(run.agent == agent for run in results) for agent in AGENTS},
         "commands": _list_options(everything, _get_budget(results)),

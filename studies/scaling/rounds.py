@@ -17,8 +17,9 @@ from typing import Any
 
 from rich.console import Console
 
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView, SolvedRule
+from hrl_escape.comparison.grid import Grid, SolvedRule
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate_trials
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.statistics import compute_efficiency

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 
+from hrl_escape.agents.text_agent import Level
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
@@ -19,7 +20,6 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.ladder.room_sets import parse_room_set
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.text import Score, ToldEnv, ToolsAgent, make_model, verify_games
-from hrl_escape.text.settings import Level
 from studies.figures import FIGURE_STYLE
 from studies.page import make_table
 from studies.running import StudyArgs
@@ -169,9 +169,9 @@ def tell_gain(what: str, than: str, gain: Gain) -> str:
     return f"These rooms do not show that {what[0].lower()}{what[1:]} changes efficiency from {than}: {numbers}."
 
 
-STEPS = (("untried", "uniform", "Remembering what was tried and seeing what is on", "choices at random"),
-         ("untried-nearest", "untried", "Being told where things are", "names alone"),
-         ("planner", "untried-nearest", "Being told the symbolic model", "being told where things are"))
+STEPS = (("search-random", "random", "Remembering what was tried and seeing what is on", "choices at random"),
+         ("search-nearest", "search-random", "Being told where things are", "names alone"),
+         ("oracle", "search-nearest", "Being told the symbolic model", "being told where things are"))
 """Pairs of callers of which the first is told, or does, more; and in words, what, and what the second has."""
 
 

@@ -25,7 +25,7 @@ from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.references.registry import SEARCHERS, make_reference
+from hrl_escape.comparison.references.registry import SEARCH_BASELINES, make_reference
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.kinematics import EpisodeEnd
@@ -150,7 +150,7 @@ def run_once(data: Mapping[str, Any], agent: str, room: str, seed: int) -> Veloc
     """Train, or let act at random, for the study's steps."""
     log, steps = EpisodeEnds(make_room(data, room)), data["steps"]
     if agent in (OPTIONS, CHANCE[0]):
-        name, settings = ("torchrl-sac", data["settings"]) if agent == OPTIONS else ("smdp-random", {})
+        name, settings = ("torchrl-sac", data["settings"]) if agent == OPTIONS else ("random-options", {})
         train(name, OptionsEnv(log), primitives=steps, seed=seed, settings=settings, eval_episodes=0, progress=False)
     elif agent == VELOCITIES:
         make_sac(log, seed).learn(steps)
@@ -383,7 +383,7 @@ def analyse(study: Study, lines: Sequence[VelocityRun]) -> Page:
         seeds = sorted(own[0].keys() & own[1].keys())
         ends[room] = tuple([runs[seed].end for seed in seeds] for runs in own)
         firsts[room] = tuple([runs[seed].first_escape or budget for seed in seeds] for runs in own)
-    searchers = {room: min(by_place[room, name][0].end for name in data["searchers"] if name in SEARCHERS)
+    searchers = {room: min(by_place[room, name][0].end for name in data["searchers"] if name in SEARCH_BASELINES)
                  for room in data["rooms"]}
     rows = [[f"`{agent}`" if agent in data["searchers"] else agent,
              *itertools.chain.from_iterable(describe(by_place[room, agent], budget) for room in data["rooms"])]

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
 from hrl_escape.comparison.solved_probe import compare_graphs, find_edges_that_matter
 from hrl_escape.env.puzzles.base import Contacts, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsConfig

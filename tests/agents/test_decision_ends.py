@@ -52,7 +52,7 @@ def test_returns_are_sums_of_primitive_rewards_also_where_steps_give_discounted_
     """-1 a primitive and 100 at the exit, whatever the options' step returns."""
     env = OptionsEnv(EscapeRoomEnv("paper-one-button", observation="features"), include_primitives=False,
                      discounted_reward=discounted)
-    result = train("smdp-random", env, primitives=60, eval_every=60, eval_episodes=1)
+    result = train("random-options", env, primitives=60, eval_every=60, eval_episodes=1)
     whole = [episode for episode in result.episodes if episode.end == "terminated"]
     assert len(whole) > 2
     for episode in whole:

@@ -13,7 +13,7 @@ import pytest
 
 from hrl_escape.agents import Agent, get_recipe, list_agents, make_agent
 from hrl_escape.agents.agent import FixedPolicy, LearningSettings
-from hrl_escape.agents.registry import SMDP_PREFIX, agents, get_agent_class, register_agent
+from hrl_escape.agents.registry import agents, get_agent_class, join_name, register_agent, split_name
 from hrl_escape.errors import AgentSettingsError, ConfigError, PluginError, UnknownNameError, UnsupportedSpaceError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
@@ -25,8 +25,9 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize("name", list_agents())
 def test_the_prefix_names_the_same_implementation_and_the_same_recommended_settings(name):
-    assert get_agent_class(SMDP_PREFIX + name) is get_agent_class(name)
-    assert get_recipe(SMDP_PREFIX + name) == get_recipe(name)
+    assert get_agent_class(join_name(name, True)) is get_agent_class(name)
+    assert get_recipe(join_name(name, True)) == get_recipe(name)
+    assert split_name(join_name(name, True)) == (name, True) and split_name(name) == (name, False)
 
 
 def test_a_class_of_ones_own_is_named_like_itself_and_keeps_the_hooks_of_its_other_bases():
@@ -118,8 +119,8 @@ def test_every_setting_has_its_sentence(name):
         assert lines[declared[-1] + 1].strip().startswith('"""'), field.name  # the class that brings it comes last
 
 
-def test_the_paper_recipe_is_what_the_published_program_did():
-    dqn, sarsa, ddpg = (get_recipe(name, "paper") for name in ("dqn", "sarsa", "ddpg"))
+def test_the_named_settings_of_2019_are_what_the_published_program_had():
+    dqn, sarsa, ddpg = (get_recipe(name, "keras-rl-2019") for name in ("dqn", "sarsa", "ddpg"))
     for settings in (dqn, sarsa, ddpg):
         assert (settings.discounting, settings.bootstrap_on_truncation, settings.clock) == (
             "decision",
@@ -133,7 +134,7 @@ def test_the_paper_recipe_is_what_the_published_program_did():
     assert (dqn.warmup, dqn.replay_capacity, dqn.target_rate, dqn.batch_size) == (1_000, 50_000, 0.01, 32)
     assert (dqn.n_step, dqn.target_every, dqn.average_rate) == (1, 1, 0)
     assert (ddpg.warmup, ddpg.actor_warmup, ddpg.target_rate, ddpg.max_grad_norm) == (1_000, 100, 1e-3, 1.0)
-    widths = [get_recipe(f"smdp-{name}", "paper").hidden[0] for name in ("dqn", "sarsa", "ddpg")]
+    widths = [get_recipe(f"smdp-{name}", "keras-rl-2019").hidden[0] for name in ("dqn", "sarsa", "ddpg")]
     assert widths == [3, 32, 4], "the program's widths with meta-actions on"
 
 
@@ -144,7 +145,7 @@ def test_an_unknown_agent_is_answered_with_the_closest():
 
 def test_an_unknown_recipe_or_setting_is_answered_with_what_there_is():
     env = ButtonGrid()
-    with pytest.raises(UnknownNameError, match="corrected, paper"):
+    with pytest.raises(UnknownNameError, match="default, keras-rl-2019, patient"):
         get_recipe("smdp-dqn", "papr")
     with pytest.raises(UnknownNameError, match="did you mean 'learning_rate'"):
         make_agent("dqn", env.observation_space, env.action_space, 0, learning_rte=1)

@@ -29,11 +29,11 @@ def test_the_page_is_what_the_command_makes(tmp_path, capsys):
 
 
 def test_the_sentence_of_a_rung_follows_its_rows():
-    floor, ceiling = make_row("nearest", 0.7, "smdp-untried-nearest"), make_row("bayes", 0.98, "smdp-bayes")
-    lower = make_row("dark", 0.5, "smdp-untried")
+    floor, ceiling = make_row("nearest", 0.7, "search-nearest"), make_row("bayes", 0.98, "bayes")
+    lower = make_row("dark", 0.5, "search-random")
     rows = [floor, lower, ceiling]
     assert conclude([*rows, make_row("mine", 0.9)]) == (
-        "mine beats the 0.70 of nearest, which learns nothing: 0.900 (0.850 to 0.950); smdp-bayes, which knows how "
+        "mine beats the 0.70 of nearest, which learns nothing: 0.900 (0.850 to 0.950); bayes, which knows how "
         "rooms are drawn, has 0.98.")
     assert conclude([*rows, make_row("mine", 0.72)]).startswith("No agent is shown to beat the 0.70 of nearest")
     assert conclude([*rows, make_row("mine", 0.3)]).startswith("No agent is shown to beat the 0.70 of nearest")

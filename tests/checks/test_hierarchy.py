@@ -7,24 +7,24 @@ from functools import partial
 import numpy as np
 import pytest
 
-from hrl_escape.agents.algorithms.given.deep_abstract_q import DeepAbstractQ
-from hrl_escape.agents.algorithms.given.feudal_rl import FeudalRl, Quadtree
-from hrl_escape.agents.algorithms.given.h_dqn import HDqn
-from hrl_escape.agents.algorithms.given.hac import Hac
-from hrl_escape.agents.algorithms.given.hiro import Hiro
-from hrl_escape.agents.algorithms.given.hrac import Hrac
-from hrl_escape.agents.algorithms.given.macro_q import MacroQ
-from hrl_escape.agents.algorithms.given.option_keyboard import OptionKeyboard
-from hrl_escape.agents.algorithms.given.sol import Sol
 from hrl_escape.agents.algorithms.q_learning import QLearning
+from hrl_escape.agents.algorithms.task_hierarchies.deep_abstract_q import DeepAbstractQ
+from hrl_escape.agents.algorithms.task_hierarchies.feudal_rl import FeudalRl, Quadtree
+from hrl_escape.agents.algorithms.task_hierarchies.h_dqn import HDqn
+from hrl_escape.agents.algorithms.task_hierarchies.hac import Hac
+from hrl_escape.agents.algorithms.task_hierarchies.hiro import Hiro
+from hrl_escape.agents.algorithms.task_hierarchies.hrac import Hrac
+from hrl_escape.agents.algorithms.task_hierarchies.macro_q import MacroQ
+from hrl_escape.agents.algorithms.task_hierarchies.option_keyboard import OptionKeyboard
+from hrl_escape.agents.algorithms.task_hierarchies.sol import Sol
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackAgent, make_task_transition
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Hierarchy
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, maxq
-from hrl_escape.agents.registry import get_agent_class, list_given_agents
+from hrl_escape.agents.registry import get_agent_class, list_hierarchy_agents
 from hrl_escape.checks import check_hierarchy
 from hrl_escape.errors import ContractError
-from tests.agents.algorithms.given.test_feudal_rl import find_place
-from tests.agents.algorithms.given.test_h_uct import TwoDoors, make_chain_tasks, make_door_tasks
+from tests.agents.algorithms.task_hierarchies.test_feudal_rl import find_place
+from tests.agents.algorithms.task_hierarchies.test_h_uct import TwoDoors, make_chain_tasks, make_door_tasks
 from tests.agents.hierarchy.four_rooms_tasks import HOME, make_walks
 from tests.agents.hierarchy.taxi_tasks import GRAPH, SEE, UNTIL, make_taxi_tasks
 from tests.agents.hierarchy.wall_macros import make_wall_macros
@@ -85,7 +85,7 @@ def test_every_hierarchy_keeps_every_promise(name):
 
 
 def test_no_agent_that_runs_calls_is_left_out():
-    runners = {name for name in list_given_agents() if issubclass(get_agent_class(name), CallRunner)}
+    runners = {name for name in list_hierarchy_agents() if issubclass(get_agent_class(name), CallRunner)}
     assert runners == {"maxq-q", "r-maxq", "h-uct", *OWN}
 
 

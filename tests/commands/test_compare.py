@@ -10,9 +10,9 @@ import pytest
 import tyro
 
 from hrl_escape.agents.recommended import RECOMMENDED
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.cli import main
 from hrl_escape.commands.compare import CompareArgs
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.presets import get_grid
 
@@ -31,7 +31,7 @@ def test_flags_change_the_preset_and_nothing_else():
     grid = CompareArgs("quickstart", runs=3, primitives=500, eval_episodes=2).make_grid()
     assert (grid.runs, grid.primitives, grid.eval_episodes) == (3, 500, 2)
     assert grid.agents == get_grid("quickstart").agents and grid.name == "quickstart"
-    other = CompareArgs("ladder", agents=("dqn", "smdp-dqn@paper"), rooms=("clutter#2",)).make_grid()
+    other = CompareArgs("ladder", agents=("dqn", "smdp-dqn@keras-rl-2019"), rooms=("clutter#2",)).make_grid()
     assert other.agents == (AgentSpec("dqn"), AgentSpec("smdp-dqn", recipe="paper"))
     assert other.rooms == (RoomSpec("clutter", seed=2),) and other.name == "ladder"
     assert CompareArgs(agents=("dqn",)).make_grid().name == "comparison"
@@ -45,7 +45,7 @@ def test_sets_of_rooms_take_the_place_of_rooms():
 
 
 def test_work_is_told_before_made_in_parts_and_reported_from_the_folder(capsys, tmp_path: Path):
-    words = ("compare", "--agents", "smdp-random", "planner", "--rooms", "paper-two-button", "--runs", "1",
+    words = ("compare", "--agents", "random-options", "oracle", "--rooms", "paper-two-button", "--runs", "1",
              "--primitives", "40", "--eval-episodes", "1", "--workers", "1", "--out", tmp_path)
     code, out, _ = call(capsys, *words, "--dry-run")
     assert code == 0 and "2 runs, 2 to be made" in out and not list(tmp_path.iterdir()), "nothing was run"
@@ -79,7 +79,7 @@ def test_agents_are_shown_the_observation_that_one_of_them_needs():
 
 
 def test_compare_prints_verdict_table_and_report(capsys: pytest.CaptureFixture[str], tmp_path: Path):
-    arguments = ("compare", "--agents", "random", "smdp-random", "--runs", 1, "--primitives", 200, "--out", tmp_path)
+    arguments = ("compare", "--agents", "random", "random-options", "--runs", 1, "--primitives", 200, "--out", tmp_path)
     code, out, err = call(capsys, *arguments)
     assert code == 0
     assert "One run a room is too few for a verdict, which takes 10." in " ".join(out.split())
@@ -89,7 +89,7 @@ def test_compare_prints_verdict_table_and_report(capsys: pytest.CaptureFixture[s
     code, out, err = call(capsys, *arguments, "--json")
     result = json.loads(out)
     assert code == 0 and "2 of 2 runs were finished before and are kept" in err
-    assert [agent["label"] for agent in result["agents"]] == ["random", "smdp-random"]
+    assert [agent["label"] for agent in result["agents"]] == ["random", "random-options"]
     assert result["verdict"][0]["kind"] == "headline" and result["failures"] == []
 
 
@@ -157,7 +157,7 @@ def test_train_prints_the_curve_keeps_the_run_and_goes_on(capsys: pytest.Capture
 
 @pytest.mark.in_turn
 def test_train_refuses_a_folder_with_another_room_or_other_settings(capsys: pytest.CaptureFixture[str], tmp_path: Path):
-    arguments = ["train", "smdp-random", "--primitives", 100, "--eval-episodes", 1, "--out", tmp_path]
+    arguments = ["train", "random-options", "--primitives", 100, "--eval-episodes", 1, "--out", tmp_path]
     assert call(capsys, *arguments)[0] == 0
     code, _, err = call(capsys, *arguments, "--preset", "clutter")
     assert code == 2 and "holds a run that differs in environment.arguments.instance" in err

@@ -4,10 +4,10 @@ import json
 
 import gymnasium
 import pytest
-
 from hrl_escape.agents.label import TRAITS
+
 from hrl_escape.agents.recommended import RECOMMENDED
-from hrl_escape.agents.registry import list_agents, list_given_agents, list_stream_agents
+from hrl_escape.agents.registry import list_agents, list_hierarchy_agents, list_stream_agents
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import PRESETS
@@ -33,7 +33,7 @@ def test_list_shows_everything_there_is_with_a_line_about_it(capsys):
 def test_each_agent_is_described_by_its_own_file(capsys):
     _, out, _ = call(capsys, "list", "agents", "--json")
     described = json.loads(out)["agents"]
-    assert list(described) == [*list_agents(), *list_given_agents()] and {"dqn", "maxq-q"} <= set(described)
+    assert list(described) == [*list_agents(), *list_hierarchy_agents()] and {"dqn", "maxq-q"} <= set(described)
     assert not any(line.startswith("From another package") for line in described.values())
     assert described["q-learning"] == "Tabular Q-learning over decisions of any duration"
     assert len(set(described.values())) == len(described)
@@ -60,4 +60,4 @@ def test_sentences_are_whole(capsys):
     assert lists["puzzles"]["deep-sea"].startswith("Deep Sea (Osband et al. 2019")
     lines = [line for entries in lists.values() for line in entries.values()]
     assert not [line for line in lines if line.endswith("et al") or line.count("(") != line.count(")")]
-    assert {"smdp-untried-nearest", "planner"} <= set(lists["references"])
+    assert {"search-nearest", "oracle"} <= set(lists["references"])

@@ -51,20 +51,21 @@ def test_ctrl_c_saves_the_run_and_the_same_command_goes_on_with_it(tmp_path):
     assert "best evaluation: return" in done.stdout and (tmp_path / "run" / "best.npz").exists()
 
 
-def test_a_label_trains_what_options_and_settings_train(capsys, tmp_path):
+def test_parts_of_a_spec_train_what_settings_train(capsys, tmp_path):
     shared = ["--preset", "paper-one-button", "--primitives", "60", "--eval-episodes", "1"]
-    options = ["smdp-ppo", "--settings", "network=objects", "--memory", "--options-only", "--observation", "objects"]
-    said = call(capsys, "train", "smdp-ppo+objects+memory+no-primitives", *shared, "--out", tmp_path / "run")[1]
-    assert "smdp-ppo+objects+memory+no-primitives, seed 0: " in said
+    options = ["smdp-ppo+memory", "--settings", "network=objects"]
+    said = call(capsys, "train", "smdp-ppo+objects+memory", *shared, "--out", tmp_path / "run")[1]
+    assert "smdp-ppo+objects+memory, seed 0: " in said
     assert "this run was finished: nothing was trained" in call(capsys, "train", *options, *shared, "--out",
                                                                 tmp_path / "run")[1], "both are one run"
-    assert_refused(capsys, ["train", "smdp-dqn@paper", "--recipe", "table"], "paper, as in smdp-dqn@paper, or left out")
-    assert_refused(capsys, ["train", "hamq+planned", "--leaves", "learned"], "planned, as in hamq+planned, or left out")
-    assert_refused(capsys, ["train", "dqn+memory"], "smdp-dqn with +memory")
+    assert_refused(capsys, ["train", "smdp-dqn+reactive", "--flavour", "press-with-ancestors"],
+                   "press-markov, as in smdp-dqn+reactive, or left out")
+    assert_refused(capsys, ["train", "dqn+memory"], "smdp-dqn+memory, which chooses among options")
+    assert_refused(capsys, ["train", "smdp-dqn+no-primitives"], "it is smdp-dqn now")
 
 
 def test_a_finished_run_says_that_nothing_was_trained(capsys, tmp_path):
-    command = ["train", "smdp-random", "--primitives", "50", "--eval-episodes", "0", "--out", tmp_path / "run"]
+    command = ["train", "random-options", "--primitives", "50", "--eval-episodes", "0", "--out", tmp_path / "run"]
     assert "this run" not in call(capsys, *command)[1]
     written = (tmp_path / "run" / "result.json").read_bytes()
     assert "this run was finished: nothing was trained\n" in call(capsys, *command)[1]
@@ -74,18 +75,19 @@ def test_a_finished_run_says_that_nothing_was_trained(capsys, tmp_path):
 def test_an_agent_without_the_hierarchy_that_it_is_made_for_says_what_it_does(capsys, tmp_path):
     command = ["train", "maxq-q", "--primitives", "30", "--eval-episodes", "0", "--out", tmp_path / "flat"]
     code, _, said = call(capsys, *command)
-    assert code == 0 and said == ("maxq-q is given no hierarchy: it learns over primitives, as one task. --leaves "
-                                  "planned or --leaves learned gives it one\n")
-    planned = [*command[:-1], tmp_path / "planned", "--leaves", "planned"]
+    assert code == 0 and said == ("maxq-q is given no hierarchy: it learns over primitives, as one task. "
+                                  "maxq-q+planned and maxq-q+learned give it one\n")
+    planned = ["train", "maxq-q+planned", *command[2:-1], tmp_path / "planned"]
     assert call(capsys, *planned)[2] == ""
 
 
 def test_names_that_cannot_be_trained_are_told_what_to_do_instead(capsys):
-    assert_refused(capsys, ["train", "smdp-untried-nearest"], "hrl-escape watch smdp-untried-nearest")
+    assert_refused(capsys, ["train", "search-nearest"], "hrl-escape watch search-nearest")
     said = call(capsys, "train", "maxq")[2]
     assert "did you mean 'maxq-q'" in said
     known = said.partition("Known: ")[2]
-    assert "maxq-q" in known and "hamq" in known and known.endswith("each also with smdp- in front\n")
+    assert "maxq-q" in known and "hamq" in known and known.endswith(
+        "each also with smdp- in front, which chooses among options\n")
 
 
 def heed_ctrl_c():
@@ -93,7 +95,7 @@ def heed_ctrl_c():
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-SHORT = ["train", "smdp-random", "--preset", "four-button-chain", "--primitives", "50", "--eval-episodes", "0"]
+SHORT = ["train", "random-options", "--preset", "four-button-chain", "--primitives", "50", "--eval-episodes", "0"]
 
 
 @pytest.mark.in_turn_for(
@@ -104,7 +106,6 @@ SHORT = ["train", "smdp-random", "--preset", "four-button-chain", "--primitives"
     (["--seed", "1"], "environment.arguments.instance"),
     (["--training-seed", "1"], "seed: 0 there, 1 now"),
     (["--observation", "state"], "environment.arguments.observation: 'features' there, 'state' now"),
-    (["--options-only"], "include_primitives: True there, False now"),
 ])
 def test_a_folder_that_holds_another_run_is_refused_and_the_default_folder_is_another(
     capsys, tmp_path, monkeypatch, changes, field
@@ -136,8 +137,9 @@ def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(cap
     (["smdp-q-learning", "--eval-every", "0"], "eval_every = 0 is not possible"),
     (["smdp-iql", "--data", "pair-play-v1", "--primitives", "0"], "primitives = 0 is not possible"),
     (["smdp-iql", "--data", "pair-play-v1", "--preset", "clutter"], "--preset does not go with --data"),
-    (["q-learning", "--memory"], "--memory is for agents that choose options, such as smdp-q-learning"),
-    (["hamq", "--leaves", "planned", "--flavour", "press-markov"], "--flavour is for agents that choose options"),
+    (["q-learning", "--flavour", "press"],
+     "--flavour is for agents that choose among options, such as smdp-q-learning"),
+    (["hamq+planned", "--flavour", "press-markov"], "--flavour is for agents that choose among options"),
 ])
 def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
@@ -177,9 +179,8 @@ def test_compiled_copies_learn_the_same(capsys, tmp_path, agent):
     assert learned[0] == learned[1] != []
 
 
-def test_a_batch_trains_given_hierarchies_and_agents_with_a_memory(capsys, tmp_path):
-    for number, arguments in enumerate((["maxq-q", "--leaves", "learned"],
-                                        ["smdp-dqn+objects+memory+no-primitives"])):
+def test_a_batch_trains_task_hierarchies_and_agents_with_a_memory(capsys, tmp_path):
+    for number, arguments in enumerate((["maxq-q+learned"], ["smdp-dqn+objects+memory"])):
         code, out, _ = call(capsys, "train", *arguments, "--batch", "4", "--preset", "paper-one-button",
                             "--primitives", "60", "--eval-episodes", "1", "--out", tmp_path / str(number), "--json")
         report = json.loads(out)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.launching.local import Failure
 from hrl_escape.comparison.places import RoomSpec, RunPlace
 from hrl_escape.comparison.runs import RunResult

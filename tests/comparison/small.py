@@ -7,8 +7,9 @@ from pathlib import Path
 
 from rich.console import Console
 
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.comparison import WHOLE, Comparison, Shard, run_grid
-from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun, OptionsView
+from hrl_escape.comparison.grid import Grid, GridRun
 from hrl_escape.comparison.launching.local import Launcher
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.runs import get_training_folder
@@ -29,7 +30,7 @@ SMALL = Grid(
     agents=(
         AgentSpec("random"),
         AgentSpec("q-learning"),
-        AgentSpec("smdp-random"),
+        AgentSpec("random-options"),
         AgentSpec("smdp-q-learning", label="only options", options=OptionsView(include_primitives=False)),
     ),
     rooms=(RoomSpec(config=SCHEMATIC.to_dict()),),

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import Comparison, Shard, count_missing, read_comparison
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import LocalLauncher, read_progress
 from hrl_escape.comparison.reporting.report import write_report, write_tables
 from hrl_escape.comparison.runs import get_run_folder, load_run_result, read_episodes
@@ -279,7 +279,7 @@ def test_a_full_disk_fails_the_runs_that_need_it_and_keeps_what_is_finished(
 
 @pytest.mark.in_turn
 def test_a_folder_deleted_meanwhile_is_told_with_its_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    grid = change(primitives=1_000_000, runs=1, agents=["random", "smdp-random"])
+    grid = change(primitives=1_000_000, runs=1, agents=["random", "random-options"])
     write_json(tmp_path / "long.json", grid.to_dict())
     runs = grid.make_runs(grid.make_places())
 
@@ -312,7 +312,7 @@ def test_a_folder_deleted_after_the_last_run_is_told_with_its_reason(tmp_path: P
 
 
 def test_parts_are_disjoint_resumable_and_together_the_whole(tmp_path: Path):
-    grid = change(agents=("smdp-random", "planner"), runs=2, primitives=60, eval_every=60, eval_episodes=1)
+    grid = change(agents=("random-options", "oracle"), runs=2, primitives=60, eval_every=60, eval_episodes=1)
     runs = grid.make_runs(grid.make_places())
     parts = [Shard(number, 3).choose(runs) for number in (1, 2, 3)]
     assert sorted(run.key for part in parts for run in part) == sorted(run.key for run in runs)

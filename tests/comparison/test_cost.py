@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from benchmarks.ladder import collect_rates, read_lines
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.cli import main
 from hrl_escape.comparison import cost
 from hrl_escape.comparison.cost import count_buttons, describe_cost, estimate_hours, estimate_rate, load_rates
-from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.ladder.benchmark import load_benchmark
 
 RATES = {"smdp-dqn": {2: 1.0, 4: 3.0}, "dqn": {3: 0.5}}
@@ -33,7 +34,7 @@ def test_rates_are_interpolated_between_and_kept_beyond_what_is_known():
 
 
 def test_hours_are_runs_times_primitives_times_rate():
-    agents = [AgentSpec.parse(text) for text in ("smdp-dqn+no-primitives", "dqn", "smdp-random", "planner", "dac")]
+    agents = [AgentSpec.parse(text) for text in ("smdp-dqn", "dqn", "random-options", "oracle", "dac")]
     hours, unknown = estimate_hours(agents, 18_000, [2, 3], 10, RATES)
     assert hours == pytest.approx(10 * 18 * (1.0 + 2.0 + 0.5 + 0.5) / 3600) and unknown == ["dac"]
 

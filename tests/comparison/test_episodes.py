@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
-from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.pictures.moving_map import make_frames
@@ -31,7 +31,7 @@ def record(name: str, seed: int = 3):
     return instance, env, recorder, record_episode(agent, env, seed).to_json()
 
 
-@pytest.mark.parametrize("name", ["random", "smdp-random"])
+@pytest.mark.parametrize("name", ["random", "random-options"])
 def test_frames_replay_to_the_same_states_in_a_fresh_environment(name: str):
     """Durations, return and states of the record, against a flat environment driven by the recorded states' actions."""
     instance, _, recorder, episode = record(name)
@@ -50,9 +50,9 @@ def test_frames_replay_to_the_same_states_in_a_fresh_environment(name: str):
 def test_an_episode_plays_itself_and_leaves_no_recorder():
     """The same states, whether a recorder was there or is put in for the time being, below options or around a room."""
     instance = generate(SCHEMATIC, 0)
-    for name in ("random", "smdp-random"):
+    for name in ("random", "random-options"):
         flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=instance, observation="features")
-        env = OptionsEnv(flat) if name == "smdp-random" else flat
+        env = OptionsEnv(flat) if name == "random-options" else flat
         agent = make_agent(name, env.observation_space, env.action_space, 0)
         episode = record_episode(agent, env, 3)
         assert episode.to_json() == record(name)[3]
@@ -60,10 +60,10 @@ def test_an_episode_plays_itself_and_leaves_no_recorder():
             find_recorder(env)
         assert "\n" not in repr(episode) and f"{len(episode.states) - 1} primitives" in repr(episode)
         assert "<iframe" in episode._repr_html_()
-    planned = record_episode("planner", flat)
+    planned = record_episode("oracle", flat)
     assert planned.success and -planned.total + 100 == len(planned.states) - 1
-    assert record_episode("smdp-untried-nearest", env).success
-    with pytest.raises(UnknownNameError, match="smdp-untried-nearest"):
+    assert record_episode("search-nearest", env).success
+    with pytest.raises(UnknownNameError, match="search-nearest"):
         record_episode("smdp-untried-nearst", env)
     with pytest.raises(UnsupportedError, match="no room"):
         record_episode(agent, gymnasium.make("Taxi-v4"))
@@ -73,12 +73,12 @@ def test_decisions_carry_the_names_of_primitives_and_options():
     primitives = set(make_action_table(0).names)
     names = {name for name, _, _ in record("random")[3]["decisions"]}
     assert names and names <= primitives
-    chosen = {name for name, _, _ in record("smdp-random")[3]["decisions"]}
+    chosen = {name for name, _, _ in record("random-options")[3]["decisions"]}
     assert chosen - primitives and chosen - primitives <= {"meta-01", "meta-02", "meta-exit"}
 
 
 def test_lights_and_exit_change_where_the_room_says():
-    instance, _, recorder, episode = record("smdp-random")
+    instance, _, recorder, episode = record("random-options")
     puzzle = instance.puzzle
     lit, is_open = dict(episode["frames"]["lit"]), dict(episode["frames"]["open"])
     assert episode["success"] and len(lit) > 1 and len(is_open) == 2
@@ -131,7 +131,7 @@ def test_progress_is_the_share_of_the_goals_ancestors_lit_at_best():
     """A chain of four: two are lit, then the last is pressed too early, and progress stays at a half."""
     room = generate(get_preset("four-button-chain"), 0)
     assert room.puzzle.goal_targets and len(room.targets) == 4
-    env, _ = make_env(AgentSpec("smdp-random", options=OptionsView(include_primitives=False)), room, "features")
+    env, _ = make_env(AgentSpec("random-options", options=OptionsView(include_primitives=False)), room, "features")
     env.reset(seed=0)
     parents = {child: parent for parent, child in room.puzzle.edges}
     order = [next(target for target in range(4) if target not in parents)]
@@ -145,7 +145,7 @@ def test_progress_is_the_share_of_the_goals_ancestors_lit_at_best():
 def test_progress_in_a_board_that_must_go_dark_counts_lights_that_are_off():
     lights = LightsOutConfig(rows=4, columns=4, task=4)  # from 1001 in all rows to all off, by six presses
     room = generate(dataclasses.replace(get_preset("lights-out"), puzzle=lights), 0)
-    env, _ = make_env(AgentSpec("smdp-random", options=OptionsView(include_primitives=False)), room, "features")
+    env, _ = make_env(AgentSpec("random-options", options=OptionsView(include_primitives=False)), room, "features")
     assert env.reset(seed=0)[1]["progress"] == 0.5
     assert env.step(0)[4]["progress"] == 9 / 16, "two lights go off and one goes on"
     assert env.step(0)[4]["progress"] == 9 / 16, "back again, and the best so far counts"

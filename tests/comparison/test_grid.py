@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView, load_grid
+from hrl_escape.agents.algorithms.q_learning import QLearning
+from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.comparison.grid import Grid, load_grid
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.presets import GRIDS, get_grid
 from hrl_escape.env.presets import get_preset
@@ -24,8 +26,8 @@ def make_runs(grid: Grid):
 
 
 def test_short_texts_name_recipe_and_instance():
-    assert AgentSpec.parse("smdp-dqn@paper") == AgentSpec("smdp-dqn", recipe="paper")
-    assert AgentSpec.parse("smdp-dqn@paper").label == "smdp-dqn@paper"
+    assert AgentSpec.parse("smdp-dqn@keras-rl-2019") == AgentSpec("smdp-dqn", recipe="keras-rl-2019")
+    assert AgentSpec.parse("smdp-dqn@keras-rl-2019").label == "smdp-dqn@keras-rl-2019"
     assert RoomSpec.parse("clutter#3") == RoomSpec("clutter", seed=3)
     assert RoomSpec.parse("some/room.json") == RoomSpec(file="some/room.json")
 
@@ -33,6 +35,7 @@ def test_short_texts_name_recipe_and_instance():
 def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
     generate(get_preset("paper-one-button"), 0).save(tmp_path / "room.json")
     (tmp_path / "mine.toml").write_text("""
+        format = 2
         primitives = 500
         runs = 3
         rooms = ["clutter#2", { preset = "larg-2019", arguments = { size = 3 } }, { file = "room.json" }]
@@ -42,12 +45,13 @@ def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
         name = "smdp-dqn"
         label = "far"
         settings = { gamma = 0.999 }
-        options = { include_primitives = false }
+        options = { include_primitives = true }
     """)
     grid = load_grid(tmp_path / "mine.toml")
     assert (grid.name, grid.primitives, grid.runs) == ("mine", 500, 3)
     assert grid.agents == (AgentSpec("dqn"), AgentSpec("smdp-dqn", label="far", settings={"gamma": 0.999},
-                                                       options=OptionsView(include_primitives=False)))
+                                                       options=OptionsView(include_primitives=True)))
+    assert [agent.label for agent in grid.agents] == ["dqn", "far"]
     instances = [room.make_instance() for room in grid.rooms]
     assert [(i.name, i.seed) for i in instances] == [("clutter", 2), ("larg-2019", 0), ("paper-one-button", 0)]
     assert len(instances[1].targets) == 3
@@ -91,9 +95,9 @@ def test_a_runs_key_depends_on_what_decides_its_numbers_and_on_nothing_else():
     ]
     different = [
         find_key(agents=["dqn"]),
-        find_key(agents=["smdp-dqn@paper"]),
+        find_key(agents=["smdp-dqn@keras-rl-2019"]),
         find_key(agents=[AgentSpec("smdp-dqn", settings={"gamma": 0.9})]),
-        find_key(agents=[AgentSpec("smdp-dqn", options=OptionsView(include_primitives=False))]),
+        find_key(agents=["smdp-dqn+primitives"]),
         find_key(agents=["smdp-dqn"], rooms=["paper-two-button"]),
         find_key(agents=["smdp-dqn"], primitives=601),
         find_key(agents=["smdp-dqn"], decisions=300),
@@ -122,7 +126,7 @@ def test_options_say_nothing_about_a_flat_agent():
         ({"agents": ["dqn", AgentSpec("dqn", label="twin")]}, "same agent with the same settings twice"),
         ({"rooms": ["clutter", "clutter#0"]}, "same room twice"),
         ({"agents": ["dqqn"]}, "did you mean 'dqn'"),
-        ({"agents": ["dqn@papr"]}, "did you mean 'paper'"),
+        ({"agents": ["dqn@patint"]}, "did you mean 'patient'"),
         ({"agents": [AgentSpec("dqn", settings={"gama": 1})]}, "did you mean 'gamma'"),
         ({"agents": [AgentSpec("dqn", settings={"gamma": 2})]}, r"gamma = 2 is not possible.*from 0 to 1"),
         ({"rooms": ["cluter"]}, "did you mean 'clutter'"),
@@ -137,7 +141,8 @@ def test_an_impossible_grid_is_refused_with_its_reason(changes: dict, message: s
 
 
 @pytest.mark.parametrize(("name", "message"), [
-    ("dqqn", "unknown agent 'dqqn'; did you mean 'dqn'"), ("smdp-untired", "did you mean 'smdp-untried'"), ("", "dqn")])
+    ("dqqn", "unknown agent 'dqqn'; did you mean 'dqn'"), ("search-randm", "did you mean 'search-random'"),
+    ("", "dqn")])
 def test_an_unknown_agent_is_refused_where_it_is_named(name: str, message: str):
     for make in (lambda: AgentSpec(name), lambda: Grid(agents=(AgentSpec.parse(name),)),
                  lambda: Grid.from_dict({"agents": [name]})):
@@ -156,9 +161,22 @@ def test_an_unknown_agent_is_refused_where_it_is_named(name: str, message: str):
     ],
 )
 def test_a_file_that_is_no_grid_is_refused_by_name(tmp_path: Path, text: str, message: str):
-    (tmp_path / "mine.toml").write_text(text)
+    (tmp_path / "mine.toml").write_text(f"format = 2\n{text}")
     with pytest.raises((GridError, FileReadError), match=message):
         load_grid(tmp_path / "mine.toml")
+
+
+def test_a_grid_of_version_0_3_is_refused_with_the_command_that_converts_it(tmp_path: Path):
+    """`smdp-dqn` also chose primitives there, and its text does not say so."""
+    (tmp_path / "mine.toml").write_text('agents = ["smdp-dqn"]')
+    with pytest.raises(GridError, match=f"hrl-escape convert {tmp_path / 'mine.toml'}"):
+        load_grid(tmp_path / "mine.toml")
+
+
+def test_agents_of_a_grid_are_specs_texts_classes_or_tables():
+    spec = AgentSpec.parse("q-learning(gamma=0.9)")
+    grid = Grid(agents=("smdp-dqn", QLearning, spec, {"name": "smdp-ppo", "label": "mine"}))
+    assert [agent.label for agent in grid.agents] == ["smdp-dqn", "q-learning", "q-learning(gamma=0.9)", "mine"]
 
 
 def test_a_missing_file_and_an_unknown_name_are_told():
@@ -187,7 +205,7 @@ def test_another_version_of_a_library_is_another_run(monkeypatch):
 
 def test_an_agent_with_a_synthesised_hierarchy_is_short_text_and_its_privileges_are_known():
     spec = AgentSpec.parse("maxq-q+planned")
-    assert (spec.label, spec.leaves) == ("maxq-q+planned", "planned")
+    assert (spec.label, spec.low_level) == ("maxq-q+planned", "planned")
     assert spec.privileges == ("task graph", "state", "planner")
     assert AgentSpec.parse("hamq+learned").privileges == ("program", "state")
     assert AgentSpec.parse("dqn").privileges == ()
@@ -202,4 +220,4 @@ def test_an_agent_with_a_synthesised_hierarchy_is_short_text_and_its_privileges_
 def test_leaves_tell_runs_apart_and_change_no_key_of_others():
     grid = Grid(agents=tuple(map(AgentSpec.parse, ("maxq-q", "maxq-q+planned", "maxq-q+learned"))), runs=1)
     flat, planned, learned = (run.identity for run in make_runs(grid))
-    assert "leaves" not in flat and (planned["leaves"], learned["leaves"]) == ("planned", "learned")
+    assert "low_level" not in flat and (planned["low_level"], learned["low_level"]) == ("planned", "learned")

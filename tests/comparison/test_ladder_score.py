@@ -62,13 +62,13 @@ def test_learned_share_is_0_for_the_best_searcher_1_for_who_knows_the_schematic_
     assert compute_learned_share(0.9, 0.7, 0.95) == pytest.approx(0.8)
     assert compute_learned_share(0.6, 0.7, 0.95) == pytest.approx(-0.4)
     assert compute_learned_share(0.9, 0.70, 0.74) is None, "nothing to learn there"
-    lengths = {"smdp-untried": 80, "smdp-untried-nearest": 60, "smdp-bayes": 45, "smdp-dqn": 50, "smdp-ppo": 70}
+    lengths = {"search-random": 80, "search-nearest": 60, "bayes": 45, "smdp-dqn": 50, "smdp-ppo": 70}
     made = {name: [make_result([101.0 - length], best=61.0)] * 2 for name, length in lengths.items()}
     found = {own.agent.spec.name: own for own in list_standings("low", summarise(compare(made)))}
     efficiency = {name: 40 / length for name, length in lengths.items()}
     for name, own in found.items():
         assert own.agent.efficiency.value == pytest.approx(efficiency[name])
         assert own.learned == pytest.approx((efficiency[name] - 40 / 60) / (40 / 45 - 40 / 60))
-    assert found["smdp-untried-nearest"].learned == 0 and found["smdp-bayes"].learned == 1
-    del made["smdp-bayes"]
+    assert found["search-nearest"].learned == 0 and found["bayes"].learned == 1
+    del made["bayes"]
     assert {own.learned for own in list_standings("low", summarise(compare(made)))} == {None}

@@ -8,8 +8,9 @@ import json
 
 import pytest
 
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.reporting.report import write_markdown, write_report
@@ -33,7 +34,7 @@ VARIED = dataclasses.replace(SCHEMATIC, horizon=60,
 def finished(tmp_path_factory) -> Comparison:
     folder = tmp_path_factory.mktemp("split")
     InstanceSet("ten", VARIED, range(10)).save(folder / "ten.json")
-    agents = ("smdp-random", "smdp-dqn+objects+memory", "planner")
+    agents = ("random-options", "smdp-dqn+objects+memory", "oracle")
     grid = Grid("split", agents=tuple(map(AgentSpec.parse, agents)), train_rooms=(f"{folder}/ten.json[:4]",),
                 test_rooms=(f"{folder}/ten.json[4:7]",), runs=1, primitives=150, eval_every=150, eval_episodes=4,
                 observation="objects")
@@ -47,12 +48,12 @@ def test_evaluations_go_round_the_test_rooms_and_scores_are_measured_room_by_roo
     assert place.split is not None and place.instance == generate(VARIED, 4)
     ranges = {run.agent.label: result.score_range for run, result in finished.runs}
     assert len(set(map(str, ranges.values()))) == 1, "the same episodes for everybody"
-    starts = ranges["planner"].starts
+    starts = ranges["oracle"].starts
     rooms = [start[-1] for start in starts]
     assert rooms == [float(int(place.split.test[n].digest[:12], 16)) for n in (0, 1, 2, 0)]
     by_name = {run.agent.name: result for run, result in finished.runs}
-    assert by_name["planner"].get_final("efficiency") == 1.0, "the planner knows every room"
-    assert by_name["smdp-random"].get_final("efficiency") < 1.0
+    assert by_name["oracle"].get_final("efficiency") == 1.0, "the planner knows every room"
+    assert by_name["random-options"].get_final("efficiency") < 1.0
 
 
 @pytest.mark.in_turn
@@ -76,7 +77,7 @@ def test_report_and_tables_show_seen_rooms_beside_unseen_ones_and_the_overlap(fi
     write_markdown(twice, write_verdict(summary), "hrl-escape compare", finished.out / "twice.md")
     assert "runs in each of 2 sets of rooms." in (finished.out / "twice.md").read_text()
     assert "| in rooms trained in |" in text and "4 rooms to train in, 3 to be tested in, where 0% of the rooms" in text
-    assert all(agent.seen is not None for agent in summary.agents if agent.spec.name == "smdp-random")
+    assert all(agent.seen is not None for agent in summary.agents if agent.spec.name == "random-options")
     rows = list(csv.DictReader((finished.out / "results.csv").open()))
     assert [bool(row["seen_efficiency"]) for row in rows] == [True, True, False]
     assert "trained in</th>" in (finished.out / "report.html").read_text()
@@ -123,11 +124,11 @@ def test_sets_of_different_schematics_ask_for_what_both_can_show(test, fields, w
 
 
 def test_traits_of_agents_are_read_from_short_texts():
-    spec = AgentSpec.parse("smdp-dqn@corrected+objects+memory+no-primitives")
+    spec = AgentSpec.parse("smdp-dqn+objects+memory")
     assert spec.settings == {"network": "objects"}
     assert spec.options == OptionsView(include_primitives=False, memory=True)
     assert AgentSpec.parse("smdp-ppo+gru").settings == {"memory": "gru"}
-    assert AgentSpec.parse("smdp-factored-r-max+three-parents").resolve_settings()["max_parents"] == 3
+    assert AgentSpec.parse("smdp-factored-r-max@three-parents").resolve_settings()["max_parents"] == 3
     names = ("smdp-ppo+gru", "smdp-dqn+memory", "ppo+gru", "smdp-ppo")
     assert [AgentSpec.parse(name).remembers for name in names] == [True, True, True, False]
     with pytest.raises(UnknownNameError, match="objects"):

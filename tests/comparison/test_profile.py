@@ -24,10 +24,10 @@ def test_an_axis_has_a_value_once_all_its_rungs_were_run():
 
 
 def test_references_are_columns_of_their_own():
-    found = list_references({"depth-1": RungReferences(0.3, 0.8, "smdp-untried", 1.0, 0.9),
-                             "arm-1": RungReferences(0.1, 0.2, "smdp-retrace", 1.0)})
+    found = list_references({"depth-1": RungReferences(0.3, 0.8, "search-random", 1.0, 0.9),
+                             "arm-1": RungReferences(0.1, 0.2, "search-backtrack", 1.0)})
     assert found == {"chance": {"depth-1": 0.3, "arm-1": 0.1}, "best searcher": {"depth-1": 0.8, "arm-1": 0.2},
-                     "smdp-bayes": {"depth-1": 0.9}}
+                     "bayes": {"depth-1": 0.9}}
     assert list_references({}) == {}
 
 

@@ -6,7 +6,8 @@ from typing import Any, get_args
 
 import pytest
 
-from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.protocols import (
     TOWER,
     LadderSettings,
@@ -20,8 +21,8 @@ from hrl_escape.errors import GridError
 from hrl_escape.ladder.benchmark import list_benchmarks, load_benchmark
 
 RUNGS = [(name, rung.name) for name in list_benchmarks() for rung in load_benchmark(name)]
-LEARNERS = {"per-instance": "smdp-q-learning+no-primitives"}
-GENERALISER = "smdp-dqn+objects+memory+no-primitives"
+LEARNERS = {"per-instance": "smdp-q-learning"}
+GENERALISER = "smdp-dqn+objects+memory"
 
 
 def choose_settings(**fields: Any) -> LadderSettings:

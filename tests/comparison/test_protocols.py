@@ -4,8 +4,9 @@ import dataclasses
 
 import pytest
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.protocols import (
     LadderSettings,
@@ -22,7 +23,7 @@ from studies.ladder.calibration import find_miscalibration, find_steps
 from tests.comparison.made_up import compare
 
 BENCH = load_benchmark("ladder-1")
-AGENTS = (AgentSpec("smdp-dqn"), AgentSpec("planner"))
+AGENTS = (AgentSpec("smdp-dqn"), AgentSpec("oracle"))
 
 
 def test_per_instance_learns_each_of_ten_test_rooms_from_nothing():
@@ -38,15 +39,15 @@ def test_per_instance_shows_features_unless_an_agent_reads_objects():
         settings, specs = LadderSettings(observation=observation), tuple(map(AgentSpec.parse, agents))
         return make_protocol_grid(BENCH, "lattice", protocol, specs, settings).observation
 
-    assert find_observation("smdp-factored-r-max", "planner") == "features"
-    assert find_observation("smdp-dqn+objects", "planner") == find_observation("smdp-dqn+memory") == "objects"
+    assert find_observation("smdp-factored-r-max", "oracle") == "features"
+    assert find_observation("smdp-dqn+objects", "oracle") == find_observation("smdp-dqn+memory") == "objects"
     assert find_observation("smdp-dqn", protocol="generalise") == "objects"
     assert find_observation("smdp-dqn", observation="state") == "state"
 
 
 @pytest.mark.in_turn
 def test_factored_r_max_plans_over_what_the_largest_lattice_shows():
-    spec = AgentSpec.parse("smdp-factored-r-max+no-primitives")
+    spec = AgentSpec.parse("smdp-factored-r-max")
     grid = make_protocol_grid(BENCH, "lattice", "per-instance", (spec,), LadderSettings(rooms=1))
     env, _ = make_env(spec, grid.rooms[0].make_instance(), grid.observation)
     result = train(spec.name, env, primitives=60, seed=0, eval_every=60, eval_episodes=1, progress=False)
@@ -64,7 +65,7 @@ def test_generalise_trains_in_sets_of_training_rooms_and_is_tested_once_in_every
 
 
 def test_transfer_trains_on_one_rung_and_is_tested_on_another():
-    agents = (AgentSpec.parse("smdp-dqn+objects"), AgentSpec("planner"))
+    agents = (AgentSpec.parse("smdp-dqn+objects"), AgentSpec("oracle"))
     settings = LadderSettings(source="chain", rooms=5, train_sizes=(16,))
     grid = make_protocol_grid(BENCH, "lattice-5", "transfer", agents, settings)
     (place,) = grid.make_places()

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.agents.recommended import RECOMMENDED, format_answer
-from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.agents.spec import AgentSpec
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
 ROOM, UNSEEN, BASELINE = RECOMMENDED
-SEARCHERS = ("smdp-untried", "smdp-untried-nearest", "smdp-retrace")
+SEARCH_BASELINES = ("search-random", "search-nearest", "search-backtrack")
 
 
 def read_row(page: str, start: str) -> list[float]:
@@ -32,11 +32,12 @@ def test_each_recommended_label_names_an_agent(choice):
 
 
 def test_what_is_said_of_one_room_is_what_was_measured():
-    rows = {name: read_row("canon.md", f"| `{name}+no-primitives` |")[:7] for name in ("smdp-r-max", *SEARCHERS)}
+    rows = {name: read_row("canon.md", f"| `{name}` |")[:7] for name in ("smdp-r-max", *SEARCH_BASELINES)}
     assert all(len(row) == 7 for row in rows.values())
     assert f"Efficiency {tell_range(rows['smdp-r-max'])} after 20,000 primitives" in ROOM.reason
-    assert f"has {tell_range(rows['smdp-retrace'])}." in ROOM.reason
-    assert rows["smdp-retrace"] == [max(found) for found in zip(*(rows[name] for name in SEARCHERS), strict=True)]
+    assert f"has {tell_range(rows['search-backtrack'])}." in ROOM.reason
+    best = [max(found) for found in zip(*(rows[name] for name in SEARCH_BASELINES), strict=True)]
+    assert rows["search-backtrack"] == best
 
 
 def test_what_is_said_of_unseen_rooms_is_what_was_measured():

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from hrl_escape.agents.spec import ORACLE, SWEEP, SWEEP_RANDOM, AgentSpec
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.recording import record_episode
-from hrl_escape.comparison.references.registry import INDEX_ORDER, PLANNER, SHUFFLED_ROUND, make_reference
+from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.env.instance import RoomInstance
@@ -32,7 +32,7 @@ def play(name: str, instance: RoomInstance, episodes: int = 2) -> tuple[Evaluati
 
 
 def test_index_order_presses_every_button_by_number_then_leaves_and_begins_again():
-    _, episode = play(INDEX_ORDER, CHAIN)
+    _, episode = play(SWEEP, CHAIN)
     names = [name for name, _, _ in episode["decisions"]]
     order = [*(f"meta-{number:02}" for number in range(1, len(CHAIN.targets) + 1)), "meta-exit"]
     assert names[:5] == order
@@ -41,8 +41,8 @@ def test_index_order_presses_every_button_by_number_then_leaves_and_begins_again
 
 def test_a_shuffled_round_presses_every_button_once_in_an_order_of_the_episode_s_own():
     room = generate(get_preset("ten-button"), 0)
-    env, recorder = make_env(AgentSpec(SHUFFLED_ROUND), room, "features")
-    reference = make_reference(SHUFFLED_ROUND, env, recorder)
+    env, recorder = make_env(AgentSpec(SWEEP_RANDOM), room, "features")
+    reference = make_reference(SWEEP_RANDOM, env, recorder)
     buttons, orders = [f"meta-{number:02}" for number in range(1, 11)], []
     for seed in (0, 1, 0):
         names = [name for name, _, _ in record_episode(reference, env, seed).decisions]
@@ -58,36 +58,36 @@ def test_a_shuffled_round_presses_every_button_once_in_an_order_of_the_episode_s
                                   pytest.param("ten-button", marks=pytest.mark.slow)])
 def test_the_planner_is_as_efficient_as_the_best_known_in_every_episode(name: str, tmp_path: Path):
     instance = generate(get_preset(name), 0)
-    found, _ = play(PLANNER, instance, episodes=1)
-    env, recorder = make_env(AgentSpec(PLANNER), instance, "features")
+    found, _ = play(ORACLE, instance, episodes=1)
+    env, recorder = make_env(AgentSpec(ORACLE), instance, "features")
     env.reset(seed=0)
     from hrl_escape.comparison.score_range import compute_score_range
 
-    assert found.lengths == compute_score_range([(instance, recorder.states[0])], AgentSpec(PLANNER), tmp_path).fewest
+    assert found.lengths == compute_score_range([(instance, recorder.states[0])], AgentSpec(ORACLE), tmp_path).fewest
     assert found.successes == (True,) and found.progress == (1.0,)
 
 
 @pytest.mark.in_turn
 def test_the_planner_makes_a_new_plan_where_noise_leads_it_away():
     noisy = dataclasses.replace(CHAIN, dynamics=dataclasses.replace(CHAIN.dynamics, noise=0.1, slip=0.05))
-    found, _ = play(PLANNER, noisy, episodes=1)
+    found, _ = play(ORACLE, noisy, episodes=1)
     assert found.successes == (True,)
 
 
 @pytest.mark.in_turn
 def test_references_run_in_a_comparison_without_training(tmp_path: Path):
-    comparison = run_quietly(change(agents=(INDEX_ORDER, PLANNER, "smdp-random"), primitives=200), tmp_path)
+    comparison = run_quietly(change(agents=(SWEEP, ORACLE, "random-options"), primitives=200), tmp_path)
     assert not comparison.failures
     index_order, planner, chance = summarise(comparison).agents
     assert planner.efficiency.value == 1 and planner.success.value == 1
     assert chance.efficiency.value < index_order.efficiency.value <= 1
     results = {run.agent.name: result for run, result in comparison.runs}
-    assert results[PLANNER].primitives == 0 and results["smdp-random"].primitives >= 200
+    assert results[ORACLE].primitives == 0 and results["random-options"].primitives >= 200
     starts = {(run.seed, result.score_range.starts) for run, result in comparison.runs}
     assert len(starts) == comparison.grid.runs, "all meet the same episodes"
 
 
 def test_a_reference_takes_no_settings():
     with pytest.raises(GridError, match="no settings and no recipe"):
-        AgentSpec(PLANNER, settings={"gamma": 0.5}).resolve_settings()
-    assert AgentSpec(PLANNER).resolve_settings() == {}
+        AgentSpec(ORACLE, settings={"gamma": 0.5}).resolve_settings()
+    assert AgentSpec(ORACLE).resolve_settings() == {}

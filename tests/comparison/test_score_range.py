@@ -15,8 +15,7 @@ import pytest
 from gymnasium.wrappers import TransformReward
 
 from hrl_escape.agents import Agent, train
-from hrl_escape.comparison.grid import AgentSpec, OptionsView
-from hrl_escape.comparison.references.registry import INDEX_ORDER
+from hrl_escape.agents.spec import SWEEP, AgentSpec, OptionsView
 from hrl_escape.comparison.runs import execute_run, make_env
 from hrl_escape.comparison.score_range import CEILING, PLANNER, compute_score_range
 from hrl_escape.env.instance import RoomInstance
@@ -101,14 +100,14 @@ def test_what_planners_found_is_kept_for_other_runs_and_a_damaged_file_is_made_a
 
 
 def test_a_run_that_beats_the_best_known_return_raises_it(tmp_path, monkeypatch):
-    (finished, result), = run_quietly(change(agents=(INDEX_ORDER,), runs=1, primitives=200), tmp_path).runs
+    (finished, result), = run_quietly(change(agents=(SWEEP,), runs=1, primitives=200), tmp_path).runs
     instance, = (RoomInstance.load(path) for path in (tmp_path / "rooms").glob("*.json"))
     states = [Kinematics(instance).make_state(start) for start in instance.starts]
     poor = {(instance.id, get_pose(state), state.puzzle): find_best_known(instance, state)._replace(value=-70.0)
             for state in states}
     monkeypatch.setattr(best_known, "_KNOWN", OrderedDict(poor))
     shutil.rmtree(tmp_path / "references")
-    with pytest.warns(UserWarning, match=f"{INDEX_ORDER}, seed 0 reached a return of"):
+    with pytest.warns(UserWarning, match=f"{SWEEP}, seed 0 reached a return of"):
         execute_run(finished, tmp_path, 60.0)
     reached = max(result.evaluations[0].returns)
     assert max(best_known_return(instance, state=state) for state in states) == reached > -70

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from benchmarks.references import compute_entropy, measure_information
+from hrl_escape.agents.spec import BAYES, SEARCH_BACKTRACK, SEARCH_NEAREST, SEARCH_RANDOM, SWEEP_RANDOM, AgentSpec
 from hrl_escape.agents.training.evaluation import evaluate
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.references import bayes
 from hrl_escape.comparison.references.bayes import (
@@ -28,14 +28,7 @@ from hrl_escape.comparison.references.bayes import (
     make_family,
     measure_ways,
 )
-from hrl_escape.comparison.references.registry import (
-    BAYES,
-    RETRACE,
-    SHUFFLED_ROUND,
-    UNTRIED,
-    UNTRIED_NEAREST,
-    make_reference,
-)
+from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
@@ -69,7 +62,7 @@ def relabel(room: RoomInstance, order: tuple[int, ...], rule: ViolationRule = "i
     return dataclasses.replace(room, puzzle=puzzle)
 
 
-@pytest.mark.parametrize("name", [UNTRIED, UNTRIED_NEAREST])
+@pytest.mark.parametrize("name", [SEARCH_RANDOM, SEARCH_NEAREST])
 def test_a_searcher_never_tries_again_what_failed_under_the_same_lights(name: str):
     room = relabel(generate(get_preset("four-button-chain"), 1), (2, 0, 3, 1))
     _, decisions = play(name, room)
@@ -87,13 +80,13 @@ def test_a_searcher_never_tries_again_what_failed_under_the_same_lights(name: st
 def test_the_nearest_first_needs_less_than_a_random_order_and_that_less_than_rounds():
     rooms = [LADDER["chain-4"].test[number] for number in range(12)]
     nearest, untried, rounds = (np.mean([play(name, room, 3)[0].mean() for room in rooms])
-                                for name in (UNTRIED_NEAREST, UNTRIED, SHUFFLED_ROUND))
+                                for name in (SEARCH_NEAREST, SEARCH_RANDOM, SWEEP_RANDOM))
     assert nearest < untried < rounds < np.inf
 
 
 @pytest.mark.parametrize("order", [(2, 0, 3, 1), (0, 1, 2, 3), (3, 2, 1, 0), (1, 3, 0, 2)])
 def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice(order: tuple[int, ...]):
-    _, decisions = play(RETRACE, relabel(generate(get_preset("four-button-chain"), 1), order, "reset"))
+    _, decisions = play(SEARCH_BACKTRACK, relabel(generate(get_preset("four-button-chain"), 1), order, "reset"))
     names = [f"meta-{number:02}" for number in range(1, 5)]
     lit, best, failed = 0, 0, set()
     for decision in decisions[:-1]:
@@ -114,7 +107,7 @@ def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice(ord
 def test_retracing_finds_its_way_where_the_nearest_first_goes_round_in_circles(rung: str):
     rooms = [LADDER[rung].test[number] for number in range(8)]
     retraced, nearest = (np.array([play(name, room)[0].mean() for room in rooms])
-                         for name in (RETRACE, UNTRIED_NEAREST))
+                         for name in (SEARCH_BACKTRACK, SEARCH_NEAREST))
     assert np.isfinite(retraced).all() and np.isinf(nearest).any()
 
 
@@ -240,8 +233,8 @@ def test_over_all_graphs_of_a_room_who_knows_the_odds_needs_least_and_what_was_f
     room = generate(config, 5)
     rooms = [dataclasses.replace(room, puzzle=puzzle, seed=seed) for puzzle, seed in seeds.items()]
     lengths = {name: np.mean([play(name, each)[0].mean() for each in rooms])
-               for name in (UNTRIED, UNTRIED_NEAREST, BAYES)}
-    assert lengths[BAYES] < min(lengths[UNTRIED], lengths[UNTRIED_NEAREST]), lengths
+               for name in (SEARCH_RANDOM, SEARCH_NEAREST, BAYES)}
+    assert lengths[BAYES] < min(lengths[SEARCH_RANDOM], lengths[SEARCH_NEAREST]), lengths
     assert foretell(room, ButtonsConfig(count=4)) == pytest.approx(lengths[BAYES], rel=0.04)
 
 
@@ -379,7 +372,7 @@ def test_two_buttons_touched_at_once_confuse_no_belief():
     marks = dataclasses.replace(config.puzzle.marks, motifs=2)
     rooms = InstanceSet("", dataclasses.replace(config, puzzle=dataclasses.replace(config.puzzle, marks=marks)),
                         [699512341362768345])
-    env, recorder = make_env(AgentSpec.parse(f"{BAYES}+no-primitives"), rooms, "features", {"0": 0})
+    env, recorder = make_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
     assert evaluate(make_reference(BAYES, env, recorder), env, 1).successes == (True,)
     assert any((after.puzzle & ~before.puzzle).bit_count() > 1 for before, after in itertools.pairwise(recorder.states))
     env.close()
@@ -391,7 +384,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
     config = dataclasses.replace(get_preset("four-button-chain"), puzzle=ButtonsConfig(count=3, on_violation=rule))
     monkeypatch.setattr(bayes, "find_schematic", lambda room: config)  # the room's name is that of another
     room = relabel(generate(config, 5), (1, 0, 2))
-    env, recorder = make_env(AgentSpec.parse(f"{BAYES}+no-primitives"), room, "features")
+    env, recorder = make_env(AgentSpec(BAYES), room, "features")
     searcher = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
     searcher.act(observation, info["action_mask"] != 0)
@@ -405,7 +398,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
 def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_are_drawn(rung: str, graphs: int):
     """A ceiling is a ceiling only where beliefs are listed: a sample does not plan."""
     rooms = load_benchmark("marks-4")[rung].test[:1]
-    env, recorder = make_env(AgentSpec.parse(f"{BAYES}+no-primitives"), rooms, "features", {"0": 0})
+    env, recorder = make_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
     searcher: Any = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
     searcher.act(observation, info["action_mask"] != 0)
@@ -437,10 +430,10 @@ def test_who_reads_marks_needs_less_in_the_same_rooms_than_who_cannot(monkeypatc
         monkeypatch.setattr("hrl_escape.comparison.references.bayes.find_schematic", lambda room, config=config: config)
         rooms = [generate(config, seed) for seed in range(5)]
         lengths[shuffled] = np.mean([play(BAYES, room)[0].mean() for room in rooms])
-        nearest = np.mean([play(UNTRIED_NEAREST, room)[0].mean() for room in rooms])
+        nearest = np.mean([play(SEARCH_NEAREST, room)[0].mean() for room in rooms])
     assert lengths[False] < 0.9 * nearest and lengths[False] < 0.95 * lengths[True]
 
 
 def test_bayes_says_where_it_has_no_beliefs():
-    with pytest.raises(UnsupportedError, match=r"take smdp-retrace"):
+    with pytest.raises(UnsupportedError, match=r"take search-backtrack"):
         play(BAYES, generate(get_preset("lights-out"), 0))

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import AgentSpec, SolvedRule
+from hrl_escape.comparison.grid import SolvedRule
 from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.comparison.solved_probe import SolvedProbe, compare_graphs, find_edges_that_matter
 from hrl_escape.env.escape_room import EscapeRoomEnv
@@ -52,7 +53,7 @@ def test_a_policy_near_the_best_counts_from_the_first_of_two_checks_after_an_esc
     agent = train("smdp-q-learning", env, primitives=300, eval_episodes=0).agent
     known = ScoreRange(-200.0, ((0.0,),), (91.0,), (91.0,), (9.0,), (9.0,), "planner")
     probes = [SolvedProbe(SolvedRule(0.99, check_every=100), env, room, AgentSpec(name), known)
-              for name in ("smdp-q-learning", "smdp-random")]
+              for name in ("smdp-q-learning", "random-options")]
     for at, success in ((100, False), (250, False), (400, True), (450, False), (600, False)):
         for probe in probes:
             probe.after_episode(agent, EpisodeRecord(at, at, 0.0, 10, success, "terminated", 0.0))

@@ -161,7 +161,7 @@ def test_all_pairs_are_one_family_but_for_the_planner():
               for n, name in enumerate(("dqn", "ppo", "sarsa"))}
     alone = summarise(compare({name: agents[name] for name in ("dqn", "ppo")}))
     three = summarise(compare(agents))
-    with_planner = summarise(compare({**agents, "planner": [make(1)] * 5}))
+    with_planner = summarise(compare({**agents, "oracle": [make(1)] * 5}))
     assert three.pairs[0][1].p >= alone.pairs[0][1].p
     assert with_planner.pairs[0][1].p == three.pairs[0][1].p
     assert with_planner.pairs[3][0].p == 1

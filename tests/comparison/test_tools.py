@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.cli import main
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid, make_tower_grid
 from hrl_escape.comparison.runs import make_env, make_player
 from hrl_escape.comparison.summary import summarise
@@ -20,12 +20,12 @@ from hrl_escape.text.told_env import find_told_env
 from tests.comparison.small import run_quietly
 from tests.text.rooms import get_room, play_manager
 
-UNTRIED = AgentSpec(name="smdp-tools", label="text", settings={"model": "untried", "told": "names"})
+UNTRIED = AgentSpec(name="text-agent", label="text", settings={"model": "search-random", "told": "names"})
 
 
 def test_it_scores_what_the_searcher_scores_whose_choices_it_makes():
     found = []
-    for spec in (AgentSpec("smdp-untried"), UNTRIED, AgentSpec("smdp-tools", settings={"model": "uniform"})):
+    for spec in (AgentSpec("search-random"), UNTRIED, AgentSpec("text-agent", settings={"model": "random"})):
         env, recorder = make_env(spec, get_room("chain-3"), "features")
         found.append(evaluate(make_player(spec, env, recorder), env, episodes=5))
     searcher, text, chance = found
@@ -34,8 +34,8 @@ def test_it_scores_what_the_searcher_scores_whose_choices_it_makes():
 
 @pytest.mark.slow
 def test_a_ladder_takes_it_and_reports_it_as_a_reference(tmp_path: Path):
-    told_all = AgentSpec("smdp-tools", settings={"model": "planner", "told": "model"})
-    agents = (AgentSpec("smdp-untried"), UNTRIED, told_all)
+    told_all = AgentSpec("text-agent", settings={"model": "oracle", "told": "model"})
+    agents = (AgentSpec("search-random"), UNTRIED, told_all)
     for protocol in ("generalise", "per-instance"):
         grid = make_protocol_grid(load_benchmark("ladder-1"), "chain-3", protocol, agents,
                                   LadderSettings(1, 500, 2, (2,), 2))
@@ -46,28 +46,28 @@ def test_a_ladder_takes_it_and_reports_it_as_a_reference(tmp_path: Path):
 
 def test_settings_are_checked_and_decide_the_key(tmp_path: Path):
     with pytest.raises(UnknownNameError, match="models"):
-        AgentSpec(name="smdp-tools", settings={"models": "untried"}).resolve_settings()
+        AgentSpec(name="text-agent", settings={"models": "search-random"}).resolve_settings()
     with pytest.raises(ConfigError, match="told"):
-        AgentSpec(name="smdp-tools", settings={"told": "all"}).resolve_settings()
+        AgentSpec(name="text-agent", settings={"told": "all"}).resolve_settings()
     with pytest.raises(FileReadError, match="mine.jsonl"):
-        AgentSpec(name="smdp-tools", settings={"model": str(tmp_path / "mine.jsonl")}).resolve_settings()
-    spec = AgentSpec(name="smdp-tools", settings={"model": str(tmp_path / "mine.jsonl")})
+        AgentSpec(name="text-agent", settings={"model": str(tmp_path / "mine.jsonl")}).resolve_settings()
+    spec = AgentSpec(name="text-agent", settings={"model": str(tmp_path / "mine.jsonl")})
     found = []
     for seed in (1, 2):
-        save_games(tmp_path / "mine.jsonl", [record_game(play_manager("uniform", get_room("pair"), seed, "names")[1])])
+        save_games(tmp_path / "mine.jsonl", [record_game(play_manager("random", get_room("pair"), seed, "names")[1])])
         found.append(spec.resolve_settings())
     assert found[0]["recorded"] != found[1]["recorded"] and spec.is_reference and not spec.learns
 
 
 def test_a_tower_is_refused():
-    with pytest.raises(ConfigError, match="smdp-tools|text"):
+    with pytest.raises(ConfigError, match="text-agent|text"):
         make_tower_grid(load_benchmark("ladder-1"), ("pair", "chain"), (UNTRIED,), LadderSettings())
 
 
 def test_train_takes_it_and_tells_runs_of_different_callers_apart(tmp_path: Path):
     room, keys = get_room("pair"), set()
-    for model, told in (("untried", "names"), ("untried", "places"), ("uniform", "names")):
-        spec = AgentSpec(name="smdp-tools", settings={"model": model, "told": told})
+    for model, told in (("search-random", "names"), ("search-random", "places"), ("random", "names")):
+        spec = AgentSpec(name="text-agent", settings={"model": model, "told": told})
         env, recorder = make_env(spec, room, "features")
         player = make_player(spec, env, recorder)
         result = train(player, env, primitives=60, seed=1, eval_episodes=1, out=tmp_path / "run-{key}", progress=False)
@@ -77,8 +77,8 @@ def test_train_takes_it_and_tells_runs_of_different_callers_apart(tmp_path: Path
 
 
 def test_the_command_trains_and_lists_its_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["train", "smdp-tools", "--settings", "model=untried", "told=names", "--primitives", "60",
+    assert main(["train", "text-agent", "--settings", "model=search-random", "told=names", "--primitives", "60",
                  "--eval-episodes", "1", "--out", str(tmp_path / "run")]) == 0
-    assert "smdp-tools, seed 0" in capsys.readouterr().out
-    assert main(["train", "smdp-tools", "--list-settings"]) == 0
-    assert "untried-nearest" in capsys.readouterr().out
+    assert "text-agent, seed 0" in capsys.readouterr().out
+    assert main(["train", "text-agent", "--list-settings"]) == 0
+    assert "search-nearest" in capsys.readouterr().out

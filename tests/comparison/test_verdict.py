@@ -32,44 +32,44 @@ CHANCE = runs(10, 12, 13, 14, 15, 15, 16, 17, 18, 20)
 
 @pytest.mark.in_turn
 def test_options_that_help_and_what_learners_make_of_them_are_told_apart():
-    said = judge({"random": NEVER, "dqn": NEVER, "smdp-random": CHANCE, "smdp-dqn": GOOD})
+    said = judge({"random": NEVER, "dqn": NEVER, "random-options": CHANCE, "smdp-dqn": GOOD})
     assert said["headline"] == ["`smdp-dqn` is best: it escapes every time, in 19 primitives."]
     assert said["finding"][:2] == [
         "Without options no agent escapes: `random` and `dqn` never do within 1,000 primitives. With options, "
         "`smdp-dqn` escapes every time, in 19 primitives.",
-        "Random choice among the options (`smdp-random`) escapes every time, in 86 primitives: that much comes from "
+        "Random choice among the options (`random-options`) escapes every time, in 86 primitives: that much comes from "
         "their planners. `smdp-dqn` shortens that to 19.",
     ]
 
 
 @pytest.mark.parametrize(("searcher", "adds"), [(CHANCE, True), (GOOD, False), (runs(*[90] * 10), False)])
 def test_that_learning_adds_is_said_of_who_beats_the_searcher(searcher, adds):
-    said = judge({"smdp-random": CHANCE, "smdp-dqn": GOOD, "smdp-untried-nearest": searcher})
+    said = judge({"random-options": CHANCE, "smdp-dqn": GOOD, "search-nearest": searcher})
     assert any("Learning adds to it: `smdp-dqn`" in text for text in said["finding"]) == adds
     assert any("`smdp-dqn` shortens that to 19." in text for text in said["finding"])
 
 
 def test_learning_that_adds_nothing_is_not_praised():
-    said = judge({"dqn": NEVER, "smdp-random": CHANCE, "smdp-dqn": CHANCE})
-    assert said["headline"][0].startswith("`smdp-random` and `smdp-dqn` tie at an efficiency of 0.01")
+    said = judge({"dqn": NEVER, "random-options": CHANCE, "smdp-dqn": CHANCE})
+    assert said["headline"][0].startswith("`random-options` and `smdp-dqn` tie at an efficiency of 0.01")
     assert any("Best learner against it: no significant difference; `smdp-dqn`" in text for text in said["finding"])
 
 
 def test_a_learner_worse_than_chance_is_named():
-    said = judge({"smdp-random": CHANCE, "smdp-dqn": GOOD, "smdp-sarsa": runs(*[-500] * 10)})
+    said = judge({"random-options": CHANCE, "smdp-dqn": GOOD, "smdp-sarsa": runs(*[-500] * 10)})
     assert "`smdp-sarsa` ends below choosing at random." in said["finding"]
-    said = judge({"smdp-random": GOOD, "smdp-dqn": CHANCE})
-    assert said["headline"] == ["No learner matches `smdp-random`, which escapes every time, in 19 primitives."]
+    said = judge({"random-options": GOOD, "smdp-dqn": CHANCE})
+    assert said["headline"] == ["No learner matches `random-options`, which escapes every time, in 19 primitives."]
     assert any("No learner matches it" in text for text in said["finding"])
 
 
 def test_options_that_do_not_help_are_said_not_to():
-    said = judge({"dqn": GOOD, "smdp-random": CHANCE, "smdp-dqn": CHANCE})
+    said = judge({"dqn": GOOD, "random-options": CHANCE, "smdp-dqn": CHANCE})
     assert said["finding"][0].startswith("Options do not help here: `dqn` is more efficient than `smdp-dqn` by 0.04 (")
 
 
 def test_overlapping_runs_are_not_significantly_different():
-    said = judge({"dqn": runs(90, 92, 94, 96, 98, 90, 92, 94, 96, 98), "smdp-random": NEVER,
+    said = judge({"dqn": runs(90, 92, 94, 96, 98, 90, 92, 94, 96, 98), "random-options": NEVER,
                   "smdp-dqn": runs(96, 90, 98, 92, 94, 98, 95, 90, 96, 97)})
     assert said["headline"] == ["No significant difference between `smdp-dqn` and `dqn`; the first escapes every time, "
                                 "in 6 primitives."]
@@ -78,9 +78,10 @@ def test_overlapping_runs_are_not_significantly_different():
 
 def test_ties_are_called_ties():
     best = runs(*[90] * 10)
-    tied = judge({"smdp-random": CHANCE, "smdp-q-learning": best, "smdp-dqn": best, "smdp-retrace": best})["headline"]
-    assert tied == ["`smdp-q-learning`, `smdp-dqn` and `smdp-retrace` tie at an efficiency of 0.09: `smdp-q-learning` "
-                    "escapes every time, in 11 primitives."]
+    tied = judge({"random-options": CHANCE, "smdp-q-learning": best, "smdp-dqn": best, "search-backtrack": best})
+    tied = tied["headline"]
+    assert tied == ["`smdp-q-learning`, `smdp-dqn` and `search-backtrack` tie at an efficiency of 0.09: "
+                    "`smdp-q-learning` escapes every time, in 11 primitives."]
     near = runs(60, 98, *[90] * 8)  # the same interquartile mean, another mean
     more = {name: best for name in ("dqn", "ppo", "sarsa", "ddpg", "rainbow")}
     assert judge(more)["headline"][0].startswith("`dqn`, `ppo`, `sarsa` and two others tie at an efficiency of 0.09")
@@ -90,7 +91,7 @@ def test_ties_are_called_ties():
 
 
 def test_with_fewer_than_ten_runs_there_are_estimates_and_no_verdict():
-    said = judge({"smdp-random": CHANCE[:9], "smdp-dqn": GOOD[:9], "smdp-retrace": CHANCE[:9], "dqn": NEVER[:9]})
+    said = judge({"random-options": CHANCE[:9], "smdp-dqn": GOOD[:9], "search-backtrack": CHANCE[:9], "dqn": NEVER[:9]})
     assert re.fullmatch(r"`smdp-dqn` has the highest efficiency, 0\.05 \(0\.0\d to 0\.\d\d\)\. Nine runs a room are "
                         r"too few for a verdict, which takes 10\.", said["headline"][0])
     assert not [text for text in said["finding"] for word in ("better", "shortens", "matches", "adds") if word in text]
@@ -101,7 +102,7 @@ def test_with_fewer_than_ten_runs_there_are_estimates_and_no_verdict():
 
 def test_no_interval_without_width_is_printed():
     """Ten equal differences have no spread to estimate an interval from."""
-    said = judge({"dqn": runs(*[50] * 10), "smdp-dqn": runs(*[90] * 10), "smdp-random": NEVER})
+    said = judge({"dqn": runs(*[50] * 10), "smdp-dqn": runs(*[90] * 10), "random-options": NEVER})
     assert "`smdp-dqn` is more efficient than `dqn` by 0.07 with the same room and seed" in said["finding"][0]
     assert not [text for kind in said.values() for text in kind if re.search(r"\((\S+) to \1\)", text)]
 
@@ -123,7 +124,7 @@ def test_what_is_missing_is_split():
 
 
 def test_stuck_runs_are_counted():
-    said = judge({"smdp-random": CHANCE, "smdp-dqn": [*GOOD[:4], *NEVER[:2]]})
+    said = judge({"random-options": CHANCE, "smdp-dqn": [*GOOD[:4], *NEVER[:2]]})
     assert "No escape in the last fifth of training: 2 of 6 runs of `smdp-dqn`." in said["finding"]
 
 
@@ -135,32 +136,32 @@ def test_speed_counts_runs_that_never_escape_at_the_budget():
 
 def test_who_is_told_how_rooms_are_drawn_is_no_bar():
     learned = runs(60, 61, 62, 62, 62, 62, 62, 63, 63, 64)
-    agents = {"smdp-untried-nearest": CHANCE, "smdp-bayes": GOOD, "smdp-dqn": learned}
+    agents = {"search-nearest": CHANCE, "bayes": GOOD, "smdp-dqn": learned}
     (told,) = [text for text in judge(agents)["finding"] if "search baseline" in text]
-    assert "`smdp-untried-nearest`, escapes" in told and told.endswith("`smdp-dqn`, trained in this room, is better.")
+    assert "`search-nearest`, escapes" in told and told.endswith("`smdp-dqn`, trained in this room, is better.")
 
 
 @pytest.mark.in_turn
 def test_learners_are_measured_against_the_best_searcher_that_learns_nothing():
-    start = "The best search baseline, `smdp-untried-nearest`, escapes every time, in "
+    start = "The best search baseline, `search-nearest`, escapes every time, in "
     rule = ("It presses what is unlit and untried since the lights last changed, the nearest first, and starts every "
             "episode anew")
-    worse = {"smdp-index-order": runs(*[-500] * 10), "planner": runs(*[BEST] * 10)}
-    said = judge({**worse, "smdp-untried-nearest": CHANCE, "smdp-dqn": GOOD})
+    worse = {"sweep": runs(*[-500] * 10), "oracle": runs(*[BEST] * 10)}
+    said = judge({**worse, "search-nearest": CHANCE, "smdp-dqn": GOOD})
     assert f"{start}86 primitives. {rule}; `smdp-dqn`, trained in this room, is better." in said["finding"]
-    said = judge({**worse, "smdp-untried-nearest": GOOD, "smdp-dqn": CHANCE})
+    said = judge({**worse, "search-nearest": GOOD, "smdp-dqn": CHANCE})
     assert f"{start}19 primitives. {rule}; no learner matches that." in said["finding"]
-    assert said["headline"][0].startswith("No learner matches `smdp-untried-nearest`")
-    said = judge({**worse, "smdp-untried-nearest": CHANCE, "smdp-dqn": CHANCE})
+    assert said["headline"][0].startswith("No learner matches `search-nearest`")
+    said = judge({**worse, "search-nearest": CHANCE, "smdp-dqn": CHANCE})
     assert any(text.startswith(f"{start}86 primitives. {rule}. Best learner against it: no significant difference; ")
                for text in said["finding"])
-    rounds = judge({"smdp-index-order": GOOD, "smdp-untried-nearest": CHANCE, "smdp-dqn": CHANCE})["finding"]
-    assert any("`smdp-index-order`" in text and "It presses all buttons in the order of their numbers" in text
+    rounds = judge({"sweep": GOOD, "search-nearest": CHANCE, "smdp-dqn": CHANCE})["finding"]
+    assert any("`sweep`" in text and "It presses all buttons in the order of their numbers" in text
                for text in rounds)
 
 
 def test_the_planner_that_knows_the_room_is_no_contender():
-    said = judge({"planner": runs(*[BEST] * 10), "smdp-random": CHANCE, "smdp-dqn": GOOD})
+    said = judge({"oracle": runs(*[BEST] * 10), "random-options": CHANCE, "smdp-dqn": GOOD})
     assert said["headline"] == ["`smdp-dqn` is best: it escapes every time, in 19 primitives."]
     assert not any("Options" in text for text in said["finding"]), "the planner is no learner without options"
     assert not any("better way" in text for text in said["finding"]), "nor does it beat itself"
@@ -173,7 +174,7 @@ def test_the_planner_that_knows_the_room_is_no_contender():
         ({"dqn": [*GOOD[:4], None, None]}, "Some runs have no result and count nowhere: `dqn` 2 of 6."),
         ({"dqn": GOOD, "ppo": [None] * 10}, "Some runs have no result and count nowhere: `ppo` all 10."),
         ({"smdp-dqn": GOOD}, "No random policy over the same options was run for `smdp-dqn`"),
-        ({"smdp-dqn": GOOD, "smdp-index-order": GOOD}, "No search baseline such as `smdp-retrace` was run"),
+        ({"smdp-dqn": GOOD, "sweep": GOOD}, "No search baseline such as `search-backtrack` was run"),
         ({"dqn": [make_result([80.0], source="ceiling")] * 6}, "No plan is known for paper-two-button"),
     ],
 )
@@ -183,7 +184,7 @@ def test_cautions(agents: dict, caution: str):
 
 def test_ten_clean_runs_beside_chance_need_no_caution():
     ten = runs(*range(80, 90))
-    assert judge({"smdp-random": ten, "smdp-untried": ten, "smdp-dqn": ten})["caution"] == []
+    assert judge({"random-options": ten, "search-random": ten, "smdp-dqn": ten})["caution"] == []
 
 
 def test_a_better_way_than_the_planners_is_told():

@@ -105,7 +105,7 @@ TUTORIALS = {
                        r".* q-learning: returns \[(-1000, )+-1000\] smdp-q-learning: returns \[-?\d+, .* [3-6]\d\] ",
     "options_by_hand": r"reached, reward -8, discounted -7.73, gamma\^k 0.923 to-the-left-wall: cannot start here",
     "own_environment": r"fetch: 11 primitives, reached.* smdp-q-learning: mean return (?:19|2\d)\.\d after .* "
-                       r"q-learning: mean return -200.0 .* smdp-random: mean return -?1?\d\.\d",
+                       r"q-learning: mean return -200.0 .* random-options: mean return -?1?\d\.\d",
     "planned_options": r"plan: (\d+) primitives, return \d+ .*by options: escaped True, return \d+ with noise .* True",
     "smdp_q_learning": r"episode 0: return .*greedy: return 64 by meta-01, then meta-02, then meta-exit",
     "maxq_taxi": r"optimum of the graph 7.93, of all policies 7.93 maxq-q: mean return (7\.[5-9]|8\.[0-3])",

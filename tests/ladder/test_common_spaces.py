@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
 from hrl_escape.errors import ActionError, UnsupportedError
 from hrl_escape.ladder.common_spaces import CommonSpacesEnv, join_spaces
 from hrl_escape.ladder.instance_set import InstanceSet

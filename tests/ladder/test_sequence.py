@@ -10,9 +10,9 @@ import pytest
 
 from hrl_escape.agents.agent import FixedPolicy
 from hrl_escape.agents.algorithms.random import RandomAgent
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env as make_view
 from hrl_escape.comparison.statistics import compute_mean_efficiency
@@ -270,11 +270,11 @@ def test_floors_that_repeat_have_one_motif_and_other_rooms():
 
 
 def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_nothing_repeats():
-    spec, tower = AgentSpec.parse("smdp-bayes+no-primitives"), repeat_floor(SAME, 2)
+    spec, tower = AgentSpec.parse("bayes"), repeat_floor(SAME, 2)
     presses = {}
     for paired in (True, False):
         env, recorder = make_view(spec, Tower(tower.floors, paired), "objects", {str(n): n for n in range(12)})
-        player = make_reference("smdp-bayes", env, recorder)
+        player = make_reference("bayes", env, recorder)
         counts = np.zeros(2)
         for seed in range(12):
             observation, info = env.reset(seed=seed)

@@ -297,7 +297,7 @@ MUTATIONS = [
         "agents/streams.py",
         "        self._place(stream)\n",
         "",
-        "agents/algorithms/given/test_many_rooms.py::test_tasks_are_worth_what_they_earn_in_streams_that_each_have_their_"
+        "agents/algorithms/task_hierarchies/test_many_rooms.py::test_tasks_are_worth_what_they_earn_in_streams_that_each_have_their_"
         "own_calls",
     ),
     Mutation(
@@ -305,7 +305,7 @@ MUTATIONS = [
         "agents/hierarchy/runner.py",
         "len(tasks) + tasks.index(task)",
         "len(tasks)",
-        "agents/algorithms/given/test_many_rooms.py::test_tasks_that_share_a_learner_keep_their_open_decisions_apart",
+        "agents/algorithms/task_hierarchies/test_many_rooms.py::test_tasks_that_share_a_learner_keep_their_open_decisions_apart",
     ),
     Mutation(
         "an option that a stream was cut in leads where it was cut",

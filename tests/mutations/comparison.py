@@ -29,7 +29,7 @@ MUTATIONS = [
     Mutation(
         "the ceiling forgets on the next floor which motif holds",
         "comparison/references/registry.py",
-        "last.infer_motif() if isinstance(last, BayesSearcher) and not is_first else None",
+        "last.infer_motif() if isinstance(last, BayesPlanner) and not is_first else None",
         "None",
         "ladder/test_sequence.py::test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_nothing_repeats",
     ),

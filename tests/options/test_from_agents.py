@@ -13,14 +13,14 @@ import pytest
 
 from hrl_escape.agents import StackAgent, load_agent, make_agent, maxq, train
 from hrl_escape.agents.agent import make_transition
-from hrl_escape.agents.algorithms.given.feudal_rl import FeudalRl, Quadtree
-from hrl_escape.agents.algorithms.given.h_dqn import HDqn
-from hrl_escape.agents.algorithms.given.hamq import Hamq
-from hrl_escape.agents.algorithms.given.hdg import Hdg, Landmarks
-from hrl_escape.agents.algorithms.given.macro_q import MacroQ
-from hrl_escape.agents.algorithms.given.maxq_q import MaxqQ
-from hrl_escape.agents.algorithms.given.r_maxq import RMaxq
 from hrl_escape.agents.algorithms.q_learning import QLearning
+from hrl_escape.agents.algorithms.task_hierarchies.feudal_rl import FeudalRl, Quadtree
+from hrl_escape.agents.algorithms.task_hierarchies.h_dqn import HDqn
+from hrl_escape.agents.algorithms.task_hierarchies.hamq import Hamq
+from hrl_escape.agents.algorithms.task_hierarchies.hdg import Hdg, Landmarks
+from hrl_escape.agents.algorithms.task_hierarchies.macro_q import MacroQ
+from hrl_escape.agents.algorithms.task_hierarchies.maxq_q import MaxqQ
+from hrl_escape.agents.algorithms.task_hierarchies.r_maxq import RMaxq
 from hrl_escape.agents.hierarchy.goal_space import GoalSet
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.registry import list_agents

@@ -40,7 +40,7 @@ def test_who_beats_the_best_searcher_is_the_headline(tmp_path: Path):
     page = tell("budgets", make_lines(lambda agent, rung: 0.95 if agent == DQN else 0.3), tmp_path)
     assert re.search(rf"\*\*1 of 4 learners beat the best searcher that learns nothing: `{re.escape(DQN)}` \(\+0\.3\d, "
                      r"\+0\.\d\d to \+0\.\d\d, over 2 rungs\)\.\*\*", page)
-    assert "| rung | `smdp-random+no-primitives` |" in page and f"`{MEMORY}` |" in page
+    assert "| rung | `random-options` |" in page and f"`{MEMORY}` |" in page
     assert "| `lattice-5` | 0.20 (10) |" in page, "who learns nothing, from the study of the ladder"
     assert "python -m studies budgets --rungs lattice-5 lattice --runs 1 --workers 2" in page
     assert "Not run yet: `reach`, `doors`, `drift`, `code`, " in page and "`switchboard`." in page

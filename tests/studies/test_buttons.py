@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.sampling.generation import generate
@@ -39,7 +39,7 @@ from tests.studies.pages import tell
 
 SIZES = (2, 3, 4, 6, 8, 10, 12, 15, 20)
 BUDGET = 100_000
-LEARNER, SEARCHER = "smdp-dqn+no-primitives", "smdp-untried-nearest"
+LEARNER, SEARCHER = "smdp-dqn", "search-nearest"
 WORDS = {LEARNER: "a learner", SEARCHER: "a searcher"}
 
 
@@ -165,10 +165,10 @@ def test_the_study_goes_on_and_stops_an_agent_that_never_escapes(tmp_path: Path)
     study = dataclasses.replace(found, data={**found.data, "sizes": [2, 3, 4], "budget": 60, "runs": 1})
     store = open_store(study, tmp_path)
     for _ in range(2):
-        measure(study, Args(agents=(SEARCHER, "dqn+patient")), store)
+        measure(study, Args(agents=(SEARCHER, "dqn@patient")), store)
         runs = store.load()
         assert [run.buttons for run in runs if run.agent == SEARCHER][:2] == [2, 3]
-        assert [run.buttons for run in runs if run.agent == "dqn+patient"] == [2], "no walk of 60 primitives escapes"
+        assert [run.buttons for run in runs if run.agent == "dqn@patient"] == [2], "no walk of 60 primitives escapes"
         assert store.path.read_text().count("\n") == len(runs), "nothing is run twice"
     measure(dataclasses.replace(study, data={**study.data, "width": 21.0}), Args(agents=(SEARCHER,)), store)
     assert len(store.load()) == len(runs) + 2, "rooms of another width are other runs"

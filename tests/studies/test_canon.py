@@ -29,11 +29,11 @@ from tests.studies.pages import tell as write_page
 STUDY = find_study("canon")
 FAMILIES = list_families(STUDY)
 LEARNERS = {label: family for family in FAMILIES for label in family.learners}
-SEARCHERS = STUDY.data["searchers"]
-REFERENCES = [*STUDY.data["chance"], *SEARCHERS, *STUDY.data["told"]]
+SEARCH_BASELINES = STUDY.data["searchers"]
+REFERENCES = [*STUDY.data["chance"], *SEARCH_BASELINES, *STUDY.data["told"]]
 PAIR, FIVE = list(STUDY.data["kinds"])[:2]
-TABLE, MODEL = "smdp-q-learning+no-primitives", "smdp-factored-r-max+no-primitives"
-CRITIC, DAC, PPO = "smdp-option-critic+no-primitives", "smdp-dac+no-primitives", "smdp-ppo+no-primitives"
+TABLE, MODEL = "smdp-q-learning", "smdp-factored-r-max"
+CRITIC, DAC, PPO = "smdp-option-critic", "smdp-dac", "smdp-ppo"
 MOVES = [label for label in LEARNERS if not label.startswith("smdp-") and "planned" not in label]
 
 
@@ -67,7 +67,7 @@ def usual(agent: str, kind: str) -> float:
     """Single moves never escape, presses come to 0.4, searchers to 0.7, hierarchies that are given to 0.9."""
     if agent in MOVES:
         return 0.0
-    return 0.7 if agent in SEARCHERS else 0.9 if "planned" in agent or agent == "planner" else 0.4
+    return 0.7 if agent in SEARCH_BASELINES else 0.9 if "planned" in agent or agent == "oracle" else 0.4
 
 
 def change(changes: dict[str, float]) -> Callable[[str, str], float]:
@@ -105,14 +105,14 @@ def test_a_canon_below_the_searcher_is_told_so():
 
 
 def test_a_gain_in_one_room_of_twenty_is_no_gain():
-    lines = make_lines(change({MODEL: 0.7, **dict.fromkeys(SEARCHERS, 0.7)}))
+    lines = make_lines(change({MODEL: 0.7, **dict.fromkeys(SEARCH_BASELINES, 0.7)}))
     lucky = [run if run.agent != MODEL or run.room != f"{FIVE}/test[3]" else make_run(MODEL, 1, run.room, 1.0)
              for run in lines]
     assert "No learner is shown to beat" in tell(lucky)
 
 
 def test_the_searcher_that_is_best_in_a_kind_is_the_bar():
-    first, second, third = SEARCHERS
+    first, second, third = SEARCH_BASELINES
     bars = {(first, PAIR): 0.9, (second, FIVE): 0.9, (first, FIVE): 0.2, (second, PAIR): 0.2, (third, PAIR): 0.2,
             (third, FIVE): 0.2}
     page = read(lambda agent, kind: bars.get((agent, kind), change({MODEL: 0.7})(agent, kind)))
@@ -126,7 +126,7 @@ def test_hierarchies_are_held_against_their_flat_twins():
     assert f"1 loses: `{DAC}` (-0.3" in page and "21 cannot be told apart." in page
     turned = read(change({TABLE: 0.6, PPO: 0.1}))
     (told,) = [line for line in turned.splitlines() if "held against the flat" in line]
-    assert re.search(r"6 gain, most of all `smdp-\w+\+no-primitives` \(\+0\.\d", told)
+    assert re.search(r"6 gain, most of all `smdp-\w+` \(\+0\.\d", told)
     assert "; 10 lose, most of all `" in told
     assert told.count("`smdp-") == 6 and told.endswith("; 7 cannot be told apart."), "three of each are named"
     assert f"- `{CRITIC}` against `{TABLE}`: **-0.2" in turned, "all stand further down"
@@ -156,7 +156,7 @@ def test_families_stand_in_order_of_their_best():
     (searcher,) = re.findall(r"the best searcher \((0\.\d\d)\)", told)
     assert 0.7 <= float(searcher) < 0.75, "the best of three in each kind"
     order = [told.index(words) for words in (
-        "come hierarchies that are given, with planned leaves (`hamq+planned` +0.2",
+        "come hierarchies that are given, with a planned low level (`hamq+planned` +0.2",
         f"learners of structure over planned presses (`{MODEL}` +0.",
         f"below it stay learners of their own options over planned presses (`{DAC}` -0.1")]
     assert order == sorted(order)
@@ -181,9 +181,9 @@ def test_one_leader_and_several_are_told_apart():
 
 
 def test_learners_that_would_have_one_name_in_the_figure_keep_what_tells_them_apart():
-    assert shorten(["h-dqn@table+learned", "h-dqn@table+planned", "smdp-ppo+no-primitives", "hac+learned"]) == {
+    assert shorten(["h-dqn@table+learned", "h-dqn@table+planned", "smdp-ppo", "hac+learned"]) == {
         "h-dqn@table+learned": "h-dqn@table+learned", "h-dqn@table+planned": "h-dqn@table+planned",
-        "smdp-ppo+no-primitives": "smdp-ppo", "hac+learned": "hac"}
+        "smdp-ppo": "smdp-ppo", "hac+learned": "hac"}
     assert len(set(shorten(list(LEARNERS)).values())) == len(LEARNERS)
 
 
@@ -305,14 +305,14 @@ def test_real_trials_are_kept_line_by_line(tmp_path: Path):
 
 @pytest.mark.in_turn
 def test_real_runs_have_the_chosen_settings_and_are_not_made_twice(tmp_path: Path):
-    study, args = run(tmp_path, agents=(MODEL, "planner"), kinds=(PAIR,), rooms=1)
+    study, args = run(tmp_path, agents=(MODEL, "oracle"), kinds=(PAIR,), rooms=1)
     store = open_store(study, args.docs)
     trials = [line for line in make_trials({MODEL: 2}) if line.agent == MODEL]
     store.add(trials)
     study.analysis.measure(study, args, store)
     planner, model = [line for line in store.load() if line not in trials]
     assert [(line.agent, line.candidate, line.primitives, line.room) for line in (planner, model)] == [
-        ("planner", 0, 0, f"{PAIR}/test[0]"), (MODEL, 2, 400, f"{PAIR}/test[0]")]
+        ("oracle", 0, 0, f"{PAIR}/test[0]"), (MODEL, 2, 400, f"{PAIR}/test[0]")]
     assert planner.efficiency == planner.escapes == 1 and 0 < model.first_escape <= 400 and model.seconds > 0
     text = store.path.read_text()
     study.analysis.measure(study, args, store)
@@ -320,33 +320,33 @@ def test_real_runs_have_the_chosen_settings_and_are_not_made_twice(tmp_path: Pat
 
 
 def test_a_learner_that_never_escaped_from_the_easiest_rooms_is_not_run_in_others(tmp_path: Path):
-    study, args = run(tmp_path, agents=(MODEL, "planner"), kinds=(FIVE,), rooms=1)
+    study, args = run(tmp_path, agents=(MODEL, "oracle"), kinds=(FIVE,), rooms=1)
     store = open_store(study, args.docs)
     trials = [line for line in make_trials() if line.agent == MODEL]
     store.add([*trials, *(make_run(MODEL, 1, f"{PAIR}/test[{room}]", 0.0, 500) for room in range(10))])
     study.analysis.measure(study, args, store)
-    assert {line.agent for line in store.load() if line.room.startswith(f"{FIVE}/test[")} == {"planner"}
+    assert {line.agent for line in store.load() if line.room.startswith(f"{FIVE}/test[")} == {"oracle"}
 
 
 def test_a_learner_whose_runs_take_long_is_run_in_the_first_rooms_alone(tmp_path: Path):
-    study, args = run(tmp_path, agents=(MODEL, "smdp-dqn+no-primitives"), kinds=(PAIR,), rooms=2)
-    assert "smdp-dqn+no-primitives" in study.data["slow"]["learners"]
+    study, args = run(tmp_path, agents=(MODEL, "smdp-dqn"), kinds=(PAIR,), rooms=2)
+    assert "smdp-dqn" in study.data["slow"]["learners"]
     assert set(study.data["slow"]["learners"]) <= LEARNERS.keys()
     study.data["slow"]["rooms"] = 1
     store = open_store(study, args.docs)
     store.add([line for line in make_trials() if line.agent in args.agents])
     study.analysis.measure(study, args, store)
     assert [(line.agent, line.room) for line in store.load() if "/test[" in line.room] == [
-        *((agent, f"{PAIR}/test[0]") for agent in ("smdp-dqn+no-primitives", MODEL)), (MODEL, f"{PAIR}/test[1]")]
+        *((agent, f"{PAIR}/test[0]") for agent in ("smdp-dqn", MODEL)), (MODEL, f"{PAIR}/test[1]")]
 
 
 @pytest.mark.in_turn
 def test_a_learner_is_not_run_where_it_cannot_be(tmp_path: Path):
-    study, args = run(tmp_path, agents=("hiro+learned", "planner"), kinds=("ladder-1/reach",), rooms=1)
+    study, args = run(tmp_path, agents=("hiro+learned", "oracle"), kinds=("ladder-1/reach",), rooms=1)
     store = open_store(study, args.docs)
     store.add([line for line in make_trials() if line.agent == "hiro+learned"])
     study.analysis.measure(study, args, store)
-    assert {line.agent for line in store.load() if "/test[" in line.room} == {"planner"}
+    assert {line.agent for line in store.load() if "/test[" in line.room} == {"oracle"}
 
 
 def test_agents_and_kinds_that_are_unknown_are_named(tmp_path: Path):

@@ -77,7 +77,7 @@ def test_lines_are_measured_once(tmp_path: Path, monkeypatch):
         "failures": [0.0, 1.0], "draws": 1, "calls": 2})
     measure_dial(settings, grid, store, range(1), 400)
     lines = {(line.option, line.primitives, line.failure): line.worth for line in store.load()}
-    planned, hrc = lines["planned", 0, 0.0], "smdp-hrc+no-primitives"
+    planned, hrc = lines["planned", 0, 0.0], "smdp-hrc"
     assert len(lines) == 6 and lines["planned", 0, 1.0] == 0 < planned < 1
     assert lines[hrc, 400, None] == pytest.approx(planned, abs=0.02)
     assert max(lines.values()) <= planned, "nothing is better, and no call is longer than its primitives"

@@ -75,7 +75,7 @@ def test_agents_differ_in_the_factors_their_labels_say_and_in_nothing_else(algor
     recommended = dataclasses.replace(corrected, settings={}).resolve_settings()
     differing = {name for name, value in corrected.resolve_settings().items() if value != recommended[name]}
     assert differing == {"epsilon_steps"}
-    recipe = dataclasses.replace(published, settings={}, recipe="paper").resolve_settings()
+    recipe = dataclasses.replace(published, settings={}, recipe="keras-rl-2019").resolve_settings()
     kept = {"clock", "late_terminal", "warmup", "actor_warmup", "updates_per_step", "epsilon_steps"}
     differing = {name for name, value in published.resolve_settings().items() if value != recipe[name]}
     assert differing <= kept, differing - kept
@@ -238,8 +238,8 @@ def test_the_slope_decides_and_the_level_stands_beside_it():
 
 
 @pytest.mark.parametrize(("truth", "words"), [
-    (lambda on: 0.3 + 0.3 * on["choices"], "take these parts of the corrected recipe: choices (options only)."),
-    (lambda on: 0.5, "Take the corrected recipe as a whole: no part of it is shown to help alone."),
+    (lambda on: 0.3 + 0.3 * on["choices"], "take these parts of the default settings: choices (options only)."),
+    (lambda on: 0.5, "Take the default settings as a whole: no part of them is shown to help alone."),
     (lambda on: 0.6 - 0.3 * on["scaling"], "to help alone; leave scaling (both scaled) as published."),
 ])
 def test_advice_follows_the_effects(truth: Callable[[Levels], float], words: str):

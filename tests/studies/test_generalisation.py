@@ -20,7 +20,7 @@ from studies.generalisation.grids import (
     FLAT_CHANCE,
     MEMORY,
     OBJECTS,
-    SEARCHERS,
+    SEARCH_BASELINES,
     TRAINED,
     TRANSFER,
     VECTORS,
@@ -136,7 +136,7 @@ def make_transfers(means: dict[tuple[str, str], float], searcher: float = 0.6) -
     rng = np.random.default_rng(0)
     known = [dataclasses.replace(LINE, protocol="transfer", rung=rung, agent=agent, primitives=0,
                                  efficiency=searcher - 0.1 * number)
-             for rung in TRANSFER for number, agent in enumerate(SEARCHERS)]
+             for rung in TRANSFER for number, agent in enumerate(SEARCH_BASELINES)]
     return known + [
         dataclasses.replace(LINE, protocol="transfer", rung=target, agent=MEMORY + AT_ONCE, seed=seed, primitives=1_000,
                             rooms=f"ladder-1/{source}/train[:8] > ladder-1/{target}/test[:4]",
@@ -179,7 +179,7 @@ def test_other_rungs_are_told_once_all_are_there(tmp_path: Path):
     assert "| the best searcher | 0.60 | 0.60 |" in page
     assert "--part transfer --primitives 1000 --rooms 3 --runs 10" in page
     assert (tmp_path / "figures" / "transfer.svg").stat().st_size > 1000
-    assert read_transfers(lines[:-1]) is None and read_transfers(lines[len(SEARCHERS):]) is None
+    assert read_transfers(lines[:-1]) is None and read_transfers(lines[len(SEARCH_BASELINES):]) is None
     assert "Other rungs" not in tell("generalisation", [LINE, *lines[:-1]])
 
 
@@ -297,7 +297,7 @@ def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about():
                 "is not shown to reach more or less than the best se"))])
 def test_learners_are_held_against_the_best_searcher_and_not_against_chance(learner: float, nearest: float,
                                                                             told: tuple):
-    untried, near = SEARCHERS
+    untried, near = SEARCH_BASELINES
     lines = [*make_seeds(MEMORY, 1000, learner, 2), *make_seeds(CHANCE, 1, 0.3, 5, primitives=0),
              *make_seeds(untried, 1, nearest - 0.1, 4, primitives=0), *make_seeds(near, 1, nearest, 6, primitives=0)]
     page = tell("generalisation", lines)
@@ -315,7 +315,7 @@ def test_learners_are_held_against_the_best_searcher_and_not_against_chance(lear
 def test_the_best_of_several_cells_is_corrected_for_the_choice():
     """One cell whose gain over the searcher has p = 0.03 is a finding, the best of five of its kind is none."""
     gains = [0.12, -0.02, 0.1, 0.03, -0.04, 0.14, 0.07, -0.03, 0.05, 0.06]
-    _, near = SEARCHERS
+    _, near = SEARCH_BASELINES
     searched = make_seeds(near, 1, 0.5, 0, primitives=0)
 
     def train_in(rooms: int, shift: int) -> list[BaselineRun]:

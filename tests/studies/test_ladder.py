@@ -141,7 +141,7 @@ def test_agents_over_options_and_over_primitives_have_tables_of_their_own():
     flat = {"random": [0.1, 0.0, 0.0], "ppo": [1.0, 0.0, 0.0]}
     lines = [*make_cells(SOUND), *make_cells({"smdp-ppo": [0.8, 0.5, 0.2]}, 1000), *make_cells(flat, 1000)]
     options, primitives, calibration = re.split(r"\n\*\*(?=Over |Calibration\*\*)", tell(lines, RUNGS))[1:]
-    assert options.startswith("Over options**\n\n| rung | ") and "| `planner` | `smdp-ppo` |" in options
+    assert options.startswith("Over options**\n\n| rung | ") and "| `oracle` | `smdp-ppo` |" in options
     assert primitives.startswith("Over primitives**\n\n| rung | `random` | `ppo` |") and "smdp" not in primitives
     assert "| `low` | 0.10 (10) | **1.00** (10) |" in primitives and primitives.count("Ladder score") == 1
     assert "to below 0.1 on the next that it was run on: `smdp-ppo`." in calibration, "flat agents ask another question"
@@ -167,13 +167,13 @@ def test_ladder_scores_are_over_the_largest_table_without_gaps():
 
 
 def test_whole_cells_come_first_and_grids_of_more_agents_and_seeds_hold_the_runs_of_those_before():
-    args = BaselineArgs(rung=RUNGS_OF_TWO, protocol=("per-instance",), agents=("dqn", "planner", "ppo"), rooms=2,
+    args = BaselineArgs(rung=RUNGS_OF_TWO, protocol=("per-instance",), agents=("dqn", "oracle", "ppo"), rooms=2,
                         runs=2, primitives=5000, first_seed=100)
     grids = list(make_baseline_grids(load_benchmark("ladder-1"), args))
     assert all(len(grid.rooms) == 2 and grid.first_seed == 100 for _, grid in grids)
     alone, both = ["dqn"], ["dqn", "ppo"]
     assert [(place.rung, [agent.label for agent in grid.agents], grid.runs) for place, grid in grids] == [
-        (rung, agents, runs) for runs in (1, 2) for agents in (["planner"], alone, both) for rung in RUNGS_OF_TWO]
+        (rung, agents, runs) for runs in (1, 2) for agents in (["oracle"], alone, both) for rung in RUNGS_OF_TWO]
     assert {grid.primitives for place, grid in grids if place.kind == "learners"} == {5000}
     assert {grid.primitives for place, grid in grids if place.kind == "references"} == {100}, "nothing is to be learned"
     keys = [{run.folder for run in grid.make_runs(grid.make_places())} for place, grid in grids
@@ -182,11 +182,11 @@ def test_whole_cells_come_first_and_grids_of_more_agents_and_seeds_hold_the_runs
 
 
 def test_the_page_says_what_an_agent_with_three_parents_is_told():
-    agents = [f"smdp-factored-r-max{trait}+no-primitives" for trait in ("", "+three-parents")]
+    agents = [f"smdp-factored-r-max{named}" for named in ("", "@three-parents")]
     lines = [line for agent, value in zip(agents, (0.4, 0.9), strict=True)
              for line in make_lines("high", agent, value, 1.0, 10)]
     page = tell(lines, RUNGS)
-    assert "`+three-parents`: told that up to three buttons may have to be on together" in page
+    assert "`@three-parents`: told that up to three buttons may have to be on together" in page
     assert f"| rung | `{agents[0]}` | `{agents[1]}` |" in page and f"masters is `high`, by `{agents[1]}`." in page
 
 
@@ -223,13 +223,13 @@ def test_baselines_run_join_what_is_there_and_need_no_runs_for_the_page(tmp_path
     docs = tmp_path / "docs"
     save("ladder", make_lines("pair", "elsewhere", 1.0, 1.0, 1), docs)
     command = ["ladder", "--rung", "doormat", "--protocol", "per-instance", "--rooms", "1", "--runs", "1",
-               "--primitives", "200", "--eval-episodes", "1", "--agents", "smdp-q-learning+no-primitives", "planner",
+               "--primitives", "200", "--eval-episodes", "1", "--agents", "smdp-q-learning", "oracle",
                "--workers", "1", "--out", str(tmp_path / "runs"), "--docs", str(docs)]
     assert main(command) == 0
     assert "0 runs are left" in capsys.readouterr().out
     lines = {line.agent: line for line in load("ladder", docs)}
-    assert set(lines) == {"smdp-q-learning+no-primitives", "planner", "elsewhere"}
-    assert lines["planner"].efficiency == 1.0 and lines["planner"].primitives == 0
+    assert set(lines) == {"smdp-q-learning", "oracle", "elsewhere"}
+    assert lines["oracle"].efficiency == 1.0 and lines["oracle"].primitives == 0
     page = (docs / "ladder.md").read_text()
     (docs / "ladder.md").unlink()
     assert main(["ladder", "--from-raw", "--docs", str(docs)]) == 0
@@ -237,7 +237,7 @@ def test_baselines_run_join_what_is_there_and_need_no_runs_for_the_page(tmp_path
 
 
 @pytest.mark.parametrize(("learner", "nearest", "finding"), [
-    (0.9, 0.7, "**1 of 1 learners beat the best searcher that learns nothing: `smdp-dqn+no-primitives` (+0.20, +0."),
+    (0.9, 0.7, "**1 of 1 learners beat the best searcher that learns nothing: `smdp-dqn` (+0.20, +0."),
     (0.6, 0.7, "**No learner is shown to beat the best searcher that learns nothing over the rungs that it was run"),
 ])
 def test_learners_are_held_against_the_best_searcher(learner: float, nearest: float, finding: str):
@@ -246,8 +246,8 @@ def test_learners_are_held_against_the_best_searcher(learner: float, nearest: fl
                                     efficiency=efficiency + 0.01 * ((3 * room + primitives // 500) % 10))
                 for rung in RUNGS[:2] for room in range(10)]
 
-    lines = [*make("smdp-dqn+no-primitives", learner, 1000), *make(CHANCE, 0.1, 0), *make(ROUND, nearest - 0.3, 0),
-             *make("smdp-untried-nearest+no-primitives", nearest, 0)]
+    lines = [*make("smdp-dqn", learner, 1000), *make(CHANCE, 0.1, 0), *make(ROUND, nearest - 0.3, 0),
+             *make("search-nearest", nearest, 0)]
     page = tell(lines, RUNGS)
     assert finding in page and "80 % power to detect a gain of 0.0" in page
     assert "is the best searcher that learns nothing, and not chance or a round in the order of the numbers" in page
@@ -255,7 +255,7 @@ def test_learners_are_held_against_the_best_searcher(learner: float, nearest: fl
              for line in lines]
     told = tell(lucky, RUNGS)
     assert f"and `{CHANCE}`, which does better there, on `{RUNGS[1]}`; the columns stand in the table" in told
-    alone = [line for line in lines if line.agent in (CHANCE, "smdp-dqn+no-primitives")]
+    alone = [line for line in lines if line.agent in (CHANCE, "smdp-dqn")]
     assert "Nothing is concluded, as no learner has 10 rooms on a rung beside a searcher" in tell(alone, RUNGS)
 
 
@@ -263,8 +263,8 @@ def test_learners_are_held_against_the_best_searcher(learner: float, nearest: fl
 def test_who_plays_as_chance_does_is_said_to_have_no_model():
     lines = [dataclasses.replace(LINE, rung=RUNGS[0], rooms=f"test[{room}]", agent=agent, primitives=primitives,
                                  efficiency=0.1 + 0.01 * room, escapes=0.4)
-             for agent, primitives in ((CHANCE, 0), ("smdp-dqn+no-primitives", 1_000)) for room in range(10)]
-    said = f"`smdp-dqn+no-primitives` has no model on `{RUNGS[0]}`: after training it plays every episode as `{CHANCE}"
+             for agent, primitives in ((CHANCE, 0), ("smdp-dqn", 1_000)) for room in range(10)]
+    said = f"`smdp-dqn` has no model on `{RUNGS[0]}`: after training it plays every episode as `{CHANCE}"
     assert said in tell(lines, RUNGS)
     assert said not in tell([*lines[:-1], dataclasses.replace(lines[-1], efficiency=0.2)], RUNGS), "one room differs"
     never = [dataclasses.replace(line, efficiency=0.0, escapes=0.0) for line in lines]

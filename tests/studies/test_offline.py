@@ -104,7 +104,7 @@ def test_the_headline_asks_whether_the_best_learner_beats_the_best_searcher(sear
 @pytest.mark.in_turn
 def test_the_best_of_several_learners_is_held_against_the_best_of_several_searchers():
     def efficiency(agent, kind):
-        return {"smdp-retrace": 0.9, "smdp-fitted-q": 0.7}.get(agent, 0.5)
+        return {"search-backtrack": 0.9, "smdp-fitted-q": 0.7}.get(agent, 0.5)
 
     page = analyse(*make_lines(efficiency))
     assert page.conclusions[0].startswith("The best searcher that learns nothing does better than Q-iteration over op")

@@ -177,7 +177,8 @@ def test_claims_are_rarely_answered_where_nothing_is_true():
 
 def test_a_claim_is_judged_by_the_papers_recipe_agent_by_agent():
     results = make_paper_results(1.0, 1.0)
-    results[FIGURES[0]] = [run if run.agent != "ddpg@paper" else make_run("ddpg@paper", [0.0] * 11, seed=run.seed)
+    ddpg = "ddpg@keras-rl-2019"
+    results[FIGURES[0]] = [run if run.agent != ddpg else make_run(ddpg, [0.0] * 11, seed=run.seed)
                            for run in results[FIGURES[0]]]
     finding = next(finding for finding in judge_claims(CLAIMS, results) if "25 %" in finding.claim.says)
     assert finding.agrees == "yes: dqn, sarsa; no: ddpg"
@@ -197,14 +198,14 @@ def test_intervals_leave_the_level_out_where_a_verdict_is_given():
 
 
 @pytest.mark.parametrize(("paper", "corrected", "words"), [
-    (0.2, 0.9, "Use the corrected recipes, which are the defaults: with meta-actions they raise the training score of"),
-    (0.9, 0.2, "Mind the recipe: with the corrected one the training score falls for dqn (-70), sarsa (-70) and ddpg"),
-    (0.5, 0.5, "Take either recipe"),
+    (0.2, 0.9, "Use the default settings: with meta-actions they raise the training score of"),
+    (0.9, 0.2, "Mind the settings: with the default ones the training score falls for dqn (-70), sarsa (-70) and ddpg"),
+    (0.5, 0.5, "Take either settings"),
 ])
 def test_advice_on_recipes_follows_their_scores(paper: float, corrected: float, words: str):
     results = make_paper_results(1.0, 1.0)
     results[FIGURES[2]] = [make_run(run.agent, [0.0] * 11, seed=run.seed, training=[
-        (paper if run.agent.endswith("@paper") else corrected) + 0.01 * (-1) ** run.seed * run.agent.endswith("@paper")]
+        (paper if ("@keras-rl-2019" in run.agent) else corrected) + 0.01 * (-1) ** run.seed * ("@keras-rl-2019" in run.agent)]
         * BINS) for run in results[FIGURES[2]]]
     assert advise(results).startswith(words), advise(results)
 
@@ -248,7 +249,7 @@ def test_a_damaged_run_is_named_by_file_and_line(tmp_path: Path, damage: dict[st
     store.add([make_run("dqn", [0.5] * 11)])
     whole = store.path.read_text()
     store.path.write_text(whole + json.dumps(json.loads(whole) | damage) + "\n")
-    with pytest.raises(FileReadError, match="raw.jsonl, line 2: this is no result of the study"):
+    with pytest.raises(FileReadError, match="raw.jsonl, line 3: this is no result of the study"):
         store.load()
 
 

@@ -43,6 +43,7 @@ from studies.parts.learner import LinearQ, Structure, WalkTables, Watched
 from studies.parts.runs import Cell, LearnerSettings, play_cell
 from studies.running import open_store
 from studies.statistics import compute_sign_flip_p
+from studies.store import read_rows
 from studies.study import find_study
 from tests.studies.pages import save
 
@@ -269,7 +270,7 @@ def test_what_each_question_would_see_was_simulated_before_the_runs():
 
 
 def test_every_published_line_is_of_the_registered_design():
-    lines = [json.loads(row) for row in (STUDY.folder / "raw.jsonl").read_text().splitlines()]
+    lines = [json.loads(row) for row in read_rows(STUDY.folder / "raw.jsonl")]
     assert lines and {line["design"] for line in lines} == {DESIGN}
     pilots = range(DATA["pilots"]["first_seed"], DATA["pilots"]["first_seed"] + DATA["pilots"]["runs"])
     assert not {line["seed"] for line in lines} & set(pilots)

@@ -25,7 +25,7 @@ TABLE, MODEL, NETWORK, POLICY = LEARNERS = tuple(STUDY.data["agents"])
 OTHERS = {axis: tuple(other["agents"]) for other in STUDY.data["others"] for axis in other["axes"]}
 MOVERS, BOTH = OTHERS["motion"], OTHERS["branching"]
 MOTION = next(axis for axis in AXES if axis.name == "motion")
-SEARCHERS = STUDY.data["searchers"]
+SEARCH_BASELINES = STUDY.data["searchers"]
 
 
 def make_lines(changes: dict[tuple[str, str], tuple[float, ...]], searcher: float = 0.5, axes: Sequence[AxisRecord] =
@@ -33,8 +33,8 @@ def make_lines(changes: dict[tuple[str, str], tuple[float, ...]], searcher: floa
     """Ten rooms a rung around these efficiencies by learner and axis, rung by rung; 0.6 falling to 0.3 elsewhere."""
     rng, lines = np.random.default_rng(0), []
     for axis in axes:
-        for agent in (*LEARNERS, *SEARCHERS, *OTHERS.get(axis.name, ())):
-            usual = (searcher,) * 4 if agent in SEARCHERS else (0.6, 0.5, 0.4, 0.3)
+        for agent in (*LEARNERS, *SEARCH_BASELINES, *OTHERS.get(axis.name, ())):
+            usual = (searcher,) * 4 if agent in SEARCH_BASELINES else (0.6, 0.5, 0.4, 0.3)
             for rung, mean in zip(axis.rungs, changes.get((agent, axis.name), usual[:len(axis.rungs)]), strict=True):
                 lines += [BaselineRun("per-instance", rung, f"{rung}/test[{room}]", agent, 0, 10_000,
                                       float(np.clip(mean + 0.03 * rng.normal(), 0, 1)), None, 1.0, 5, 1.0, 100, "key")
@@ -136,13 +136,14 @@ def test_searching_is_no_answer_where_it_stays_low_on_the_upper_half(tmp_path: P
     told = "On the upper half of depth, branching and violations the best searcher stays below 0.5."
     assert told in read({}, tmp_path, searcher=0.45)
     assert "On no axis does the best searcher stay below 0.5 on the upper half" in read({}, tmp_path, searcher=0.55)
-    half = {(SEARCHERS[0], "depth"): (0.9, 0.4, 0.6, 0.1), (SEARCHERS[0], "branching"): (0.9, 0.6, 0.4, 0.3),
-            (SEARCHERS[0], "violations"): (0.1, 0.1, 0.1, 0.6)}
+    half = {(SEARCH_BASELINES[0], "depth"): (0.9, 0.4, 0.6, 0.1),
+            (SEARCH_BASELINES[0], "branching"): (0.9, 0.6, 0.4, 0.3),
+            (SEARCH_BASELINES[0], "violations"): (0.1, 0.1, 0.1, 0.6)}
     assert ("On the upper half of branching the best searcher stays below 0.5; on that of depth and violations it does "
             "not.") in read(half, tmp_path, searcher=0.2)
     arm = next(axis for axis in AXES if axis.name == "arm")
     for middle, told in ((0.4, "On the upper half of arm"), (0.6, "On no axis does the best searcher stay below")):
-        lines = make_lines({(SEARCHERS[0], "arm"): (0.9, middle, 0.3)}, searcher=0.2, axes=(arm,))
+        lines = make_lines({(SEARCH_BASELINES[0], "arm"): (0.9, middle, 0.3)}, searcher=0.2, axes=(arm,))
         assert told in write_page("profiles", lines, tmp_path)
 
 
@@ -166,13 +167,13 @@ def test_axes_with_too_few_rooms_are_left_out_and_named(tmp_path: Path):
 
 def test_a_real_rung_gives_lines_of_both_kinds(tmp_path: Path):
     args = STUDY.analysis.Args(docs=tmp_path, out=tmp_path / "runs", rung=("memory-1", "motion-1"), rooms=1, workers=1,
-                               agents=(SEARCHERS[0], TABLE, MOVERS[0]), primitives=300)
+                               agents=(SEARCH_BASELINES[0], TABLE, MOVERS[0]), primitives=300)
     with pytest.raises(ComparisonError, match="every agent in 10 rooms"):  # the lines are kept
         run_study(STUDY, args)
     found = {(line.rung, line.agent): line for line in load("profiles", tmp_path)}
     assert {place: line.primitives for place, line in found.items()} == {
-        ("memory-1", SEARCHERS[0]): 0, ("memory-1", TABLE): 300, ("motion-1", SEARCHERS[0]): 0,
+        ("memory-1", SEARCH_BASELINES[0]): 0, ("memory-1", TABLE): 300, ("motion-1", SEARCH_BASELINES[0]): 0,
         ("motion-1", TABLE): 300, ("motion-1", MOVERS[0]): 300}  # moves on their axes only
-    assert found["memory-1", SEARCHERS[0]].escapes == 1.0
+    assert found["memory-1", SEARCH_BASELINES[0]].escapes == 1.0
     with pytest.raises(UnknownNameError, match="agent of this study"):
         run_study(STUDY, dataclasses.replace(args, agents=("sarsa",)))

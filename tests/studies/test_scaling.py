@@ -46,7 +46,7 @@ from tests.studies.pages import load, save, tell
 
 
 def make_result(agent="smdp-factored-r-max", buttons=10, rule="ignore", run=0, graph="layered", first=400, near=900):
-    structure = ((100, 0.5, 0.25), (800, 1.0, 1.0)) if agent != "smdp-random" else ()
+    structure = ((100, 0.5, 0.25), (800, 1.0, 1.0)) if agent != "random-options" else ()
     measured = {"best": 50.0, "worst": -1000.0, "budget": 20_000, "primitives": 20_000, "decisions": 900,
                 "seconds": 1.5}
     return ScalingRun(graph, buttons, rule, agent, run, "abc", **measured, first_escape=first, near_best=near, edges=4,
@@ -90,7 +90,7 @@ def test_a_run_gives_the_published_numbers(tmp_path):
     """These runs are lines of the study's results."""
     published = Store(find_study("scaling").folder / "raw.jsonl", (ScalingRun,)).load()
     chosen = [run for run in published if (run.task, run.run) == (RoomKind("chain", 4, "reset"), 0)
-              and run.agent in ("smdp-factored-r-max", "smdp-random")]
+              and run.agent in ("smdp-factored-r-max", "random-options")]
     rounds = [make_round((run.task,), run.agent, run.run) for run in chosen]
     assert len(rounds) == 2
     assert forget_time(run_rounds(tmp_path, 20_000, *rounds)) == forget_time(chosen)
@@ -99,7 +99,7 @@ def test_a_run_gives_the_published_numbers(tmp_path):
 def test_kinds_that_are_one_room_share_its_run(tmp_path):
     """Two buttons have one edge at most, so that families of graphs coincide."""
     tasks = tuple(RoomKind(graph, 2, "ignore") for graph in scaling.GRAPHS)
-    round_ = make_round(tasks, "smdp-random", 0)
+    round_ = make_round(tasks, "random-options", 0)
     assert len({room.id for room in round_.rooms.values()}) < len(tasks)
     runs = run_rounds(tmp_path, 60, round_)
     assert sorted(run.task for run in runs) == sorted(tasks)
@@ -205,7 +205,7 @@ def test_one_study_at_a_time_in_a_folder(tmp_path):
 @pytest.mark.in_turn
 def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     results = [make_result(), make_result(run=1, first=600, near=None), make_result(rule="reset"),
-               make_result("smdp-random", first=None, near=None), make_result(buttons=20)]
+               make_result("random-options", first=None, near=None), make_result(buttons=20)]
     save("scaling", results, tmp_path)
     assert load("scaling", tmp_path) == results
     assert main(["scaling", "--from-raw", "--docs", str(tmp_path)]) == 0
@@ -213,7 +213,7 @@ def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     assert "| ignore | smdp-factored-r-max | — | — | — | 2 of 2; 500 | — | 1 of 1; 400 |" in page
     assert "| ignore | smdp-factored-r-max | — | — | — | 1 of 2; 10,450 | — | 1 of 1; 900 |" in page
     failed = "0 of 1; 20,000"
-    assert page.count(f"| ignore | smdp-random | — | — | — | {failed} | {failed} | {failed} |") == 1, \
+    assert page.count(f"| ignore | random-options | — | — | — | {failed} | {failed} | {failed} |") == 1, \
         "failures count where they were not tried again, and it learns nothing to evaluate"
     assert "| 20 buttons, layered, ignore | 1 | 1 | 400 | 1.000 (1.00) | 1.000 (1.00) | 1 of 1 |" in page
     for figure in ("scaling", "scaling-structure"):

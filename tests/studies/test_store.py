@@ -37,7 +37,7 @@ def test_a_run_made_again_counts_and_its_old_line_stays_in_the_file(tmp_path: Pa
     published = store.path.read_text()
     store.add([again])
     assert store.load() == [again, dataclasses.replace(LINE, agent="ppo")]
-    assert store.path.read_text().startswith(published) and store.path.read_text().count("\n") == 3
+    assert store.path.read_text().startswith(published) and store.path.read_text().count("\n") == 4
 
 
 @pytest.mark.parametrize("damage", ['{"protocol": 3}', '{"room": "r", "option": "o"}', "[]", "{", '"word"', "null"])
@@ -46,7 +46,7 @@ def test_a_damaged_file_is_named_by_its_line_and_left_alone(tmp_path: Path, dama
     store.add([LINE])
     store.path.write_text(whole := f"{store.path.read_text()}{damage}\n")
     for call in (store.load, lambda: store.add([DIAL])):
-        with pytest.raises(FileReadError, match="raw.jsonl, line 2: this is no result of the study"):
+        with pytest.raises(FileReadError, match="raw.jsonl, line 3: this is no result of the study"):
             call()
     assert store.path.read_text() == whole
 
@@ -84,3 +84,13 @@ def test_who_adds_waits_until_another_has_written(tmp_path: Path):
         assert adding.is_alive() and store.load() == [LINE]
     adding.join()
     assert store.load() == [LINE, DIAL]
+
+
+def test_results_of_version_0_3_are_refused_for_their_labels(tmp_path: Path):
+    """`smdp-dqn` also chose primitives there, and no line says so."""
+    store = Store(tmp_path / "raw.jsonl", (BaselineRun,))
+    store.add([LINE])
+    store.path.write_text("".join(store.path.read_text().splitlines(keepends=True)[1:]))
+    for call in (store.load, lambda: store.add([DIAL])):
+        with pytest.raises(FileReadError, match="may be of version 0.3"):
+            call()

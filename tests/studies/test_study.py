@@ -18,7 +18,7 @@ about = "Measure whether a room of one button is escaped by chance."
 
 [[grid]]
 name = "chance"
-agents = [{ name = "random" }, { name = "planner" }]
+agents = [{ name = "random" }, { name = "oracle" }]
 rooms = ["paper-one-button"]
 runs = 2
 primitives = 400
@@ -75,7 +75,7 @@ def test_a_new_study_is_a_folder_of_fewer_than_60_lines_besides_its_template(
     docs = planted.parent / "docs"
     assert main([str(planted), "--docs", str(docs), "--out", str(planted.parent / "runs"), "--workers", "1"]) == 0
     printed = capsys.readouterr().out
-    assert "`planner` escapes most often." in printed and f"Page: {docs / 'one-button.md'}" in printed
+    assert "`oracle` escapes most often." in printed and f"Page: {docs / 'one-button.md'}" in printed
     page, raw = (docs / "one-button.md").read_text(), docs / "raw" / "one-button.jsonl"
     assert "| planner | 2 | 1.00 |" in page and f"python -m studies {planted} --runs 2" in page
     assert raw.read_text().count("\n") == 4

@@ -21,8 +21,8 @@ def make_runs(caller: str, told, efficiency) -> list[GameRun]:
 
 
 def test_a_gain_is_the_mean_of_paired_differences_rungs_alike():
-    low = make_runs("untried", "names", lambda rung, room: 0.01 * room)
-    high = make_runs("untried-nearest", "places", lambda rung, room: 0.01 * room + (0.1 if rung == "pair" else 0.3))
+    low = make_runs("search-random", "names", lambda rung, room: 0.01 * room)
+    high = make_runs("search-nearest", "places", lambda rung, room: 0.01 * room + (0.1 if rung == "pair" else 0.3))
     *found, by_rung = compute_gain(high, low, 500)
     assert found == pytest.approx([0.2, 0.2, 0.2]) and by_rung == pytest.approx({"pair": 0.1, "lattice": 0.3})
     assert compute_gain(high[:11], low, 500).value == pytest.approx(0.2)  # one room of lattice counts as ten of pair
@@ -35,17 +35,17 @@ def test_a_gain_is_the_mean_of_paired_differences_rungs_alike():
                                              (0.0, "changes efficiency from names alone: ")])
 def test_data_of_another_truth_gets_another_sentence(shift: float, verb: str):
     noise = [0.1, -0.1] * 5
-    near = make_runs("untried-nearest", "places", lambda rung, room: 0.5 + shift + noise[room])
-    gain = compute_gain(near, make_runs("untried", "names", lambda rung, room: 0.5), 500)
+    near = make_runs("search-nearest", "places", lambda rung, room: 0.5 + shift + noise[room])
+    gain = compute_gain(near, make_runs("search-random", "names", lambda rung, room: 0.5), 500)
     assert verb in tell_gain("Being told where things are", "names alone", gain)
-    page = analyse(STUDY, [*near, *make_runs("untried", "names", lambda rung, room: 0.5)])
+    page = analyse(STUDY, [*near, *make_runs("search-random", "names", lambda rung, room: 0.5)])
     assert verb in page.values["headline"]
 
 
 def test_the_rungs_on_which_a_gain_is_least_and_most_are_named():
-    low = make_runs("untried", "names", lambda rung, room: 0.3)
+    low = make_runs("search-random", "names", lambda rung, room: 0.3)
     for most, least in (("pair", "lattice"), ("lattice", "pair")):
-        high = make_runs("untried-nearest", "places", lambda rung, room, most=most: 0.7 if rung == most else 0.35)
+        high = make_runs("search-nearest", "places", lambda rung, room, most=most: 0.7 if rung == most else 0.35)
         assert f", from +0.05 in `{least}` to +0.40 in `{most}`." in analyse(STUDY, [*low, *high]).values["headline"]
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from hrl_escape.agents.hierarchy_kinds import KINDS, WITHOUT_PLANS
 from hrl_escape.agents.registry import find_agent_module
 from hrl_escape.comparison.references.bayes import find_schematic
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.synthesis.kinds import KINDS, WITHOUT_PLANS
 from studies.__main__ import main
 from studies.baseline import BaselineRun
 from studies.learned.dial import DialLine
@@ -45,7 +45,7 @@ def make_lines(better: dict[str, float], runs: int = 10, study=GIVEN_HIERARCHIES
     """Efficiencies by a part of the label, and 0 for the rest; who escapes at all does so after 100 primitives."""
     learners = [agent.label for agent in study.grids[0].agents if agent.learns]
     found = {label: next((score for part, score in better.items() if part in label), 0.0) for label in learners}
-    others = {"smdp-untried-nearest": searcher, "smdp-random+no-primitives": chance}
+    others = {"search-nearest": searcher, "random-options": chance}
     found |= {label: score for label, score in others.items() if score is not None}
     return [dataclasses.replace(LINE, rooms=room, agent=label, seed=seed, efficiency=score * (1 + seed / 100),
                                 first_escape=100 + seed if score and label in learners else None,
@@ -65,7 +65,7 @@ def tell_page(study: Study, lines: list[BaselineRun]) -> str:
 
 @pytest.mark.parametrize(("better", "words"), [
     ({"smdp-q": 0.1, "+planned": 0.9}, ("planned` gain by it. A hierarchy alone is not shown", "searching are `")),
-    ({"+learned": 0.9}, ("Planned leaves are not shown to help", "gain by structure alone")),
+    ({"+learned": 0.9}, ("A planned low level is not shown to help", "gain by structure alone")),
     ({"smdp-q": 0.1, "q-learning": 0.4}, ("A hierarchy alone does harm: ", "None is shown to beat searching, though")),
 ])
 def test_advice_follows_the_answers(better: dict[str, float], words: tuple[str, ...]):
@@ -132,17 +132,17 @@ def test_another_truth_is_another_conclusion(better, structure, planned, beside)
 ])
 def test_a_gain_over_a_twin_is_not_called_one_over_searching(searcher, finding, gain):
     lines = [line for line in make_lines({"+planned": 0.8, "+learned": 0.5}, searcher=searcher)
-             if line.agent != "smdp-q-learning+no-primitives"]
+             if line.agent != "smdp-q-learning"]
     headline, told = conclude(GIVEN_HIERARCHIES, lines)
     assert headline.startswith(finding) and gain in told[1]
 
 
 def test_the_best_searcher_of_each_room_counts():
     lines = make_lines({"+planned": 0.5}, searcher=0.1)
-    other = [dataclasses.replace(line, agent="smdp-retrace", efficiency=0.9) for line in lines
-             if (line.agent, line.rooms) == ("smdp-untried-nearest", "far")]
+    other = [dataclasses.replace(line, agent="search-backtrack", efficiency=0.9) for line in lines
+             if (line.agent, line.rooms) == ("search-nearest", "far")]
     near_only = [dataclasses.replace(line, efficiency=0.9)
-                 if (line.agent, line.rooms) == ("smdp-untried-nearest", "near") else line for line in lines]
+                 if (line.agent, line.rooms) == ("search-nearest", "near") else line for line in lines]
     assert conclude(GIVEN_HIERARCHIES, lines)[0].startswith("4 of 10 learners beat")
     assert conclude(GIVEN_HIERARCHIES, [*near_only, *other])[0].startswith("No learner is shown to beat")
 
@@ -151,19 +151,19 @@ def test_the_best_searcher_of_each_room_counts():
 def test_a_gain_that_chance_reaches_too_is_told(chance, is_told):
     lines = make_lines({"option-critic": 0.5, "q-learning": 0.2}, study=LEARNED_HIERARCHIES, searcher=0.8,
                        chance=chance)
-    lines = [line if line.agent != "smdp-option-critic+no-primitives" else
+    lines = [line if line.agent != "smdp-option-critic" else
              dataclasses.replace(line, efficiency=0.5 + (-1) ** line.seed * 0.1) for line in lines]
     _, told = conclude(LEARNED_HIERARCHIES, lines)
     assert told[0].startswith("1 of 4 learners of options gain (+0.29)")
-    assert ("`smdp-option-critic+no-primitives` is not shown to beat chance" in told[0]) == (chance == 0.5)
+    assert ("`smdp-option-critic` is not shown to beat chance" in told[0]) == (chance == 0.5)
 
 
 def test_agents_that_run_alike_are_not_compared():
     lines = make_lines({"smdp": 0.5}, study=INTRA_OPTION)
-    assert "`smdp-intra-option-q+no-primitives` and its twin run alike in every room" in conclude(
+    assert "`smdp-intra-option-q` and its twin run alike in every room" in conclude(
         INTRA_OPTION, lines)[1][1]
     once = [dataclasses.replace(line, first_escape=99)
-            if (line.agent, line.rooms, line.seed) == ("smdp-intra-option-q+no-primitives", "far", 3) else line
+            if (line.agent, line.rooms, line.seed) == ("smdp-intra-option-q", "far", 3) else line
             for line in lines]
     assert conclude(INTRA_OPTION, once)[1][1] == "`intra-option-q` is not shown to gain."
 
@@ -234,7 +234,7 @@ def test_another_truth_is_another_page():
             if line.agent != "h-dqn@table+planned" or (line.rooms, line.seed) != ("far", 9)]
     page = tell_page(GIVEN_HIERARCHIES, fast)
     assert "Not run: paper-two-button, four-button-chain, ten-button and arm-two-button." in page
-    assert "- `maxq-q+planned` against `smdp-q-learning+no-primitives`: loses, -0.31 (" in page
+    assert "- `maxq-q+planned` against `smdp-q-learning`: loses, -0.31 (" in page
     assert "- `maxq-q+planned` against the best searcher: loses, -0.10 (" in page
     assert "`h-dqn@table+planned` against" not in page, "a pair that lacks a run"
     assert "then three episodes of the frozen policy" in page
@@ -292,13 +292,13 @@ def test_what_is_said_of_everybody_names_everybody():
 
 @pytest.mark.parametrize(("study", "agent", "first"), [
     (GIVEN_HIERARCHIES, "hamq+planned", 36),
-    pytest.param(LEARNED_HIERARCHIES, "smdp-hrc+no-primitives", 57, marks=pytest.mark.slow),
-    pytest.param(INTRA_OPTION, "smdp-intra-option-q+markov+no-primitives", None, marks=pytest.mark.slow)],
+    pytest.param(LEARNED_HIERARCHIES, "smdp-hrc", 57, marks=pytest.mark.slow),
+    pytest.param(INTRA_OPTION, "smdp-intra-option-q+reactive", None, marks=pytest.mark.slow)],
     ids=["given", "learned", "intra-option"])
 def test_the_command_runs_and_writes_the_page_again_from_its_lines(study, agent, first, tmp_path: Path, monkeypatch,
                                                                    capsys):
     grid = study.grids[0]
-    agents = tuple(spec for spec in grid.agents if spec.label in (agent, "planner"))
+    agents = tuple(spec for spec in grid.agents if spec.label in (agent, "oracle"))
     small = dataclasses.replace(grid, agents=agents, rooms=grid.rooms[:1], eval_every=60).to_dict()
     few = {"room": "layered-2-ignore#1", "algorithms": ["hrc"], "shares": [1.0], "failures": [0.0, 1.0], "draws": 1,
            "calls": 1, "longest": 200}
@@ -309,7 +309,7 @@ def test_the_command_runs_and_writes_the_page_again_from_its_lines(study, agent,
     assert "nothing is concluded" in capsys.readouterr().out
     file = tmp_path / f"{study.name}.md"
     page, lines = file.read_text(), [line for line in load(study.name, tmp_path) if isinstance(line, BaselineRun)]
-    assert {line.agent: line.first_escape for line in lines} == {agent: first, "planner": None}
+    assert {line.agent: line.first_escape for line in lines} == {agent: first, "oracle": None}
     assert ("Learned options on the dial" in page) == (study is LEARNED_HIERARCHIES)
     save(study.name, [dataclasses.replace(line, efficiency=0.5) for line in lines], tmp_path)
     assert main([*arguments, "--from-raw"]) == 0

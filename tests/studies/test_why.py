@@ -150,10 +150,10 @@ def test_the_searcher_that_learns_nothing_is_told_beside_all_learners():
     lines = make_lines({FLAT: 9_000, EXPLORES: 10}, {FLAT: 50_000})  # there after some 40 primitives, of 30 needed
     count = len(OTHERS) + 2
     assert tell_searcher(STUDY, lines, search({1: 40, 2: 150})) == (
-        "`smdp-untried-nearest`, which chooses among planned options and learns nothing, first escapes with 1 button "
+        "`search-nearest`, which chooses among planned options and learns nothing, first escapes with 1 button "
         f"after 40 primitives, at an efficiency of 0.75, and {count - 1} of {count} learners later; with 2 buttons "
         f"after 150 primitives, at an efficiency of 0.20, and {count - 1} of {count} learners later, 1 sooner.")
-    other = [dataclasses.replace(line, searcher="smdp-retrace") for line in search({1: 20, 2: 20})]
+    other = [dataclasses.replace(line, searcher="search-backtrack") for line in search({1: 20, 2: 20})]
     assert not tell_searcher(STUDY, lines, other) and not tell_searcher(STUDY, lines, search({1: 40}))
     assert not tell_searcher(STUDY, lines, search({1: 40, 2: None})), "it did not escape within the league's budget"
     few = tell_searcher(STUDY, lines, search({1: 40, 2: 150}, range(3)))

@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.hierarchy_kinds import find_kind, list_privileges
+from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.train import load_agent, load_env, train
 from hrl_escape.checks import check_hierarchy
@@ -18,7 +19,6 @@ from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import AgentSettingsError, UnsupportedError
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.synthesis import HierarchyEnv, HierarchyVectorEnv, synthesise
-from hrl_escape.synthesis.kinds import find_kind, list_privileges
 from tests.synthesis.tiny import TINY
 
 AGENTS = {"hac": "events", "sol": "events", "option-keyboard": "events", "hiro": "displacements",
@@ -140,11 +140,11 @@ def test_a_folder_brings_back_an_agent_with_its_goals(tmp_path):
 
 def test_leaves_that_nobody_plans_and_bodies_that_do_not_go_there_are_refused_in_words():
     for kind in ("events", "displacements"):
-        with pytest.raises(UnsupportedError, match=f"a hierarchy over {kind} learns its leaves"):
+        with pytest.raises(UnsupportedError, match=f"a hierarchy over {kind} learns its low level"):
             synthesise(generate(TINY, 0), kind, "planned")
-    with pytest.raises(UnsupportedError, match="learns its leaves: take leaves='learned'"):
+    with pytest.raises(UnsupportedError, match="learns its low level: take low_level='learned'"):
         find_kind("hiro", "planned")
-    with pytest.raises(UnsupportedError, match="learns its leaves"):
+    with pytest.raises(UnsupportedError, match="learns its low level"):
         HierarchyVectorEnv(EscapeRoomVectorEnv(2, TINY), "events")
     with pytest.raises(UnsupportedError, match="presses by hand"):
         synthesise(generate(get_preset("arm-two-button"), 0), "displacements", "learned")

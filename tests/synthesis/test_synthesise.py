@@ -6,10 +6,11 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hrl_escape.agents.algorithms.given.feudal_rl import DIRECTIONS
+from hrl_escape.agents.algorithms.task_hierarchies.feudal_rl import DIRECTIONS
 from hrl_escape.agents.hierarchy.machine import Do, MachineRun
 from hrl_escape.agents.hierarchy.task import Seen
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.hierarchy_kinds import LOW_LEVELS, list_privileges
+from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import load_agent, load_env, train
 from hrl_escape.checks import check_hierarchy
@@ -21,7 +22,6 @@ from hrl_escape.errors import AgentSettingsError, ConfigError, UnknownNameError,
 from hrl_escape.planning import best_known_return
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.synthesis import HierarchyEnv, HierarchyVectorEnv, synthesise
-from hrl_escape.synthesis.kinds import LEAVES, list_privileges
 from hrl_escape.synthesis.situation import Situations
 from studies.optima import compute_price
 from tests.covering import cover
@@ -31,8 +31,8 @@ AGENTS = {"maxq": "maxq-q", "ham": "hamq", "landmarks": "h-dqn", "feudal": "feud
 SETTINGS = {"landmarks": {"values": "table"}}
 
 
-def make_env(config="paper-two-button", kind="maxq", leaves="planned", **arguments):
-    return HierarchyEnv(EscapeRoomEnv(config), kind, leaves, **arguments)
+def make_env(config="paper-two-button", kind="maxq", low_level="planned", **arguments):
+    return HierarchyEnv(EscapeRoomEnv(config), kind, low_level, **arguments)
 
 
 @pytest.mark.in_turn_for("ham-four-button-chain")
@@ -71,22 +71,22 @@ def test_a_pose_tells_of_the_open_exit_only_where_it_has_a_door(preset, differs)
 
 
 @pytest.mark.in_turn_for("True-planned", "True-learned", "False-planned")
-@pytest.mark.parametrize("leaves", LEAVES)
+@pytest.mark.parametrize("low_level", LOW_LEVELS)
 @pytest.mark.parametrize("abstract", [True, False])
-def test_a_synthesised_task_graph_keeps_every_promise(leaves, abstract):
-    check_hierarchy(synthesise(generate(TINY, 0), "maxq", leaves, abstract=abstract),
-                    make_env(TINY, leaves=leaves), primitives=200)
+def test_a_synthesised_task_graph_keeps_every_promise(low_level, abstract):
+    check_hierarchy(synthesise(generate(TINY, 0), "maxq", low_level, abstract=abstract),
+                    make_env(TINY, low_level=low_level), primitives=200)
 
 
 @pytest.mark.in_turn_for("landmarks-planned")
-@pytest.mark.parametrize("leaves", LEAVES)
+@pytest.mark.parametrize("low_level", LOW_LEVELS)
 @pytest.mark.parametrize("kind", ["landmarks", "feudal"])
-def test_goals_and_cells_keep_every_promise(kind, leaves):
-    env = make_env(TINY, kind, leaves)
+def test_goals_and_cells_keep_every_promise(kind, low_level):
+    env = make_env(TINY, kind, low_level)
     agent = make_agent(AGENTS[kind], env.observation_space, env.action_space, 0, structure=env.structure,
                        **SETTINGS.get(kind, {}))
     assert agent.hierarchy.source == "synthesised"
-    assert set(agent.privileges) <= set(list_privileges(AGENTS[kind], leaves))
+    assert set(agent.privileges) <= set(list_privileges(AGENTS[kind], low_level))
     check_hierarchy(agent.hierarchy, env, primitives=200)
 
 
@@ -107,8 +107,8 @@ def test_what_is_observed_lies_in_the_space_for_one_room_and_for_many():
 
 
 def test_a_task_graph_has_the_planner_s_privilege_where_its_leaves_are_planned():
-    graphs = {leaves: synthesise(generate(TINY, 0), "maxq", leaves) for leaves in LEAVES}
-    assert {leaves: "planner" in graph.privileges for leaves, graph in graphs.items()} == {
+    graphs = {low_level: synthesise(generate(TINY, 0), "maxq", low_level) for low_level in LOW_LEVELS}
+    assert {low_level: "planner" in graph.privileges for low_level, graph in graphs.items()} == {
         "planned": True, "learned": False}
 
 
@@ -177,10 +177,10 @@ def test_a_planned_order_leads_into_the_cell_that_it_names():
     assert tree.find_cell(observation, 1) == (int(state.y <= 0), int(state.x >= 0)), "rows from the north"
 
 
-@pytest.mark.parametrize("leaves", LEAVES)
-def test_a_synthesised_program_always_has_a_legal_primitive(leaves):
-    env = make_env(TINY, "ham", leaves)
-    program, rng, mask = synthesise(generate(TINY, 0), "ham", leaves), np.random.default_rng(0), np.ones(6, bool)
+@pytest.mark.parametrize("low_level", LOW_LEVELS)
+def test_a_synthesised_program_always_has_a_legal_primitive(low_level):
+    env = make_env(TINY, "ham", low_level)
+    program, rng, mask = synthesise(generate(TINY, 0), "ham", low_level), np.random.default_rng(0), np.ones(6, bool)
     read = env.structure["read"]
     for seed in range(3):
         observation, _ = env.reset(seed=seed)
@@ -193,7 +193,7 @@ def test_a_synthesised_program_always_has_a_legal_primitive(leaves):
             is_over = terminated or truncated
             if not is_over:
                 run.tell(Seen(observation, mask, read(observation)))
-        assert terminated or leaves == "learned"
+        assert terminated or low_level == "learned"
 
 
 def test_the_calls_of_a_program_know_their_places():
@@ -220,9 +220,9 @@ def planned(model):
     return compute_price(model, synthesise(generate(TINY, 0)))
 
 
-def learn_tiny(abstract, leaves="planned", primitives=600):
+def learn_tiny(abstract, low_level="planned", primitives=600):
     """The value of the start at alpha 1 and gamma 1, and what is greedily earned from there."""
-    env = make_env(TINY, leaves=leaves, abstract=abstract, cell=0.01)
+    env = make_env(TINY, low_level=low_level, abstract=abstract, cell=0.01)
     agent = make_agent("maxq-q", env.observation_space, env.action_space, 0, structure=env.structure, gamma=1.0,
                        learning_rate=1.0, epsilon_start=0.3, epsilon_end=0.3)
     result = train(agent, env, primitives=primitives, eval_episodes=1, eval_every=primitives, progress=False)
@@ -247,7 +247,7 @@ def test_a_program_with_planned_leaves_is_worth_as_much_as_the_task_graph(model,
 
 @pytest.mark.in_turn
 def test_learned_leaves_may_walk_any_way_so_that_the_graph_costs_nothing(model):
-    learned = compute_price(model, synthesise(generate(TINY, 0), leaves="learned"))
+    learned = compute_price(model, synthesise(generate(TINY, 0), low_level="learned"))
     assert learned.recursive <= learned.hierarchical == pytest.approx(learned.flat)
 
 
@@ -291,11 +291,11 @@ def test_what_cannot_be_synthesised_is_refused_in_words():
         synthesise(generate(get_preset("taxi"), 0))
     with pytest.raises(UnknownNameError, match="kind of hierarchy"):
         synthesise(generate(TINY, 0), "maxx")
-    with pytest.raises(UnknownNameError, match="leaves"):
-        make_env(TINY, leaves="plan")
+    with pytest.raises(UnknownNameError, match="low_level"):
+        make_env(TINY, low_level="plan")
     with pytest.raises(AgentSettingsError, match="hierarchy, which this agent takes"):
         train("maxq-q", make_env(TINY, "ham"), primitives=10)
-    with pytest.raises(AgentSettingsError, match="acts by no given hierarchy"):
+    with pytest.raises(AgentSettingsError, match="acts by no task hierarchy"):
         train("q-learning", make_env(TINY, "maxq"), primitives=10)
     env = HierarchyEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-random", resample_instance=True))
     with pytest.raises(UnsupportedError, match="train on one instance"):

@@ -28,26 +28,26 @@ def choose(name: str, *turns: tuple[str, str], begun: str = BEGUN, seed: int = 0
 
 
 def test_the_nearest_takes_what_is_off_and_untried_and_near():
-    assert choose("untried-nearest") == "press b"
+    assert choose("search-nearest") == "press b"
     nothing = ("press b", 'Took 1 primitive, 1 of 9. Pressed "b": nothing changed. You are at (1.0, 0.0).')
-    assert choose("untried-nearest", nothing) == "press c"
+    assert choose("search-nearest", nothing) == "press c"
     lit = ("press c", 'Took 2 primitives, 3 of 9. Pressed "c": it came on. You are at (3.0, 0.0).')
-    assert choose("untried-nearest", nothing, lit) == "press a"  # and b, untried again, is as far: the first listed
+    assert choose("search-nearest", nothing, lit) == "press a"  # and b, untried again, is as far: the first listed
     also = ("press a", 'Took 2 primitives, 5 of 9. Pressed "b": nothing changed. Pressed "a": nothing changed. '
                        "You are at (5.0, 0.0).")
-    assert choose("untried-nearest", nothing, lit, also) == "press c"  # all that is off was tried
+    assert choose("search-nearest", nothing, lit, also) == "press c"  # all that is off was tried
     others = ("press c", 'Pressed "c": "a" and "b" came on. You are at (3.0, 0.0).')
-    assert choose("untried-nearest", others) == "press c"
+    assert choose("search-nearest", others) == "press c"
     on_the_way = ("press a", 'Pressed "c": it came on. Pressed "a": nothing changed. You are at (3.5, 0.0).')
-    assert choose("untried-nearest", on_the_way) == "press b"  # a was tried after the change
+    assert choose("search-nearest", on_the_way) == "press b"  # a was tried after the change
 
 
 def test_where_all_was_tried_in_vain_everything_is_tried_once_more():
     walk = [(f"press {name}", f'Pressed "{name}": nothing changed. You are at ({x}, 0.0).')
             for name, x in (("b", 1.0), ("c", 3.0), ("a", 5.0))]
-    assert choose("untried-nearest", *walk) == "press a"  # the round begins anew, where one stands
-    assert choose("untried-nearest", *walk, walk[-1]) == "press c"
-    assert choose("untried-nearest", *walk, walk[-1], walk[1]) == "press b"
+    assert choose("search-nearest", *walk) == "press a"  # the round begins anew, where one stands
+    assert choose("search-nearest", *walk, walk[-1]) == "press c"
+    assert choose("search-nearest", *walk, walk[-1], walk[1]) == "press b"
 
 
 def test_options_of_any_name_are_tried_once_in_a_round():
@@ -56,7 +56,7 @@ def test_options_of_any_name_are_tried_once_in_a_round():
     talk = [Turn(None, BEGUN), *(Turn(ToolCall("run_option", {"option": f"carry {name}"}), "Took 1 primitive, 1 of 9.")
                                  for name in "ab")]
     for seed in range(10):
-        model = make_model("untried")
+        model = make_model("search-random")
         vars(model)["rng"] = np.random.default_rng(seed)
         assert model(talk, tools).arguments["option"] == "carry c"
 
@@ -69,7 +69,7 @@ def test_an_agent_names_the_action_that_its_call_means():
     assert agent.act(observation, mask) == env._actions["press button-2"] != int(np.flatnonzero(mask)[0])
 
 
-@pytest.mark.parametrize("name", ["uniform", "untried", "untried-nearest"])
+@pytest.mark.parametrize("name", ["random", "search-random", "search-nearest"])
 def test_who_sees_the_exit_open_leaves_and_who_cannot_start_does_not(name: str):
     opened = ("press b", 'Pressed "b": it came on; the exit opened. You are at (1.0, 0.0).')
     assert choose(name, opened) == "leave"
@@ -81,7 +81,7 @@ def test_who_sees_the_exit_open_leaves_and_who_cannot_start_does_not(name: str):
 
 
 def test_chance_takes_every_option_alike():
-    taken = [choose("uniform", seed=seed) for seed in range(300)]
+    taken = [choose("random", seed=seed) for seed in range(300)]
     counts = [taken.count(option) for option in ("press a", "press b", "press c")]
     assert sum(counts) == 300 and min(counts) > 70
 
@@ -91,7 +91,7 @@ def test_chance_takes_every_option_alike():
 def test_the_planner_escapes_by_the_fewest_actions_of_the_model_that_it_is_told(rung: str):
     pytest.importorskip("unified_planning")
     room = get_room(rung, 2)
-    states, told = play_manager("planner", room, 0, "model")
+    states, told = play_manager("oracle", room, 0, "model")
     puzzle: Any = room.puzzle
     fewest = {"pair": lambda: 2, "code": lambda: len(puzzle.code),
               "freight": lambda: len(puzzle.plan(puzzle.make_state())),
@@ -101,12 +101,12 @@ def test_the_planner_escapes_by_the_fewest_actions_of_the_model_that_it_is_told(
 
 def test_the_planner_needs_the_model():
     with pytest.raises(PlanningFailed, match="level model"):
-        play_manager("planner", get_room("pair"), 0, "places")
+        play_manager("oracle", get_room("pair"), 0, "places")
 
 
 def test_models_have_names(monkeypatch: pytest.MonkeyPatch):
-    assert list(models) == ["uniform", "untried", "untried-nearest", "planner"]
-    with pytest.raises(UnknownNameError, match="untried-nearest"):
+    assert list(models) == ["random", "search-random", "search-nearest", "oracle"]
+    with pytest.raises(UnknownNameError, match="search-nearest"):
         make_model("untired-nearest")
     points = (importlib.metadata.EntryPoint("mine", "tests.text.test_managers:leave", "hrl_escape.models"),
               importlib.metadata.EntryPoint("broken", "tests.text.nowhere:leave", "hrl_escape.models"))
@@ -124,5 +124,5 @@ def leave(transcript, tools) -> ToolCall:
 def test_a_manager_that_is_told_nothing_new_says_the_same():
     session = make_session(get_room("lattice-5"))
     assert isinstance(session.env, ToldEnv)
-    first = choose("untried", seed=3)
-    assert first == choose("untried", seed=3)
+    first = choose("search-random", seed=3)
+    assert first == choose("search-random", seed=3)

@@ -28,8 +28,9 @@ from tests.text.rooms import get_room, make_env, make_session, play_manager
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Games on four rungs at three levels, one of them with wrong calls and moves."""
     games = [record_game(play_manager(name, get_room(rung), seed, told)[1])
-             for name, rung, seed, told in (("untried", "pair", 1, "names"), ("untried-nearest", "drift", 2, "places"),
-                                            ("uniform", "freight", 4, "model"))]
+             for name, rung, seed, told in (("search-random", "pair", 1, "names"),
+                                            ("search-nearest", "drift", 2, "places"),
+                                            ("random", "freight", 4, "model"))]
     session = make_session(get_room("code"), seed=5, include_primitives=True, flavour="press-with-ancestors")
     for call in (("fly", [1, {"x": "\ud800"}]), ("look", {}), ("move", {"primitive": "forward", "times": 3}),
                  ("run_option", {"option": "press digit-1"})):

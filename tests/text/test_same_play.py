@@ -8,15 +8,15 @@ from hrl_escape.agents.agent import make_transition
 from hrl_escape.text import RoomSession
 from tests.text.rooms import RUNGS, get_room, make_env, play_manager, play_reference
 
-SEARCHERS = ("smdp-untried", "smdp-untried-nearest", "smdp-retrace", "smdp-index-order")
+SEARCH_BASELINES = ("search-random", "search-nearest", "search-backtrack", "sweep")
 
 
 @pytest.mark.in_turn_for("clutter")
 @pytest.mark.parametrize("rung", RUNGS)
 def test_a_searcher_that_reads_the_text_alone_does_what_the_searcher_that_reads_the_room_does(rung: str):
     room = get_room(rung)
-    expected, _ = play_reference("smdp-untried", room, 7)
-    states, told = play_manager("untried", room, 7, "names")
+    expected, _ = play_reference("search-random", room, 7)
+    states, told = play_manager("search-random", room, 7, "names")
     assert states == expected and len(states) > 5
     assert sum(part.duration for part in told.log) == len(states) - 1
 
@@ -41,12 +41,12 @@ def through_the_tools(name: str, rung: str, number: int, seed: int) -> None:
 @pytest.mark.in_turn_for("freight", "clutter")
 @pytest.mark.parametrize("rung", RUNGS)
 def test_calls_made_one_by_one_lead_to_the_states_of_the_searcher(rung: str):
-    through_the_tools("smdp-untried-nearest", rung, 1, 3)
+    through_the_tools("search-nearest", rung, 1, 3)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rung", RUNGS)
-@pytest.mark.parametrize("name", SEARCHERS)
+@pytest.mark.parametrize("name", SEARCH_BASELINES)
 def test_calls_of_every_searcher_do_in_more_rooms(name: str, rung: str):
     for number in range(2, 6):
         through_the_tools(name, rung, number, number)

@@ -192,7 +192,7 @@ def test_every_door_is_told_as_it_is_and_when_it_opens():
     room = get_room("doors")
     session = make_session(room)
     barring = get_trait(room.puzzle, Barring)
-    seen, manager = set(), make_model("untried")
+    seen, manager = set(), make_model("search-random")
     for _ in range(60):
         before = barring.get_shut(session.env.state.puzzle)
         told = re.findall(r"door (\d) at \(.+?\), (shut|open)", session.call("look").text)
@@ -265,7 +265,7 @@ def test_trials_in_one_room_share_a_transcript():
 
 @pytest.mark.in_turn
 def test_an_episode_of_lattice_takes_fewer_than_20_000_input_tokens():
-    tokens = [play_manager("untried-nearest", get_room("lattice", number), number, "places")[1].characters / 4
+    tokens = [play_manager("search-nearest", get_room("lattice", number), number, "places")[1].characters / 4
               for number in range(10)]
     assert 2_000 < max(tokens) < 20_000
 

@@ -87,7 +87,7 @@ def test_play_its_file_the_recorded_page_and_a_session_say_failed(failed, tmp_pa
 def test_watching_says_failed(failed):
     """The agent chooses what failed before, one after another."""
     episode, _ = failed
-    driver = dataclasses.replace(open_driver("smdp-random", episode.instance), trains=False)
+    driver = dataclasses.replace(open_driver("random-options", episode.instance), trains=False)
     moves = iter([driver.names.index(move.name) for move in episode.moves])
     driver.agent.act_greedy = lambda observation, mask, rng: next(moves)
     watch = Watch(driver, Gate(None))

@@ -34,7 +34,7 @@ from hrl_escape.agents.components.replay import (
     UpdateSchedule,
     make_experience,
 )
-from hrl_escape.agents.larg2019.keras_rl import LinearRelaxation
+from hrl_escape.agents.keras_rl_2019.keras_rl import LinearRelaxation
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range

@@ -18,7 +18,7 @@ from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.algorithms.dqn import ActionValues, ValueAgent, ValueSettings
 from hrl_escape.agents.components.exploration import compute_policy, sample_index
 from hrl_escape.agents.components.replay import Experience, make_experience
-from hrl_escape.agents.larg2019.keras_rl import LateTerminal
+from hrl_escape.agents.keras_rl_2019.keras_rl import LateTerminal
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 

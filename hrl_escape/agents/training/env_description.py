@@ -16,6 +16,7 @@ descriptions give, such as `doubled = "my_package.wrappers:Doubled"`.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import hashlib
 import inspect
@@ -32,7 +33,8 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorWrapper
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, RenderCollection
 
-from hrl_escape.agents.label import AgentLabel
+from hrl_escape.agents.registry import join_name
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, describe_damage
 from hrl_escape.settings import Settings
@@ -116,29 +118,54 @@ def describe_env(env: gymnasium.Env) -> dict[str, Any]:
     return {"class": name_part(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
 
 
-def check_label(label: AgentLabel, env: gymnasium.Env) -> None:
-    """Require that an environment's options, memory and hierarchy are those of an agent's label.
+def check_spec(spec: AgentSpec, env: gymnasium.Env) -> None:
+    """Require that an environment's options, memory and hierarchy are those of an agent's spec.
 
     Args:
-        label: what it leaves open is not checked.
-        env: ordinary environment in which the agent trains.
+        spec: options that it leaves at their defaults are not checked, but for the primitives among the choices.
+        env: ordinary environment in which the agent trains; one of another package may have options of its own.
 
     Raises:
-        AgentSettingsError: they disagree; the message says how to make the environment.
+        AgentSettingsError: they disagree; the message gives both ways out.
     """
-    asked = {**label.options, **({"leaves": label.leaves} if label.leaves else {})}
-    if not asked:
-        return
     found: dict[str, Any] = {}
     for part in describe_env(env)["wrappers"]:
         found |= part["arguments"] | ({"memory": True} if part["class"] == MEMORY_WRAPPER else {})
-    if all(found.get(name) == value for name, value in asked.items()):
-        return
-    arguments = "".join(f", {name}={value!r}" for name, value in asked.items() if name != "memory")
-    needed = f"{'OptionsEnv' if label.leaves is None else 'HierarchyEnv'}(env{arguments})"
-    needed = f"DecisionMemory({needed})" if "memory" in asked else needed
-    raise AgentSettingsError("agent", label.text, f"it needs the environment {needed}; make that, or take {label.name} "
-                             "without these words")
+    wanted = {name: value for name, value in spec.options.to_dict().items() if value != getattr(OptionsView, name)}
+    wanted.pop("include_primitives", None)
+    if spec.low_level is not None:
+        wanted["low_level"] = spec.low_level
+    disagrees = any(found.get(name) != value for name, value in wanted.items())
+    if env.has_wrapper_attr("primitive_count"):
+        has_primitives = env.get_wrapper_attr("primitive_count") > 0
+        if not spec.chooses_options:
+            raise AgentSettingsError("agent", str(spec), f"{spec.name} acts with primitives, and this environment has "
+                                     f"options: take {_over_options(spec, has_primitives)}, or the environment without "
+                                     "OptionsEnv")
+        if has_primitives != spec.options.include_primitives:
+            has = "also chooses primitives" if has_primitives else "has options only"
+            raise AgentSettingsError("agent", str(spec), f"this environment {has}: take "
+                                     f"{_over_options(spec, has_primitives)}, or the environment "
+                                     f"{_write_needed(spec, wanted)}")
+    if disagrees:
+        raise AgentSettingsError("agent", str(spec), f"it needs the environment {_write_needed(spec, wanted)}: make "
+                                 f"that, or take {spec.name} without these parts")
+
+
+def _over_options(spec: AgentSpec, has_primitives: bool) -> str:
+    """Spec of the same agent over options, with or without primitives."""
+    name = join_name(spec.algorithm, True)
+    options = dataclasses.replace(spec.options, include_primitives=has_primitives)
+    return str(dataclasses.replace(spec, name=name, label="", options=options))
+
+
+def _write_needed(spec: AgentSpec, wanted: Mapping[str, Any]) -> str:
+    """Text that makes the environment of a spec."""
+    if spec.low_level is None and not spec.options.include_primitives:
+        wanted = {"include_primitives": False, **wanted}
+    arguments = "".join(f", {name}={value!r}" for name, value in wanted.items() if name != "memory")
+    made = f"{'OptionsEnv' if spec.low_level is None else 'HierarchyEnv'}(env{arguments})"
+    return f"DecisionMemory({made})" if "memory" in wanted else made
 
 
 def describe_many(env: Any) -> dict[str, Any]:

@@ -13,8 +13,10 @@ from typing import Any, NamedTuple
 
 import gymnasium
 
+from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.components.offline import Decisions, OfflineAgent, OfflineData, Primitives
-from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe, list_offline_agents
+from hrl_escape.agents.registry import get_agent_class, get_recipe, list_offline_agents
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.run import Means, Reporter, Run, RunArguments
 from hrl_escape.errors import AgentSettingsError
@@ -37,22 +39,26 @@ class Material(NamedTuple):
     budget: int  # primitives of the agent's number of passes
 
 
-def gather_material(agent: Any, env: Any, data: Any, recipe: str, settings: Any) -> Material:
-    """Read what an agent learns from; arguments as those of `train`.
+def gather_material(agent: AgentSpec | type[Agent] | Agent, env: Any, data: Any, settings: Any) -> Material:
+    """Read what an agent learns from; arguments as of `train`.
 
     Raises:
         AgentSettingsError: the agent learns from no data set, or the environment shows or takes something else.
     """
-    is_named = isinstance(agent, str)
-    kind = get_agent_class(agent) if is_named else type(agent)
-    if not issubclass(kind, OfflineAgent):
+    spec = agent if isinstance(agent, AgentSpec) else None
+    kind = type(agent) if isinstance(agent, Agent) else get_agent_class(spec.name) if spec else agent
+    if not (isinstance(kind, type) and issubclass(kind, OfflineAgent)):
         known = ", ".join(list_offline_agents())
-        raise AgentSettingsError("agent", agent, f"one that learns from a data set ({known}), or leave data= out")
-    chosen = replace_settings(get_recipe(agent, recipe), settings or {}) if is_named else agent.settings
+        raise AgentSettingsError("agent", str(agent), f"one that learns from a data set ({known}), or leave out data=")
+    if isinstance(agent, Agent):
+        chosen = agent.settings
+    else:
+        named = kind.Settings() if spec is None else get_recipe(spec.name, spec.recipe)
+        chosen = replace_settings(named, {**(spec.settings if spec else {}), **(settings or {})})
     found: OfflineData = resolve_name(DATA_LOADER)(data) if isinstance(data, (str, os.PathLike)) else data
-    options = agent.startswith(SMDP_PREFIX) if is_named else found.level == "decisions"
+    options = found.level == "decisions" if spec is None else spec.chooses_options
     if options and kind.reads_both:
-        raise AgentSettingsError("agent", agent, f"{kind.name}: it acts by primitives, and reads the decisions too")
+        raise AgentSettingsError("agent", str(agent), f"{kind.name}: it acts with primitives, and reads decisions too")
     env = found.make_env(options, chosen.gamma) if env is None else env
     primitives = None if options else found.read_primitives()
     if primitives is None or kind.reads_both:

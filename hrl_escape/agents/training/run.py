@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, check_actions, check_same_observations, read_success
-from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.agents.registry import split_name
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.training.callbacks import Callback, RunDescription
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
@@ -288,7 +288,7 @@ class Run(Stateful):
         agent, words, end = self.agent, self.describe_returns(), "budget"
         seed = compute_episode_seed(self.arguments.seed, "training", len(self.episodes))
         for transition, info in walk_episode(self.env, seed, self.actions, agent.gamma, agent.act):
-            if self.decisions == 0 and not is_decision(info) and self.arguments.name.startswith(SMDP_PREFIX):
+            if self.decisions == 0 and not is_decision(info) and split_name(self.arguments.name)[1]:
                 warnings.warn(NO_OPTIONS.format(name=self.arguments.name), stacklevel=2)
             metrics = agent.observe(transition)
             self.primitives += transition.duration

@@ -41,7 +41,7 @@ from hrl_escape.files import (
 )
 from hrl_escape.processes import take_lock
 
-FORMAT = 2
+FORMAT = 3
 """Version of the fields of `run.json`; another version is refused."""
 
 LAST, BEST = "checkpoint.npz", "best.npz"
@@ -221,6 +221,10 @@ def read_run(folder: str | os.PathLike[str]) -> dict[str, Any]:
 
 def check_run(described: Any, path: Path) -> dict[str, Any]:
     """The value itself, where it is the description of a run; `path` is for the message of the `CheckpointError`."""
+    if isinstance(described, dict) and described.get("format") == FORMAT - 1:
+        raise CheckpointError(f"{path}: this run is of version 0.3, in format {FORMAT - 1}. `hrl-escape convert "
+                              f"{path.parent if path.name == 'run.json' else path}` writes it in the form of this "
+                              "version")
     if not isinstance(described, dict) or described.get("format") != FORMAT:
         raise CheckpointError(f"{path}: this is not the description of a run in format {FORMAT}. Train the run anew "
                               "with this version of hrl-escape")

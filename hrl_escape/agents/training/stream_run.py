@@ -33,7 +33,7 @@ from hrl_escape.agents.agent import (
     read_success_value,
     set_option_discount,
 )
-from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.agents.registry import split_name
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.streams import (
     EndedDecisions,
@@ -395,7 +395,7 @@ class StreamRun(Run):
             self.primitives += tally.add(decisions, ended.success[decisions.stream])
             self.decisions += len(decisions.stream)
             report(self.primitives, words)
-        if self.primitives == self.decisions and before == 0 and self.arguments.name.startswith(SMDP_PREFIX):
+        if self.primitives == self.decisions and before == 0 and split_name(self.arguments.name)[1]:
             warnings.warn(NO_OPTIONS.format(name=self.arguments.name), stacklevel=2)
         return self.end_segment(tally.take_row(), means, started, before)
 

@@ -19,13 +19,14 @@ import numpy as np
 from gymnasium.vector import VectorEnv, VectorRewardWrapper, VectorWrapper
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.label import DEFAULT_RECIPE, AgentLabel
-from hrl_escape.agents.registry import get_agent_class, list_stream_agents, make_agent, read_structure
+from hrl_escape.agents.making import make_agent, read_structure
+from hrl_escape.agents.registry import get_agent_class, list_stream_agents
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.streams import StreamAgent, Streams
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import (
-    check_label,
+    check_spec,
     compute_digest,
     hash_large_parts,
     load_part,
@@ -59,14 +60,13 @@ ended."""
 
 
 def train(
-    agent: str | Agent,
+    agent: str | AgentSpec | type[Agent] | Agent,
     env: gymnasium.Env | VectorEnv | Streams | None = None,
     *,
     primitives: int | None = None,
     data: str | os.PathLike[str] | OfflineData | None = None,
     decisions: int | None = None,
     seed: int = 0,
-    recipe: str = DEFAULT_RECIPE,
     settings: Mapping[str, Any] | None = None,
     eval_env: gymnasium.Env | None = None,
     eval_every: int | None = None,
@@ -85,9 +85,8 @@ def train(
     """Train an agent on an environment, flat or with options, or from a data set.
 
     Args:
-        agent: a name (see `registry.list_agents`, with or without `smdp-`), a label such as `smdp-dqn+objects+memory`
-            (see `agents.label`), or an agent of your own, made new. What a label says of options, memory or a hierarchy
-            must hold of the environment.
+        agent: a spec such as `dqn`, `smdp-dqn` or `smdp-ppo+objects+memory` (see `agents.spec`), a class, or an agent
+            made new. The options, memory and hierarchy of a spec must be the environment's.
         env: Discrete actions; what `step` must return is in `agent.make_transition`. It must depend on nothing
             before `reset(seed=...)`, which is called for every episode. Let an environment of your own keep its
             arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
@@ -97,11 +96,10 @@ def train(
         primitives: budget, of all streams together. The decision that reaches it is the last. With `data` those
             learned from, counted at each pass; by default as many as the agent's `passes` say.
         data: data set, by name, by the path of a tape, or from `hrl_escape.data.load_data`, for agents that learn
-            offline. With `smdp-` before its name an agent learns from decisions, else from primitives.
+            offline. Agents over options, such as `smdp-iql`, learn from decisions, others from primitives.
         decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
         seed: 0 or more; fixes the agent (if named) and every training episode.
-        recipe: `corrected` or `paper`, for a named agent.
-        settings: fields of a named agent's settings to change; they come after the label's.
+        settings: fields of the agent's settings to change, but for an agent made new; they come after the spec's.
         eval_env: evaluation environment; by default `env` itself, between episodes, or one of many.
         eval_every: primitives between evaluations, a twentieth of the budget by default. Each is made at
             the first episode's end from there on, besides one before training and one after.
@@ -127,23 +125,21 @@ def train(
         Curves, episodes, totals and the trained agent.
 
     Raises:
-        AgentSettingsError: an argument or setting is impossible, or the label disagrees with the environment.
-        UnknownNameError: no such agent, trait, recipe or setting.
+        AgentSettingsError: an argument or setting is impossible, or the spec disagrees with the environment.
+        UnknownNameError: no such agent, part, named settings or setting.
         StepContractError: the environment breaks the contract.
         DivergenceError: a loss became NaN; names run and primitive.
         RunMismatchError, RunBusyError, CheckpointError, FileWriteError: about `out`.
     """
     if settings is not None and not isinstance(settings, Mapping):
         raise AgentSettingsError("settings", settings, "a mapping from names of settings to values, or None")
-    label = None
     if isinstance(agent, str):
-        label = AgentLabel.parse(agent)
-        agent, recipe, settings = label.name, label.resolve_recipe(recipe), {**label.settings, **(settings or {})}
+        agent = AgentSpec.parse(agent)
     material = None
     if data is not None:
         from hrl_escape.agents.training.offline_run import OfflineRun, gather_material  # brings torch in
 
-        material = gather_material(agent, env, data, recipe, settings)
+        material = gather_material(agent, env, data, settings)
         env, primitives = material.env, material.budget if primitives is None else primitives
     if env is None or primitives is None:
         raise AgentSettingsError("env" if env is None else "primitives", None, "given, unless there is data=")
@@ -168,19 +164,17 @@ def train(
     for callback in callbacks:
         if not isinstance(callback, Callback):
             raise AgentSettingsError("callbacks", callback, "objects derived from hrl_escape.agents.Callback")
-    if isinstance(agent, str):
-        get_agent_class(agent)  # loads torch where it is needed, before its threads are set
+    if isinstance(agent, AgentSpec):
+        get_agent_class(agent.name)  # loads torch where it is needed, before its threads are set
     with _using_threads(threads):
         single = env if isinstance(env, gymnasium.Env) else (eval_env or make_single_env(env))
-        if label is not None:
-            check_label(label, single)
-        if isinstance(agent, str):
-            name = agent
-            learner = make_agent(agent, single.observation_space, single.action_space, seed, recipe,
-                                 read_structure(single), **settings or {})
-        else:
-            name, learner = agent.name, agent
-        agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
+        name = agent.name
+        if isinstance(agent, AgentSpec):
+            check_spec(agent, single)
+        is_made = isinstance(agent, Agent)
+        learner = agent if is_made else make_agent(agent, single.observation_space, single.action_space, seed,
+                                                   read_structure(single), **settings or {})
+        agent_state = compute_state_digest(learner.state_dict()) if is_made and out is not None else None
         arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state,
                                  threads, until_return, eval_trials)
         if material is not None:

@@ -7,12 +7,12 @@ another, within one horizon.
 Finished runs are kept: the same command goes on where it was stopped. `hrl-escape ladder report` sums up the rungs.
 
 Examples:
-    hrl-escape ladder run smdp-dqn smdp-random planner --rung doormat pair --protocol per-instance --runs 3
-    hrl-escape ladder run smdp-ppo+objects+memory smdp-random --rung lattice --protocol generalise --train-sizes 1 16 64
-    hrl-escape ladder run smdp-dqn+objects+memory smdp-random planner --protocol transfer --from chain --rung lattice-5
-    hrl-escape ladder run smdp-dqn+objects+memory smdp-random planner --protocol few-shot --trials 4 --rung chain
-    hrl-escape ladder run smdp-ppo+objects+memory+no-primitives smdp-random+no-primitives planner --protocol tower
-    hrl-escape ladder run smdp-dqn planner --rung chain lattice --out /shared/ladder --shard 3/8
+    hrl-escape ladder run smdp-dqn random-options oracle --rung doormat pair --protocol per-instance --runs 3
+    hrl-escape ladder run smdp-ppo+objects+memory oracle --rung lattice --protocol generalise --train-sizes 1 16 64
+    hrl-escape ladder run smdp-dqn+objects+memory bayes --protocol transfer --from chain --rung lattice-5
+    hrl-escape ladder run smdp-dqn+objects+memory random-options oracle --protocol few-shot --trials 4 --rung chain
+    hrl-escape ladder run smdp-ppo+objects+memory random-options oracle --protocol tower
+    hrl-escape ladder run smdp-dqn oracle --rung chain lattice --out /shared/ladder --shard 3/8
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.commands.compare import LaunchArgs
 from hrl_escape.commands.room_choice import refuse_options
 from hrl_escape.comparison.comparison import read_comparison
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.protocols import (
     TOWER,
     LadderSettings,
@@ -65,8 +65,8 @@ class RunArgs(LadderSettings, LaunchArgs):
     """Options of `hrl-escape ladder run`."""
 
     agents: Annotated[tuple[str, ...], tyro.conf.Positional] = dataclasses.field(kw_only=True)
-    """Agents and references by name or label: smdp-dqn, smdp-ppo+objects+memory, smdp-retrace, planner; `hrl-escape
-    list` names them."""
+    """Specs of agents, and references: smdp-dqn, smdp-ppo+objects+memory, search-backtrack, oracle; `hrl-escape list`
+    names them."""
     rung: tuple[str, ...] = ()
     """Names of rungs; all by default, in a tower those with the same primitives."""
     protocol: Protocol = "per-instance"
@@ -144,8 +144,8 @@ def run_report(args: ReportArgs) -> None:
 
     A rung is passed where the lower end of the escapes' 95 % interval is 0.9 or more and efficiency 0.5 or more. The
     ladder score is the mean over rungs of the interquartile mean of efficiency, over the rungs that every agent was run
-    on. The learned share is 0 for the best search baseline, such as smdp-retrace, and 1 for the Bayes planner,
-    smdp-bayes, which is given how rooms are drawn: run both as well as the learners.
+    on. The learned share is 0 for the best search baseline, such as search-backtrack, and 1 for the Bayes planner,
+    bayes, which is given how rooms are drawn: run both as well as the learners.
 
     A benchmark with axes, such as ladder-2, gives a profile besides: a table of efficiency by axis, with its
     references, and a radar, profile.svg in the protocol's folder.

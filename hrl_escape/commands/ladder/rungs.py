@@ -35,7 +35,7 @@ def run_list(args: LadderListArgs) -> None:
     Core hours are those of smdp-dqn by published rates, with ten seeds in each of ten test rooms (protocol
     per-instance); the other protocols take a tenth for each number of training rooms. `hrl-escape ladder run --dry-run`
     prints any other. Where references were measured they follow: efficiency of random options, of the best search
-    baseline and of the Bayes planner, smdp-bayes, and how many bits of the hidden graph marks and places reveal.
+    baseline and of the Bayes planner, bayes, and how many bits of the hidden graph marks and places reveal.
 
     Examples:
         hrl-escape ladder list
@@ -74,8 +74,8 @@ def _show_references(own: RungReferences | None) -> list[str]:
 
 
 def _estimate(rung: Rung) -> float:
+    from hrl_escape.agents.spec import AgentSpec
     from hrl_escape.comparison.cost import count_buttons, estimate_hours, load_rates  # these load planners
-    from hrl_escape.comparison.grid import AgentSpec
     from hrl_escape.comparison.protocols import get_budget
 
     rooms = [count_buttons(rung.config)] * min(10, rung.record.test.count)

@@ -64,14 +64,14 @@ class SubmitArgs:
 def run_submit(args: SubmitArgs) -> None:
     """Test a frozen agent in every test room of a rung, and pack card, results and agent into one file for a board.
 
-    The agent is a training run's, a reference such as smdp-untried-nearest, or any program: the card then says which
+    The agent is a training run's, a reference such as search-nearest, or any program: the card then says which
     command starts it, in a process of its own that reads observations and masks and writes actions. `hrl-escape ladder
     start` writes a program and its card to begin with.
 
     Examples:
         hrl-escape ladder submit --card my-agent/card.toml --benchmark marks-1 --rung told --out mine.zip
         hrl-escape ladder submit runs/mine --card card.toml --rung chain-3 --out mine.zip
-        hrl-escape ladder submit smdp-untried-nearest --card card.toml --rung chain-3 --rooms 2 --out searcher.zip
+        hrl-escape ladder submit search-nearest --card card.toml --rung chain-3 --rooms 2 --out searcher.zip
     """
     from hrl_escape.comparison.submission import (  # loads what plays
         Card,

@@ -276,13 +276,13 @@ class GraphParticles:
     def __init__(self, config: ButtonsConfig, count: int, rng: np.random.Generator, marks: tuple[int, ...] = ()
                  ) -> None:
         if marks and config.marks.motifs > 1:
-            raise UnsupportedError(f"marks of {config.marks.motifs} motifs on {count} buttons: smdp-bayes lists the "
+            raise UnsupportedError(f"marks of {config.marks.motifs} motifs on {count} buttons: bayes lists the "
                                    "graphs of fewer, and its samples of more know one motif")
         if marks and config.marks.kind == "wires":
-            raise UnsupportedError(f"wires between {count} buttons: smdp-bayes lists the graphs of fewer, and its "
+            raise UnsupportedError(f"wires between {count} buttons: bayes lists the graphs of fewer, and its "
                                    "samples of more do not know which button a wire comes from")
         if config.sections.count:
-            raise UnsupportedError(f"sections with {count} buttons: smdp-bayes lists the graphs of fewer, and its "
+            raise UnsupportedError(f"sections with {count} buttons: bayes lists the graphs of fewer, and its "
                                    "samples of more do not know where buttons hang")
         self._rng, self._presses = rng, list[tuple[int, int, bool, bool]]()
         self.parents = np.zeros((PARTICLES, count), np.uint64)
@@ -519,7 +519,7 @@ _NO_WAY = 1e4
 """Primitives of a way that the planner does not find."""
 
 
-class BayesSearcher(Searcher):
+class BayesPlanner(Searcher):
     """Fewest expected primitives, over the graphs that the room's schematic can draw.
 
     The first decision raises `UnsupportedError` where the puzzle is not of buttons that stay on, or the schematic is
@@ -573,8 +573,8 @@ class _Mind:
     def __init__(self, room: RoomInstance, schematic: RoomConfig, odds: NDArray[np.float64] | None) -> None:
         puzzle, config = room.puzzle, schematic.puzzle
         if not isinstance(puzzle, ButtonsPuzzle) or puzzle.allow_off or puzzle.locks:
-            raise UnsupportedError(f"smdp-bayes knows rooms of buttons that stay on and do not lock each other; in "
-                                   f"{room.name} take smdp-retrace")
+            raise UnsupportedError(f"bayes knows rooms of buttons that stay on and do not lock each other; in "
+                                   f"{room.name} take search-backtrack")
         self.room, self._puzzle, self._planner = room, puzzle, get_planner(room)
         assert isinstance(config, ButtonsConfig)
         self._config, self._odds = config, odds

@@ -36,7 +36,7 @@ class Reference(FixedPolicy):
         self._recorder = recorder
 
 
-class IndexOrder(Reference):
+class Sweep(Reference):
     """Options in the order of their numbers, the exit last, then from the first again."""
 
     RULE = "presses all buttons in the order of their numbers"
@@ -60,7 +60,7 @@ class IndexOrder(Reference):
         return int(np.flatnonzero(action_mask)[0])
 
 
-class ShuffledRound(IndexOrder):
+class SweepRandom(Sweep):
     """Options in an order that is drawn for the episode, the exit last, then from the first again."""
 
     RULE = "presses all buttons in an order drawn for the episode"
@@ -197,7 +197,7 @@ class Searcher(Reference):
         """One of the legal options that do not leave."""
 
 
-class Untried(Searcher):
+class SearchRandom(Searcher):
     """Presses what is unlit and untried since the lights last changed, in random order.
 
     Where all that is unlit was tried it takes what is lit, and where everything was tried it begins again.
@@ -227,7 +227,7 @@ class Untried(Searcher):
         return actions[int(rng.integers(len(actions)))]
 
 
-class UntriedNearest(Untried):
+class SearchNearest(SearchRandom):
     """Presses what is unlit and untried since the lights last changed, the nearest first, as the crow flies."""
 
     RULE = "presses what is unlit and untried since the lights last changed, the nearest first"
@@ -236,7 +236,7 @@ class UntriedNearest(Untried):
         return min(actions, key=lambda action: self._measure(action, state))
 
 
-class Retrace(Searcher):
+class SearchBacktrack(Searcher):
     """Goes back by known presses to the pattern with the most lights on under which something unlit is untried.
 
     It remembers for each pattern of lights what every action led to, so that after a reset it repeats what worked

@@ -2,16 +2,16 @@
 
 | name | what it does | what it is given |
 |---|---|---|
-| `smdp-index-order` | presses buttons 1, 2, ..., n, leaves, over and over | nothing |
-| `smdp-shuffled-round` | the same in an order drawn for the episode | nothing |
-| `smdp-untried` | presses what is unlit and untried since the lights last changed, in random order | lights |
-| `smdp-untried-nearest` | the same, the nearest first | lights, places |
-| `smdp-retrace` | the same, and goes back by known presses to where something is untried | lights, places |
-| `smdp-bayes` | fewest expected primitives over the graphs that the schematic can draw | lights, places, schematic |
-| `planner` | follows the best known plan | everything |
+| `sweep` | presses buttons 1, 2, ..., n, leaves, over and over | nothing |
+| `sweep-random` | the same in an order drawn for the episode | nothing |
+| `search-random` | presses what is unlit and untried since the lights last changed, in random order | lights |
+| `search-nearest` | the same, the nearest first | lights, places |
+| `search-backtrack` | the same, and goes back by known presses to where something is untried | lights, places |
+| `bayes` | fewest expected primitives over the graphs that the schematic can draw | lights, places, schematic |
+| `oracle` | follows the best known plan | everything |
 
 A search baseline is given neither the graph nor how rooms are drawn, and starts every episode anew. The Bayes planner,
-`smdp-bayes`, is given how rooms are drawn and plans for the fewest expected primitives. A learner that trains in the
+`bayes`, is given how rooms are drawn and plans for the fewest expected primitives. A learner that trains in the
 room where it is tested can exceed both, because it keeps what it found.
 """
 
@@ -22,32 +22,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import FixedPolicy
+from hrl_escape.agents.spec import (
+    BAYES,
+    ORACLE,
+    SEARCH_BACKTRACK,
+    SEARCH_NEAREST,
+    SEARCH_RANDOM,
+    SWEEP,
+    SWEEP_RANDOM,
+)
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
-from hrl_escape.comparison.references.bayes import BayesSearcher
+from hrl_escape.comparison.references.bayes import BayesPlanner
 from hrl_escape.comparison.references.by_lights import (
-    IndexOrder,
     PlanFollower,
     Reference,
-    Retrace,
-    ShuffledRound,
-    Untried,
-    UntriedNearest,
+    SearchBacktrack,
+    SearchNearest,
+    SearchRandom,
+    Sweep,
+    SweepRandom,
 )
 from hrl_escape.ladder.sequence import SequenceEnv
 
-INDEX_ORDER, SHUFFLED_ROUND = "smdp-index-order", "smdp-shuffled-round"
-UNTRIED, UNTRIED_NEAREST, RETRACE, BAYES = "smdp-untried", "smdp-untried-nearest", "smdp-retrace", "smdp-bayes"
-PLANNER = "planner"
 _RULES: dict[str, type[Reference]] = {
-    INDEX_ORDER: IndexOrder, SHUFFLED_ROUND: ShuffledRound, UNTRIED: Untried, UNTRIED_NEAREST: UntriedNearest,
-    RETRACE: Retrace, BAYES: BayesSearcher, PLANNER: PlanFollower,
+    SWEEP: Sweep, SWEEP_RANDOM: SweepRandom, SEARCH_RANDOM: SearchRandom, SEARCH_NEAREST: SearchNearest,
+    SEARCH_BACKTRACK: SearchBacktrack, BAYES: BayesPlanner, ORACLE: PlanFollower,
 }
-REFERENCES = tuple(_RULES)
-BY_NUMBER = (INDEX_ORDER, SHUFFLED_ROUND)
+BY_NUMBER = (SWEEP, SWEEP_RANDOM)
 """References that follow the numbers of one room's options."""
-BY_LIGHTS = (UNTRIED, UNTRIED_NEAREST, RETRACE)
-"""Searchers that see what is lit."""
-SEARCHERS = BY_NUMBER + BY_LIGHTS
+BY_LIGHTS = (SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK)
+"""Search baselines that see what is lit."""
+SEARCH_BASELINES = BY_NUMBER + BY_LIGHTS
 """References that know neither the dependency graph nor how rooms are drawn."""
 
 
@@ -76,9 +81,9 @@ class Climber(FixedPolicy):
     def _find_player(self) -> FixedPolicy:
         """The present floor's; where floors have one rule, it is told what the floor below has taught of it."""
         player, last = self._players[id(self._tower.unwrapped)], self._last
-        if self._tower.paired and player is not last and isinstance(player, BayesSearcher):
+        if self._tower.paired and player is not last and isinstance(player, BayesPlanner):
             is_first = self._tower.unwrapped is self._tower.floors[0].unwrapped
-            player.expect(last.infer_motif() if isinstance(last, BayesSearcher) and not is_first else None)
+            player.expect(last.infer_motif() if isinstance(last, BayesPlanner) and not is_first else None)
         self._last = player
         return player
 
@@ -86,7 +91,7 @@ class Climber(FixedPolicy):
 def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> FixedPolicy:
     """Make the reference of this name, one of `REFERENCES`.
 
-    Its environment has options for all but `planner`. The recorder is around the flat room; of a tower those on its
+    Its environment has options for all but `oracle`. The recorder is around the flat room; of a tower those on its
     floors count.
     """
     if isinstance(env, SequenceEnv) and len(env.floors) > 1:

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.summary import PROFILE, Summary, summarise
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.pictures.maps import make_map
@@ -130,7 +130,7 @@ def _finish(axes: Axes) -> None:
 
 # --- profiles: efficiency by ability, on benchmarks that have axes in place of one order of rungs ------
 
-REFERENCE_NAMES = "chance", "best searcher", "smdp-bayes"
+REFERENCE_NAMES = "chance", "best searcher", "bayes"
 
 
 class AxisScore(NamedTuple):
@@ -157,7 +157,7 @@ def make_profiles(axes: Sequence[AxisRecord], efficiencies: Mapping[str, Mapping
 
 
 def list_references(references: Mapping[str, RungReferences]) -> dict[str, dict[str, float]]:
-    """Efficiencies of chance, of the best searcher that learns nothing, and of `smdp-bayes`, by rung."""
+    """Efficiencies of chance, of the best searcher that learns nothing, and of `bayes`, by rung."""
     columns = [{rung: value for rung, own in references.items() if (value := getattr(own, name)) is not None}
                for name in ("chance", "searcher", "ceiling")]
     return dict(zip(REFERENCE_NAMES, columns, strict=True)) if references else {}

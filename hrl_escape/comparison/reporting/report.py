@@ -26,8 +26,9 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
+from hrl_escape.agents.registry import DEFAULT_RECIPE
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.inference import Estimate, Pair, is_better
 from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
@@ -251,15 +252,15 @@ def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
 
 def describe_kind(spec: AgentSpec) -> str:
     """Describe what an agent chooses among: `options only, with ancestors`."""
-    if spec.leaves is not None:
-        actions = f"synthesised hierarchy, {spec.leaves} leaves; privileged: {', '.join(spec.privileges)}"
+    if spec.low_level is not None:
+        actions = f"synthesised hierarchy, {spec.low_level} low level; privileged: {', '.join(spec.privileges)}"
     elif not spec.chooses_options:
         actions = "primitives only"
     else:
         actions = "options and primitives" if spec.options.include_primitives else "options only"
         actions += ", with ancestors" if spec.options.flavour == "press-with-ancestors" else ""
-    chance = "reference, " if spec.is_reference else "" if spec.learns else "chance, "
-    return chance + actions + (f", recipe {spec.recipe}" if spec.recipe != "corrected" else "")
+    kind = "reference, " if spec.is_reference else "" if spec.learns else "random policy, "
+    return kind + actions + (f", settings {spec.recipe}" if spec.recipe != DEFAULT_RECIPE else "")
 
 
 # --- tables ----------------------------------------------------------------------------

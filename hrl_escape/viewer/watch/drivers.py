@@ -1,8 +1,8 @@
-"""Drivers of watch mode: the planner, a searcher that learns nothing, the agent of a finished run, or one in training.
+"""Drivers of watch mode: the oracle, another reference, the agent of a finished run, or one in training.
 
 Each becomes an agent in an environment made as in training. Nothing here shows anything.
 
-The planner follows one plan of the whole escape, leg by leg. Where moves err or slip, or blocks are pushed, no plan
+The oracle follows one plan of the whole escape, leg by leg. Where moves err or slip, or blocks are pushed, no plan
 foresees the whole escape: there it takes the next goal of the cheapest order.
 """
 
@@ -21,17 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, FixedPolicy
-from hrl_escape.agents.label import SMDP_PREFIX, AgentLabel
-from hrl_escape.agents.registry import check_agent_name, make_agent, read_structure
+from hrl_escape.agents.making import make_agent, read_structure
+from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.agents.spec import ORACLE, REFERENCES, AgentSpec
+from hrl_escape.agents.text_agent import TEXT_AGENT
 from hrl_escape.agents.training.env_description import make_described_env, name_part
 from hrl_escape.agents.training.run import refusing_damage
 from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.places import RoomSchedule
 from hrl_escape.comparison.pretrained import list_pretrained, unpack_pretrained
-from hrl_escape.comparison.references.registry import BAYES, REFERENCES, SEARCHERS
 from hrl_escape.comparison.runs import make_env, make_player
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
@@ -44,7 +44,6 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, Goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
-from hrl_escape.text.settings import TOOLS
 from hrl_escape.text.told_env import ToldEnv
 
 
@@ -118,9 +117,6 @@ class PlannerAgent(FixedPolicy):
         return self._goals.index(self._plan.choose(self._room.get_state()))
 
 
-PLANNER_NAME = "planner"
-
-
 @dataclasses.dataclass(frozen=True)
 class Driver:
     """An agent and the environment that it drives in."""
@@ -150,16 +146,16 @@ class Driver:
         return make_meta_options(instance, self.flavour, get_planner(instance))
 
 
-def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: str | None = None,
+def open_driver(agent: str | AgentSpec | type[Agent], instance: RoomInstance, *, observation: str | None = None,
                 seed: int = 0, trust: bool = False) -> Driver:
-    """Open the driver that a user names: `planner`, a searcher, the folder of a run, or an agent to train by its label.
+    """Open the driver that a user names: a reference such as `oracle`, the folder of a run, or an agent to train.
 
     Observation and seed are those of an agent to train, by default the observation that it needs; a run's own is found
     out. With `trust` a run's environment may import whatever code its folder names.
 
     Raises:
-        UnknownNameError: neither a folder nor an agent has this name, or no trait of an agent.
-        AgentSettingsError: the label contradicts itself.
+        UnknownNameError: neither a folder nor an agent has this name, or no part of a spec.
+        AgentSettingsError: the spec contradicts itself.
         FileReadError: the folder holds no run.
         CheckpointError: the run is damaged.
         TrustError: the run needs code from elsewhere, and `trust` is false.
@@ -168,21 +164,18 @@ def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: 
     """
     if isinstance(agent, str) and names_run(agent):
         return _open_run(Path(agent), instance, trust)
-    spec = AgentSpec.parse(check_driver(agent)) if isinstance(agent, str) else agent
+    spec = parse_driver(agent) if isinstance(agent, str) else AgentSpec.parse(agent)
     name, flavour = spec.name, spec.options.flavour
     observation = observation or spec.default_observation
-    if name == PLANNER_NAME:
+    if name == ORACLE:
         recorder, plan = _make_room(instance, observation), EscapePlan(get_planner(instance))
         env = OptionsEnv(recorder, options=lambda _: make_legs(plan), include_primitives=False)
-        return _make_driver("the planner", PlannerAgent(env, plan), env, "press", plan=plan)
-    if name in (*SEARCHERS, BAYES):
-        spec = dataclasses.replace(spec, options=dataclasses.replace(spec.options, include_primitives=False))
+        return _make_driver("the oracle", PlannerAgent(env, plan), env, "press", plan=plan)
     env, recorder = make_env(spec, instance, observation)
     if spec.is_reference:
-        words = f"{name}, {spec.resolve_settings()['model']}" if name == TOOLS else name
+        words = f"{name}, {spec.resolve_settings()['model']}" if name == TEXT_AGENT else name
         return _make_driver(words, make_player(spec, env, recorder), env, flavour)
-    learner = make_agent(name, env.observation_space, env.action_space, seed, spec.recipe, read_structure(env),
-                         **spec.settings)
+    learner = make_agent(spec, env.observation_space, env.action_space, seed, read_structure(env))
     return _make_driver(f"{spec.label}, learning", learner, env, flavour, trains=True)
 
 
@@ -203,7 +196,7 @@ def find_driver(text: str) -> tuple[str, RoomInstance | None]:
 
 def find_run_room(text: str) -> RoomInstance | None:
     """Room of the run that `text` names; None where it names no run, or a run in many rooms."""
-    if text == PLANNER_NAME or not (Path(text) / "run.json").is_file():
+    if text == ORACLE or not (Path(text) / "run.json").is_file():
         return None
     described = read_run(text)
     with refusing_damage(f"{text}: the description of this run"):
@@ -236,18 +229,16 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
 
 def names_run(text: str) -> bool:
     """Return whether a driver's name is that of a run's folder."""
-    return text not in (PLANNER_NAME, *REFERENCES) and (Path(text).exists() or "/" in text)
+    return text not in REFERENCES and (Path(text).exists() or "/" in text)
 
 
-def check_driver(label: str) -> str:
-    """Return the label of an agent or of a reference; `UnknownNameError` if its name is neither's."""
-    name = AgentLabel.parse(label).name
+def parse_driver(text: str) -> AgentSpec:
+    """Spec of an agent or of a reference; `UnknownNameError` where it names neither."""
     try:
-        check_agent_name(name, (*REFERENCES, TOOLS))
+        return AgentSpec.parse(text)
     except UnknownNameError as error:
         note = f"; or the folder of a run. Each agent also has {SMDP_PREFIX} in front"
-        raise UnknownNameError("driver", name, error.known, note) from None
-    return label
+        raise UnknownNameError("driver", error.name, error.known, note) from None
 
 
 def _make_room(instance: RoomInstance, observation: str) -> Any:

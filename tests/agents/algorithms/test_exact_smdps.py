@@ -11,18 +11,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hrl_escape.agents.algorithms.given.feudal_rl import FeudalRl
-from hrl_escape.agents.algorithms.given.h_dqn import HDqn
-from hrl_escape.agents.algorithms.given.h_uct import HUct, Sampled
-from hrl_escape.agents.algorithms.given.hamq import Hamq
-from hrl_escape.agents.algorithms.given.hdg import Hdg
-from hrl_escape.agents.algorithms.given.macro_q import MacroQ
-from hrl_escape.agents.algorithms.given.maxq_q import MaxqQ
-from hrl_escape.agents.algorithms.given.r_maxq import RMaxq
 from hrl_escape.agents.algorithms.intra_option_q import IntraOptionQ
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.algorithms.r_max import RMax
 from hrl_escape.agents.algorithms.skills.eigenoptions import Eigenoptions
+from hrl_escape.agents.algorithms.task_hierarchies.feudal_rl import FeudalRl
+from hrl_escape.agents.algorithms.task_hierarchies.h_dqn import HDqn
+from hrl_escape.agents.algorithms.task_hierarchies.h_uct import HUct, Sampled
+from hrl_escape.agents.algorithms.task_hierarchies.hamq import Hamq
+from hrl_escape.agents.algorithms.task_hierarchies.hdg import Hdg
+from hrl_escape.agents.algorithms.task_hierarchies.macro_q import MacroQ
+from hrl_escape.agents.algorithms.task_hierarchies.maxq_q import MaxqQ
+from hrl_escape.agents.algorithms.task_hierarchies.r_maxq import RMaxq
 from hrl_escape.agents.hierarchy.goal_space import GoalSet
 from hrl_escape.agents.hierarchy.machine import choose, do, machine
 from hrl_escape.agents.hierarchy.runner import StackAgent

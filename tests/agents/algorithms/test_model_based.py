@@ -13,7 +13,7 @@ from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRM
 from hrl_escape.agents.algorithms.r_max import RMax, RMaxSettings
 from hrl_escape.agents.factored.planning_agent import DurationHistory, FactoredModel, fit_durations
 from hrl_escape.agents.factored.structure import StructureLearner
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.training.train import train
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle

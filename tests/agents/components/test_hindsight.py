@@ -6,7 +6,7 @@ import pytest
 from gymnasium.wrappers import TimeLimit
 
 from hrl_escape.agents import load_agent, make_agent, train
-from hrl_escape.agents.registry import read_structure
+from hrl_escape.agents.making import read_structure
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.errors import AgentSettingsError, StepContractError, UnsupportedSpaceError
 from tests.agents.goal_envs import BitFlip, Walk

@@ -19,7 +19,7 @@ from hrl_escape.agents.components.networks import (
     make_generator,
     make_state_network,
 )
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 

@@ -59,6 +59,6 @@ def list_prices() -> list[tuple[str, str, HierarchyPrice]]:
     maze = ParrMaze(2, horizon=None)
     rows.append(("Maze of Parr and Russell, 2 x 2", "program: one hallway after another",
                  compute_price(make_tabular_model(maze), make_traveller(maze.make_hallway_options()))))
-    rows.append(("A room of 5 x 5 m, two buttons", "synthesised task graph, planned leaves",
+    rows.append(("A room of 5 x 5 m, two buttons", "synthesised task graph, a planned low level",
                  compute_price(enumerate_tiny(), synthesise(generate(TINY, 0)))))
     return rows

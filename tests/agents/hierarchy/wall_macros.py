@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hrl_escape.agents.algorithms.given.macro_q import Macro
+from hrl_escape.agents.algorithms.task_hierarchies.macro_q import Macro
 from tests.classic.empty_room import GRID
 
 

@@ -18,6 +18,7 @@ from hypothesis.extra import numpy as hnp
 
 from hrl_escape.agents import Callback, load_agent, load_result, make_agent, train
 from hrl_escape.agents.registry import list_agents, list_recipes
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint, save_checkpoint
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.run_folder import RunFolder
@@ -53,14 +54,14 @@ SMALL = {
 }
 WARM = {"dqn": {"warmup": 20}, "ddpg": {"warmup": 20, "actor_warmup": 30}}
 VARIANTS = [
-    *((name, "corrected", SMALL.get(name, {})) for name in list_agents()),
+    *((name, "default", SMALL.get(name, {})) for name in list_agents()),
     *(
-        (name, "paper", WARM.get(name, {}))
+        (name, "keras-rl-2019", WARM.get(name, {}))
         for name in list_agents()
-        if "paper" in list_recipes(name)
+        if "keras-rl-2019" in list_recipes(name)
     ),
-    *((name, "corrected", SMALL.get(name, {}) | {"bonus_weight": 2.0}) for name in ("dqn", "q-learning", "ppo")),
-    ("sarsa", "corrected", {"replay_capacity": 0, "expected": False, "warmup": 5, "hidden": (8,)}),
+    *((name, "default", SMALL.get(name, {}) | {"bonus_weight": 2.0}) for name in ("dqn", "q-learning", "ppo")),
+    ("sarsa", "default", {"replay_capacity": 0, "expected": False, "warmup": 5, "hidden": (8,)}),
 ]
 NAMES = [f"{name}-{recipe}" for name, recipe, _ in VARIANTS]
 IDS = [name if NAMES.index(name) == index else f"{name}-changed" for index, name in enumerate(NAMES)]
@@ -86,7 +87,7 @@ def make_env():
 
 def make(name, recipe, changes, seed=0):
     env = make_env()
-    return make_agent(name, env.observation_space, env.action_space, seed, recipe, **changes)
+    return make_agent(AgentSpec(name, recipe=recipe), env.observation_space, env.action_space, seed, **changes)
 
 
 def flatten(tree, where=""):
@@ -102,8 +103,8 @@ def flatten(tree, where=""):
 
 
 @pytest.mark.in_turn_for(
-    "torchrl-dqn-corrected", "torchrl-sac-corrected", "dac-corrected", "dqn-paper", "vigorito-barto-corrected",
-    "sarsa-corrected-changed")
+    "torchrl-dqn-default", "torchrl-sac-default", "dac-default", "dqn-keras-rl-2019", "vigorito-barto-default",
+    "sarsa-default-changed")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2, 1), ids=IDS)
 def test_a_restored_agent_goes_on_to_the_same_bits(tmp_path, name, recipe, changes):
     for before in (3, 60):
@@ -176,7 +177,7 @@ def heeding_ctrl_c():
 
 def run(name, recipe, changes, env, out=None, **more):
     arguments = {"primitives": 300, "seed": 3, "eval_every": 100, "eval_episodes": 2, "checkpoint_seconds": 0}
-    return train(name, env, recipe=recipe, settings=changes, out=out, **(arguments | more))
+    return train(AgentSpec(name, recipe=recipe), env, settings=changes, out=out, **(arguments | more))
 
 
 def read_log(folder):
@@ -186,8 +187,8 @@ def read_log(folder):
 
 
 @pytest.mark.in_turn_for(
-    "rainbow-corrected", "factored-r-max-corrected", "monte-carlo-model-corrected", "a2oc-corrected",
-    "fun-corrected", "sarsa-corrected", "met-r-max-corrected", "dqn-corrected-changed", "ppo-corrected-changed")
+    "rainbow-default", "factored-r-max-default", "monte-carlo-model-default", "a2oc-default",
+    "fun-default", "sarsa-default", "met-r-max-default", "dqn-default-changed", "ppo-default-changed")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2), ids=IDS)
 def test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one(tmp_path, name, recipe, changes):
     whole = run(name, recipe, changes, counting := make_env(), tmp_path / "whole")
@@ -266,19 +267,19 @@ class Pressing(ButtonGrid):
 
 def test_ctrl_c_saves_the_episode_that_is_running_and_the_run_goes_on_from_its_end(tmp_path, heeding_ctrl_c):
     with pytest.raises(KeyboardInterrupt, match="goes on from there"):
-        run("q-learning", "corrected", {}, Pressing(13), tmp_path, checkpoint_seconds=1e9, eval_episodes=0)
+        run("q-learning", "default", {}, Pressing(13), tmp_path, checkpoint_seconds=1e9, eval_episodes=0)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     saved, rows = load_checkpoint(tmp_path / "checkpoint.npz"), read_log(tmp_path)
     assert 0 < saved["primitives"] == rows[-1]["primitives"] < 300
     assert rows[-1]["train/end"] in ("terminated", "truncated"), "the episode that ran has ended"
-    resumed = run("q-learning", "corrected", {}, Pressing(10**9), tmp_path, eval_episodes=0)
-    assert resumed == run("q-learning", "corrected", {}, make_env(), eval_episodes=0)
+    resumed = run("q-learning", "default", {}, Pressing(10**9), tmp_path, eval_episodes=0)
+    assert resumed == run("q-learning", "default", {}, make_env(), eval_episodes=0)
 
 
 def test_a_second_ctrl_c_stops_at_once(tmp_path, heeding_ctrl_c):
     env = Pressing(13, again=True)
     with pytest.raises(KeyboardInterrupt):
-        run("q-learning", "corrected", {}, env, tmp_path, checkpoint_seconds=1e9, eval_episodes=0)
+        run("q-learning", "default", {}, env, tmp_path, checkpoint_seconds=1e9, eval_episodes=0)
     assert env.left == -1 and not (tmp_path / "checkpoint.npz").exists()
 
 
@@ -298,7 +299,7 @@ def test_a_signal_to_end_saves_the_episode_that_is_running_and_is_acted_on_after
             ends.append((result, signal.getsignal(ending_signal)))
 
     with pytest.raises(Ended) as ended:
-        run("q-learning", "corrected", {}, Pressing(13, number=ending_signal), tmp_path, checkpoint_seconds=1e9,
+        run("q-learning", "default", {}, Pressing(13, number=ending_signal), tmp_path, checkpoint_seconds=1e9,
             eval_episodes=0, callbacks=[Watch()])
     assert ended.value.number == ending_signal and signal.getsignal(ending_signal) is end_by_signal
     ((result, handler),) = ends
@@ -306,22 +307,22 @@ def test_a_signal_to_end_saves_the_episode_that_is_running_and_is_acted_on_after
     saved, rows = load_checkpoint(tmp_path / "checkpoint.npz"), read_log(tmp_path)
     assert 0 < saved["primitives"] == rows[-1]["primitives"] < 300
     assert rows[-1]["train/end"] in ("terminated", "truncated"), "the episode that ran has ended"
-    resumed = run("q-learning", "corrected", {}, Pressing(10**9, number=ending_signal), tmp_path, eval_episodes=0)
-    assert resumed == run("q-learning", "corrected", {}, make_env(), eval_episodes=0)
+    resumed = run("q-learning", "default", {}, Pressing(10**9, number=ending_signal), tmp_path, eval_episodes=0)
+    assert resumed == run("q-learning", "default", {}, make_env(), eval_episodes=0)
 
 
 def test_a_second_signal_to_end_is_acted_on_at_once(tmp_path, ending_signal):
     env = Pressing(13, again=True, number=ending_signal)
     with pytest.raises(Ended):
-        run("q-learning", "corrected", {}, env, tmp_path, checkpoint_seconds=1e9, eval_episodes=0)
+        run("q-learning", "default", {}, env, tmp_path, checkpoint_seconds=1e9, eval_episodes=0)
     assert env.left == -1 and not (tmp_path / "checkpoint.npz").exists()
 
 
 def test_a_signal_in_the_last_episode_ends_the_process_once_the_result_is_written(tmp_path, ending_signal):
     with pytest.raises(Ended):
-        run("q-learning", "corrected", {}, Pressing(1, number=ending_signal), tmp_path, primitives=9,
+        run("q-learning", "default", {}, Pressing(1, number=ending_signal), tmp_path, primitives=9,
             eval_episodes=0)
-    assert load_result(tmp_path) == run("q-learning", "corrected", {}, make_env(), primitives=9, eval_episodes=0)
+    assert load_result(tmp_path) == run("q-learning", "default", {}, make_env(), primitives=9, eval_episodes=0)
 
 
 def test_a_signal_without_a_handler_kills_the_process_after_the_checkpoint(tmp_path):
@@ -339,7 +340,7 @@ def test_a_signal_without_a_handler_kills_the_process_after_the_checkpoint(tmp_p
 
 def test_the_best_checkpoint_is_that_of_the_best_evaluation(tmp_path):
     env = ButtonGrid(trace=True)
-    whole = run("q-learning", "corrected", {}, env, tmp_path, primitives=2500, eval_every=250)
+    whole = run("q-learning", "default", {}, env, tmp_path, primitives=2500, eval_every=250)
     returns = [evaluation.mean_return for evaluation in whole.evaluations]
     best = whole.evaluations[returns.index(max(returns))]
     assert 0 < best.primitives < whole.primitives, "neither the first evaluation nor the last"
@@ -351,38 +352,38 @@ def test_the_best_checkpoint_is_that_of_the_best_evaluation(tmp_path):
 
 
 def test_a_finished_run_is_returned_without_training_again(tmp_path):
-    whole = run("q-learning", "corrected", {}, make_env(), tmp_path)
-    assert run("q-learning", "corrected", {}, Interrupting(0), tmp_path) == whole
+    whole = run("q-learning", "default", {}, make_env(), tmp_path)
+    assert run("q-learning", "default", {}, Interrupting(0), tmp_path) == whole
 
 
 def test_the_trained_agent_can_be_loaded_from_its_folder(tmp_path):
-    whole = run("smdp-dqn", "corrected", SMALL["dqn"], make_env(), tmp_path)
+    whole = run("smdp-dqn", "default", SMALL["dqn"], make_env(), tmp_path)
     assert flatten(load_agent(tmp_path, make_env()).state_dict()) == flatten(whole.agent.state_dict())
 
 
 def test_a_folder_of_another_run_is_left_alone_and_the_difference_named(tmp_path):
-    run("q-learning", "corrected", {}, make_env(), tmp_path)
+    run("q-learning", "default", {}, make_env(), tmp_path)
     before = (tmp_path / "log.jsonl").read_bytes()
     with pytest.raises(RunMismatchError, match="seed: 3 there, 4 now"):
-        run("q-learning", "corrected", {}, make_env(), tmp_path, seed=4)
+        run("q-learning", "default", {}, make_env(), tmp_path, seed=4)
     assert (tmp_path / "log.jsonl").read_bytes() == before
     with pytest.raises(RunMismatchError, match=r"differs in settings\.gamma: 0\.99 there, 0\.9 now\. Choose"):
-        run("q-learning", "corrected", {"gamma": 0.9}, make_env(), tmp_path)
+        run("q-learning", "default", {"gamma": 0.9}, make_env(), tmp_path)
 
 
 def test_two_processes_cannot_train_into_one_folder(tmp_path):
     class Nested(ButtonGrid):
         def step(self, action):
-            run("q-learning", "corrected", {}, make_env(), tmp_path)
+            run("q-learning", "default", {}, make_env(), tmp_path)
 
     with pytest.raises(RunBusyError, match="another process"):
-        run("q-learning", "corrected", {}, Nested(), tmp_path)
+        run("q-learning", "default", {}, Nested(), tmp_path)
 
 
 def interrupt(folder):
     """Leave an unfinished run with a checkpoint."""
     with pytest.raises(KeyboardInterrupt):
-        run("q-learning", "corrected", {}, Interrupting(150), folder)
+        run("q-learning", "default", {}, Interrupting(150), folder)
 
 
 @pytest.mark.parametrize("damage", ["cut", "flip", "empty", "other"])
@@ -394,7 +395,7 @@ def test_a_damaged_checkpoint_is_named_and_nothing_is_overwritten(tmp_path, dama
     flipped = content[:middle] + bytes([content[middle] ^ 255]) + content[middle + 1 :]
     path.write_bytes({"cut": content[:middle], "flip": flipped, "empty": b"", "other": b"hello"}[damage])
     with pytest.raises(CheckpointError, match=r"checkpoint\.npz: this checkpoint is damaged"):
-        run("q-learning", "corrected", {}, make_env(), tmp_path)
+        run("q-learning", "default", {}, make_env(), tmp_path)
     assert path.read_bytes() != content
 
 
@@ -407,7 +408,7 @@ def test_a_log_that_is_a_link_is_refused_and_its_target_kept(tmp_path):
     log.symlink_to(tmp_path / "mine")
     before = (tmp_path / "mine").read_bytes()
     with pytest.raises(FileWriteError, match=r"log\.jsonl: it is a link"):
-        run("q-learning", "corrected", {}, make_env(), tmp_path / "run")
+        run("q-learning", "default", {}, make_env(), tmp_path / "run")
     assert (tmp_path / "mine").read_bytes() == before
 
 
@@ -453,7 +454,7 @@ def test_a_log_shorter_than_its_checkpoint_says_is_refused(tmp_path):
     log = tmp_path / "log.jsonl"
     log.write_bytes(log.read_bytes()[:50])
     with pytest.raises(CheckpointError, match=r"log\.jsonl: this log is damaged"):
-        run("q-learning", "corrected", {}, make_env(), tmp_path)
+        run("q-learning", "default", {}, make_env(), tmp_path)
 
 
 def test_an_unfinished_run_has_no_result_yet(tmp_path):
@@ -482,7 +483,7 @@ def test_a_state_dict_taken_at_any_decision_goes_on_to_the_same_bits(tmp_path_fa
 
 
 def test_of_equally_good_evaluations_the_first_is_kept(tmp_path):
-    whole = run("random", "corrected", {}, ButtonGrid(trace=True), tmp_path, primitives=900, eval_every=100,
+    whole = run("random", "default", {}, ButtonGrid(trace=True), tmp_path, primitives=900, eval_every=100,
                 eval_episodes=1)
     returns = [evaluation.mean_return for evaluation in whole.evaluations]
     first = whole.evaluations[returns.index(max(returns))]

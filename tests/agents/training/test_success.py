@@ -61,7 +61,7 @@ def run(env, agent="q-learning", primitives=20, **arguments):
     ("FrozenLake-v1", {"is_slippery": False}, ScriptedOption("into a hole", [1, 2]), 2)])
 def test_an_environment_that_reports_no_success_has_none_in_results_and_logs(name, arguments, option, length, tmp_path):
     env, heard = OptionsEnv(gymnasium.make(name, **arguments), [option], include_primitives=False), Rows()
-    result = run(env, "smdp-random", out=tmp_path, callbacks=[heard])
+    result = run(env, "random-options", out=tmp_path, callbacks=[heard])
     assert result.episodes and result.evaluations
     if length is not None:
         assert {*result.evaluations[-1].lengths, *(each.length for each in result.episodes[:-1])} == {length}
@@ -74,7 +74,7 @@ def test_an_environment_that_reports_no_success_has_none_in_results_and_logs(nam
     logged = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert len(logged) == len(heard.rows) and not any(set(RATES) & row.keys() for row in logged)
     assert not any(set(RATES) & list_numbers(row).keys() for row in heard.rows)
-    assert run(env, "smdp-random", out=tmp_path) == result  # the finished run is read again
+    assert run(env, "random-options", out=tmp_path) == result  # the finished run is read again
     assert set(RATES) <= set(METRICS)
 
 

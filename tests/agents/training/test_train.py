@@ -526,9 +526,9 @@ def test_an_agent_made_for_another_number_of_actions_is_refused_at_the_start():
 
 def test_a_hierarchical_agent_without_options_is_told_so():
     flat = gymnasium.make("hrl_escape/PaperTwoButton-v1", disable_env_checker=True)
-    with pytest.warns(UserWarning, match=r"smdp-random chooses options.*give train OptionsEnv\(env\)"):
-        train("smdp-random", flat, primitives=10, eval_episodes=0, progress=False)
+    with pytest.warns(UserWarning, match=r"random-options chooses options.*give train OptionsEnv\(env\)"):
+        train("random-options", flat, primitives=10, eval_episodes=0, progress=False)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         train("random", flat, primitives=10, eval_episodes=0, progress=False)
-        train("smdp-random", OptionsEnv(flat), primitives=10, eval_episodes=0, progress=False)
+        train("random-options", OptionsEnv(flat), primitives=10, eval_episodes=0, progress=False)

@@ -47,16 +47,16 @@ def test_a_rung_is_known_by_the_name_that_other_commands_give_it(capsys):
     ("per-instance", "--train-sizes", "4", "generalise, transfer, few-shot or tower"),
     ("generalise", "--trials", "3", "few-shot"), ("few-shot", "--floors", "2", "tower")])
 def test_an_option_of_other_protocols_is_refused(capsys, protocol, option, value, suits):
-    code, _, err = call(capsys, "run", "planner", "--rung", "pair", "--protocol", protocol, option, value, "--dry-run")
+    code, _, err = call(capsys, "run", "oracle", "--rung", "pair", "--protocol", protocol, option, value, "--dry-run")
     assert code == 2 and err.count("\n") == 1
     assert f"{option} does nothing with --protocol {protocol}; it is for {suits}" in err
 
 
 def test_runs_of_each_benchmark_have_a_folder_that_no_other_command_writes_to(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    _, out, _ = call(capsys, "run", "smdp-random", "--rung", "doormat", "--dry-run")
+    _, out, _ = call(capsys, "run", "random-options", "--rung", "doormat", "--dry-run")
     assert "runs/ladder-1/per-instance/doormat" in out
-    _, out, _ = call(capsys, "run", "smdp-random", "--rung", "depth-1", "--benchmark", "ladder-2", "--dry-run")
+    _, out, _ = call(capsys, "run", "random-options", "--rung", "depth-1", "--benchmark", "ladder-2", "--dry-run")
     assert "runs/ladder-2/per-instance/depth-1" in out
     code, _, err = call(capsys, "report")
     assert code == 2 and "runs/ladder-1/per-instance: no rung was run here" in err
@@ -92,19 +92,19 @@ def test_a_room_of_the_small_benchmark_can_be_shown(capsys, tmp_path):
 def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     options = ["--rung", "doormat", "--protocol", "generalise", "--rooms", "1", "--train-sizes", "1", "--runs", "1",
                "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
-    code, out, err = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
+    code, out, err = call(capsys, "run", "random-options", "oracle", *options)
     assert code == 0 and "doormat: 2 runs finished, 0 failed" in out
     assert err.startswith("nothing learns, so nothing is trained\n")
-    code, out, err = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
+    code, out, err = call(capsys, "run", "random-options", "oracle", *options)
     assert code == 0 and "2 of 2 runs were finished before" in err
     assert (tmp_path / "generalise" / "doormat" / "report.html").exists()
     code, out, _ = call(capsys, "report", str(tmp_path), "--protocol", "generalise", "--json")
     told = json.loads(out)
-    assert code == 0 and told["highest"] == {"smdp-random+no-primitives": "none", "planner": "none"}
-    planner = next(row for row in told["rungs"] if row["agent"] == "planner")
+    assert code == 0 and told["highest"] == {"random-options": "none", "oracle": "none"}
+    planner = next(row for row in told["rungs"] if row["agent"] == "oracle")
     assert planner["efficiency"]["value"] == 1.0 and planner["escapes"][0] == 1.0 and not planner["passed"]
     assert all(row["core_hours"] >= 0 for row in told["rungs"])
-    assert told["score_rungs"] == ["doormat"] and told["scores"]["planner"]["value"] == 1.0
+    assert told["score_rungs"] == ["doormat"] and told["scores"]["oracle"]["value"] == 1.0
     code, _, err = call(capsys, "report", str(tmp_path), "--protocol", "per-instance")
     assert code == 2 and "no rung was run here" in err
 
@@ -125,12 +125,12 @@ def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
     options = ["--from", "doormat", "--protocol", "transfer"]
     budget = ["--rung", "pair", "--rooms", "1", "--train-sizes", "1", "--runs", "1", "--primitives", "10",
               "--workers", "1", "--out", str(tmp_path)]
-    agents = ["smdp-dqn+objects+memory+no-primitives", "planner"]
+    agents = ["smdp-dqn+objects+memory", "oracle"]
     code, out, err = call(capsys, "run", *agents, *options, *budget)
     assert code == 0 and "pair: 2 runs finished, 0 failed" in out, err
     code, out, _ = call(capsys, "report", str(tmp_path), *options, "--json")
     rows = {row["agent"]: row for row in json.loads(out)["rungs"]}
-    assert rows["planner"]["efficiency"]["value"] == 1.0 and rows["planner"]["seen"] is None
+    assert rows["oracle"]["efficiency"]["value"] == 1.0 and rows["oracle"]["seen"] is None
     assert rows[agents[0]]["rung"] == "pair" and rows[agents[0]]["seen"] is not None
     (place,) = read_comparison(tmp_path / "transfer-from-doormat" / "pair").places
     assert {len(room.targets) for room in place.split.train} == {1}
@@ -142,7 +142,7 @@ def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
 @pytest.mark.parametrize("option", ["rooms", "primitives", "runs", "eval-episodes"])
 @pytest.mark.parametrize("rungs", [["pair"], ["pair", "chain", "--protocol", "tower"]], ids=len)
 def test_no_rooms_runs_primitives_or_episodes_are_refused(capsys, option, rungs):
-    code, out, err = call(capsys, "run", "planner", "--rung", *rungs, f"--{option}", "0", "--dry-run")
+    code, out, err = call(capsys, "run", "oracle", "--rung", *rungs, f"--{option}", "0", "--dry-run")
     assert code == 2 and out == "" and f"{option.replace('-', '_')} = 0 is not possible" in err
 
 
@@ -150,19 +150,19 @@ def test_a_benchmark_with_axes_gives_a_profile(capsys, tmp_path):
     axes = (AxisRecord("size", ("one",), "objects"), AxisRecord("depth", ("five",)))
     dataclasses.replace(make_manifest(), axes=axes).save(tmp_path / "mine.json")
     benchmark, out = ["--benchmark", str(tmp_path / "mine.json")], tmp_path / "out"
-    code, _, err = call(capsys, "run", "planner", "--rung", "one", "--rooms", "1", "--runs", "1", "--primitives", "10",
+    code, _, err = call(capsys, "run", "oracle", "--rung", "one", "--rooms", "1", "--runs", "1", "--primitives", "10",
                         "--eval-episodes", "1", "--out", str(out), "--workers", "1", *benchmark)
     assert code == 0, err
     assert read_comparison(out / "per-instance/one").grid.observation == "objects"
     code, told, _ = call(capsys, "report", str(out), *benchmark, "--json")
-    assert code == 0 and json.loads(told)["profiles"] == {"planner": {"size": [1.0]}}
+    assert code == 0 and json.loads(told)["profiles"] == {"oracle": {"size": [1.0]}}
     code, told, _ = call(capsys, "report", str(out), *benchmark)
     assert code == 0 and "1.00 (1.00)" in told and (out / "per-instance/profile.svg").stat().st_size > 5_000
 
 
 @pytest.mark.in_turn
 def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
-    options = ["run", "smdp-random+no-primitives", "planner", "--rung", "doormat", "--rooms", "1", "--runs", "1",
+    options = ["run", "random-options", "oracle", "--rung", "doormat", "--rooms", "1", "--runs", "1",
                "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
     told = call(capsys, *options, "--dry-run")[1]
     assert "doormat: 2 runs, 2 to be made" in told and "nothing learns, so nothing is trained" in told
@@ -175,25 +175,25 @@ def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
     code, out, _ = call(capsys, *options, "--report")
     assert code == 0 and "doormat: 2 runs finished" in out
     command = (tmp_path / "per-instance" / "doormat" / "summary.md").read_text()
-    assert "hrl-escape ladder run smdp-random+no-primitives planner --rung doormat --workers 1 --runs 1" in command
+    assert "hrl-escape ladder run random-options planner --rung doormat --workers 1 --runs 1" in command
     code, _, err = call(capsys, *options, "--resources", "num_gpus=1")
     assert code == 2 and "with --ray or --slurm" in err and err.count("\n") == 1
 
 
 def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
-    agents = ["smdp-dqn+objects+memory+no-primitives", "smdp-index-order+no-primitives", "planner"]
+    agents = ["smdp-dqn+objects+memory", "sweep", "oracle"]
     options = ["run", *agents, "--rung", "pair", "--protocol", "few-shot", "--trials", "3", "--rooms", "1",
                "--train-sizes", "2", "--runs", "1", "--primitives", "10", "--workers", "1", "--out", str(tmp_path)]
     code, out, err = call(capsys, *options)
     assert code == 0 and "pair: 3 runs finished, 0 failed" in out, err
     code, out, _ = call(capsys, "report", str(tmp_path), "--protocol", "few-shot", "--json")
     rows = {row["agent"]: [trial["value"] for trial in row["trials"]] for row in json.loads(out)["rungs"]}
-    assert rows["planner"] == [1.0] * 3 and len(rows[agents[0]]) == 3
+    assert rows["oracle"] == [1.0] * 3 and len(rows[agents[0]]) == 3
     assert 0 < rows[agents[1]][0] < 1 and len(set(rows[agents[1]])) == 1, "what remembers nothing stays as it is"
     out = call(capsys, "report", str(tmp_path), "--protocol", "few-shot")[1]
     assert "trial 3" in out and "Ladder score over pair:" in out
     told = (tmp_path / "few-shot" / "pair" / "summary.md").read_text()
-    assert "`planner` 1.00, 1.00, 1.00" in told
+    assert "`oracle` 1.00, 1.00, 1.00" in told
     assert "No memory, so the same policy at every trial" in told
     trials = (tmp_path / "few-shot" / "pair" / "trials.csv").read_text().splitlines()
     assert len(trials) == 1 + 3 * 3 and trials[0].endswith("trial,efficiency,success,length")
@@ -202,18 +202,18 @@ def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
 def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
     code, out, _ = call_script(
         capsys, "benchmarks.ladder", "calibrate", "--rung", "doormat", "--rooms", "2", "--workers", "1", "--json",
-        "--out", tmp_path, "--agents", "smdp-q-learning+no-primitives", "--primitives", "10", "--eval-episodes", "1")
+        "--out", tmp_path, "--agents", "smdp-q-learning", "--primitives", "10", "--eval-episodes", "1")
     told = json.loads(out)
     assert (tmp_path / "per-instance" / "doormat" / "grid.json").exists(), "learned from nothing in each"
-    assert 0 <= told["efficiency"]["doormat"]["smdp-q-learning+no-primitives"] <= 1
-    assert told["efficiency"]["doormat"]["planner"] == 1.0
-    chance = told["efficiency"]["doormat"]["smdp-random+no-primitives"]
+    assert 0 <= told["efficiency"]["doormat"]["smdp-q-learning"] <= 1
+    assert told["efficiency"]["doormat"]["oracle"] == 1.0
+    chance = told["efficiency"]["doormat"]["random-options"]
     assert code == int(chance >= 0.5) == len(told["faults"]["doormat"])
 
 
 @pytest.mark.parametrize(("agents", "rooms", "trained"), [
-    (["smdp-random+no-primitives", "planner"], 1, 1),
-    pytest.param(["smdp-random", "smdp-dqn+objects+memory+no-primitives", "planner"], 2, 3, marks=pytest.mark.slow)])
+    (["random-options", "oracle"], 1, 1),
+    pytest.param(["random-options", "smdp-dqn+objects+memory", "oracle"], 2, 3, marks=pytest.mark.slow)])
 def test_a_tower_is_climbed_by_the_planner_and_not_by_chance(capsys, tmp_path, agents, rooms, trained):
     make_manifest().save(tmp_path / "mine.json")
     options = ["--protocol", "tower", "--benchmark", str(tmp_path / "mine.json"), "--rooms", str(rooms),
@@ -223,7 +223,7 @@ def test_a_tower_is_climbed_by_the_planner_and_not_by_chance(capsys, tmp_path, a
     assert code == 0 and f"tower: {len(agents)} runs finished, 0 failed" in out, err
     code, out, _ = call(capsys, "report", str(tmp_path), *options[:4], "--json")
     rows = {row["agent"]: row for row in json.loads(out)["rungs"]}
-    planner, chance = rows["planner"], rows[agents[0]]
+    planner, chance = rows["oracle"], rows[agents[0]]
     assert code == 0 and planner["floors"] == planner["climbed"] == 2 and planner["efficiency"]["value"] == 1.0
     assert chance["efficiency"]["value"] < 0.5
     assert all(0 <= rows[learner]["seen"]["value"] <= 1 for learner in agents[1:-1])
@@ -244,12 +244,12 @@ def test_a_tower_that_cannot_be_climbed_is_refused_in_one_line(capsys, tmp_path)
         assert code == 2 and err.count("\n") == 1
         return err
 
-    assert "two or more" in refuse("planner", "--rung", "pair")
-    assert "each once" in refuse("planner", "--rung", "pair", "pair")
-    assert "has 0 joints and that of ladder-1/reach" in refuse("planner", "--rung", "pair", "reach")
-    assert "follow the options of one room" in refuse("smdp-index-order", "--rung", "doormat", "pair")
+    assert "two or more" in refuse("oracle", "--rung", "pair")
+    assert "each once" in refuse("oracle", "--rung", "pair", "pair")
+    assert "has 0 joints and that of ladder-1/reach" in refuse("oracle", "--rung", "pair", "reach")
+    assert "follow the options of one room" in refuse("sweep", "--rung", "doormat", "pair")
     assert "smdp-dqn+objects" in refuse("smdp-dqn", "--rung", "doormat", "pair")
-    assert "from 1 to 64" in refuse("planner", "--rung", "doormat", "clutter", "--rooms", "65")
+    assert "from 1 to 64" in refuse("oracle", "--rung", "doormat", "clutter", "--rooms", "65")
 
 
 def test_a_tower_has_the_rungs_whose_robots_have_the_same_primitives(capsys, tmp_path):
@@ -258,7 +258,7 @@ def test_a_tower_has_the_rungs_whose_robots_have_the_same_primitives(capsys, tmp
     other = dataclasses.replace(config, robot=dataclasses.replace(config.robot, drive="differential"))
     rungs = (*manifest.rungs, dataclasses.replace(manifest.rungs[0], name="driven", config=other))
     dataclasses.replace(manifest, rungs=rungs).save(tmp_path / "mine.json")
-    code, out, _ = call(capsys, "run", "planner", "--protocol", "tower", "--dry-run", "--out", str(tmp_path),
+    code, out, _ = call(capsys, "run", "oracle", "--protocol", "tower", "--dry-run", "--out", str(tmp_path),
                         "--benchmark", str(tmp_path / "mine.json"), "--rooms", "1", "--train-sizes", "1")
     assert code == 0 and out.startswith("Left out of the tower, as their robots have other primitives: driven\n")
     assert "tower: 10 runs, 10 to be made" in out

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 from hrl_escape import __version__
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.launching.local import Failure
 from hrl_escape.comparison.reporting.figures import draw_curves
 from hrl_escape.comparison.reporting.report import choose_replays, describe_kind, write_markdown, write_report
@@ -124,12 +124,12 @@ def test_the_table_gives_every_agents_score_and_interval(summary: Summary, page:
 
 def test_the_table_says_what_an_agent_chooses_among():
     told = {text: describe_kind(AgentSpec.parse(text)) for text in (
-        "dqn", "smdp-dqn", "smdp-dqn+no-primitives", "smdp-dqn+markov", "smdp-random+no-primitives", "planner")}
-    assert told == {"dqn": "primitives only", "smdp-dqn": "options and primitives",
-                    "smdp-dqn+no-primitives": "options only", "smdp-dqn+markov": "options and primitives",
-                    "smdp-random+no-primitives": "chance, options only", "planner": "reference, primitives only"}
+        "dqn", "smdp-dqn+primitives", "smdp-dqn", "smdp-dqn+reactive+primitives", "random-options", "oracle")}
+    assert told == {"dqn": "primitives only", "smdp-dqn+primitives": "options and primitives",
+                    "smdp-dqn": "options only", "smdp-dqn+reactive+primitives": "options and primitives",
+                    "random-options": "random policy, options only", "oracle": "reference, primitives only"}
     ancestors = AgentSpec("smdp-dqn", options=OptionsView(flavour="press-with-ancestors"))
-    assert describe_kind(ancestors) == "options and primitives, with ancestors"
+    assert describe_kind(ancestors) == "options only, with ancestors"
 
 
 def test_the_rooms_picture_is_a_drawing_of_it(page: Page):
@@ -334,7 +334,7 @@ frame.onload = () => {{
 @pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 390])
 def test_the_page_fits_a_laptop_and_a_phone(summary: Summary, source: str, tmp_path: Path, width: int):
     """With a long name, nothing is cut, nothing but tables scrolls, and words in charts are 9 pixels high or more."""
-    longest = "smdp-ppo+objects+memory+no-primitives"
+    longest = "smdp-ppo+objects+memory"
     content = json.dumps(source.replace(summary.agents[-1].label, longest))
     (tmp_path / "framed.html").write_text(f"<pre>{html.escape(content)}</pre>{FRAMED.format(width=width)}")
     found = re.search(r"<pre>(.*?)</pre>", dump_page(tmp_path / "framed.html", tmp_path), re.DOTALL)

@@ -6,8 +6,8 @@ import dataclasses
 from functools import cache
 from pathlib import Path
 
+from hrl_escape.agents.spec import OptionsView
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import OptionsView
 from hrl_escape.comparison.submission import Card, RoomView, make_view_env
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.rung import Rung

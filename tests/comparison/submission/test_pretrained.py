@@ -15,7 +15,8 @@ from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.comparison.pretrained import list_pretrained, load_pretrained
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, open_driver
+from hrl_escape.viewer.watch.drivers import ORACLE, find_driver, open_driver
+from studies.store import read_rows
 from tests.covering import thin
 
 BOARD = Path(__file__).parents[3] / "docs/board"
@@ -25,18 +26,18 @@ AGENTS = [(rung, agent) for rung, agents in list_pretrained().items() for agent 
 
 
 @pytest.mark.in_turn_for(
-    "ladder-1/chain-smdp-factored-r-max+no-primitives", "ladder-1/chain-3-smdp-ppo+objects+memory+no-primitives",
-    "ladder-1/chain-3-smdp-q-learning+no-primitives", "ladder-1/clutter-smdp-factored-r-max+no-primitives",
-    "ladder-1/code-smdp-r-max+no-primitives", "ladder-1/house-smdp-factored-r-max+three-parents+no-primitives",
-    "ladder-1/lattice-smdp-factored-r-max+no-primitives", "ladder-1/lattice-7-smdp-factored-r-max+no-primitives",
-    "ladder-1/lattice-8-smdp-factored-r-max+three-parents+no-primitives",
-    "ladder-1/reach-smdp-factored-r-max+no-primitives", "ladder-1/chain-4-smdp-factored-r-max+no-primitives",
-    "ladder-1/doors-smdp-q-learning+no-primitives", "ladder-1/freight-smdp-r-max+no-primitives",
-    "ladder-1/lattice-5-smdp-factored-r-max+no-primitives", "ladder-1/lattice-6-smdp-factored-r-max+no-primitives",
-    "ladder-1/switchboard-smdp-r-max+no-primitives", "marks-1/told-smdp-ppo+objects+memory+no-primitives",
-    "marks-2/motifs-smdp-ppo+objects+memory+no-primitives",
-    "marks-3/deceived-smdp-ppo+objects+memory+no-primitives",
-    "marks-3/places-smdp-ppo+objects+memory+no-primitives")
+    "ladder-1/chain-smdp-factored-r-max", "ladder-1/chain-3-smdp-ppo+objects+memory",
+    "ladder-1/chain-3-smdp-q-learning", "ladder-1/clutter-smdp-factored-r-max",
+    "ladder-1/code-smdp-r-max", "ladder-1/house-smdp-factored-r-max@three-parents",
+    "ladder-1/lattice-smdp-factored-r-max", "ladder-1/lattice-7-smdp-factored-r-max",
+    "ladder-1/lattice-8-smdp-factored-r-max@three-parents",
+    "ladder-1/reach-smdp-factored-r-max", "ladder-1/chain-4-smdp-factored-r-max",
+    "ladder-1/doors-smdp-q-learning", "ladder-1/freight-smdp-r-max",
+    "ladder-1/lattice-5-smdp-factored-r-max", "ladder-1/lattice-6-smdp-factored-r-max",
+    "ladder-1/switchboard-smdp-r-max", "marks-1/told-smdp-ppo+objects+memory",
+    "marks-2/motifs-smdp-ppo+objects+memory",
+    "marks-3/deceived-smdp-ppo+objects+memory",
+    "marks-3/places-smdp-ppo+objects+memory")
 @pytest.mark.parametrize(("rung", "agent"), AGENTS)
 def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent):
     found = load_once(rung, agent)
@@ -53,7 +54,7 @@ def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent
 @pytest.mark.parametrize(("rung", "primitives"), [("marks-1/told", 24_000), *((rung, READ) for rung in READ_RUNGS)])
 def test_an_agent_that_reads_marks_has_the_score_that_the_study_of_marks_published(rung: str, primitives: int):
     """The study trained with the same seed, rooms and budget, and counted efficiency in the same 64 rooms by itself."""
-    lines = [json.loads(line) for line in (BOARD.parents[1] / "studies/marks/raw.jsonl").read_text().splitlines()]
+    lines = [json.loads(line) for line in read_rows(BOARD.parents[1] / "studies/marks/raw.jsonl")]
     (published,) = [line["efficiency"] for line in lines if (line["rung"], line["rooms"], line["seed"],
                                                              line["primitives"]) == (rung, 1000, 0, primitives)]
     found = load_pretrained(rung)
@@ -72,7 +73,7 @@ def test_a_pretrained_agent_drives_in_the_first_test_room_of_its_rung(name: str)
 
 
 def test_whatever_names_no_rung_is_its_own_driver(tmp_path: Path):
-    assert find_driver(PLANNER_NAME) == (PLANNER_NAME, None) and find_driver("smdp-dqn") == ("smdp-dqn", None)
+    assert find_driver(ORACLE) == (ORACLE, None) and find_driver("smdp-dqn") == ("smdp-dqn", None)
     assert find_driver("tower") == ("tower", None), "no agent comes for it"
 
 

@@ -52,7 +52,7 @@ def test_the_program_to_begin_with_is_the_searcher_of_the_references_to_the_bit(
     (tmp_path / "agent.py").write_text((starter / "agent.py.txt").read_text())
     card = Card.from_dict(read_toml(starter / "card.toml"))
     mine = pack_submission(tmp_path / "it.zip", make_bench()[rung], card, files=tmp_path)
-    reference = pack_submission(tmp_path / "r.zip", make_bench()[rung], make_card(), "smdp-untried-nearest")
+    reference = pack_submission(tmp_path / "r.zip", make_bench()[rung], make_card(), "search-nearest")
     assert mine.cells == reference.cells
 
 

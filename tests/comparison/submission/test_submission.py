@@ -103,13 +103,13 @@ def test_hidden_rooms_are_those_of_the_round_that_was_announced(tmp_path, monkey
     monkeypatch.setattr("hrl_escape.comparison.submission.HIDDEN_ROOMS", 2)
     rung, value = get_rung(), "5" * 64
     beacon = f"quicknet 7 {value}"
-    made = pack_submission(tmp_path / "it.zip", rung, make_card(), "smdp-untried", rooms=1, beacon=beacon)
+    made = pack_submission(tmp_path / "it.zip", rung, make_card(), "search-random", rooms=1, beacon=beacon)
     assert [(cell.set, cell.room) for cell in made.cells] == [("test", 0), ("hidden", 0), ("hidden", 1)]
     assert all(each.is_equal for each in verify_cells(tmp_path / "it.zip", rung, 3, seed=0))
     with pytest.raises(ConfigError, match="round 7"):
-        pack_submission(tmp_path / "no.zip", rung, make_card(), "smdp-untried", beacon=f"quicknet 8 {value}")
+        pack_submission(tmp_path / "no.zip", rung, make_card(), "search-random", beacon=f"quicknet 8 {value}")
     with pytest.raises(ConfigError, match="has announced no round"):
-        pack_submission(tmp_path / "no.zip", load_benchmark("marks-1")["told"], make_card(), "smdp-untried",
+        pack_submission(tmp_path / "no.zip", load_benchmark("marks-1")["told"], make_card(), "search-random",
                         beacon=f"quicknet 8 {value}")
 
 
@@ -185,7 +185,7 @@ def craft_submission(parts: dict[str, bytes], packed: bytes, run: Path, chance: 
         parts[RUN] = (folder / "inner.zip").read_bytes()
     elif kind == 3:
         entry, odd = json.loads(parts["submission.json"]), chance.choice([
-            "planted_payload:Payload", "../outside", "", None, 7, ["a"], {}, "smdp-tools", "planner", "x" * 300])
+            "planted_payload:Payload", "../outside", "", None, 7, ["a"], {}, "text-agent", "oracle", "x" * 300])
         card = entry["card"]
         where = chance.choice([entry, card, card["view"]])
         where[chance.choice(list(where))] = odd

@@ -61,7 +61,7 @@ def rename(instance: RoomInstance, names: tuple[str, ...]) -> RoomInstance:
 
 @pytest.fixture(scope="module")
 def recording(hostile: RoomInstance) -> Recording:
-    recorded = record_driver(open_driver("planner", hostile))
+    recorded = record_driver(open_driver("oracle", hostile))
     names = [*HOSTILE, *(len(recorded.decisions) * [CODE])]
     decisions = tuple((name, count) for name, (_, count) in zip(names, recorded.decisions, strict=False))
     return dataclasses.replace(recorded, decisions=decisions, driver=CODE)
@@ -93,7 +93,7 @@ def test_a_recorded_page_of_hostile_names_runs_nothing(recording: Recording, bro
 
 
 def test_a_recorded_page_holds_no_markup_of_others(recording: Recording):
-    plain = make_replay(dataclasses.replace(recording, driver="planner", decisions=()))
+    plain = make_replay(dataclasses.replace(recording, driver="oracle", decisions=()))
     hostile = make_replay(dataclasses.replace(recording, driver=HOSTILE[6]))
     for piece in ("<img src=x", "</title><script", "script>window.__pwned"):
         assert piece not in hostile
@@ -129,7 +129,7 @@ def test_manual_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: 
 
 def test_watch_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: Server, browser: Browser):
     gate = Gate(None, paused=True)
-    driver = dataclasses.replace(open_driver("planner", hostile), name=CODE)
+    driver = dataclasses.replace(open_driver("oracle", hostile), name=CODE)
     view = WatchPage(server, Watch(driver, gate))
     thread = run_in_thread(view)
     page = open_and_wait(browser, get_url(server), "!!document.querySelector('#facts')")

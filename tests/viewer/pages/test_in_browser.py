@@ -209,7 +209,7 @@ def test_watch_pauses_steps_and_shows_the_agents_own_option_values(watched, two_
 
 @pytest.mark.in_turn
 def test_a_recorded_page_opens_from_disk_without_a_network_and_plays_to_the_end(one_button, browser, tmp_path: Path):
-    recording = record_driver(open_driver("planner", one_button))
+    recording = record_driver(open_driver("oracle", one_button))
     save_replay(tmp_path / "escape.html", recording)
     page = browser.open()
     page.call("Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=0, uploadThroughput=0)

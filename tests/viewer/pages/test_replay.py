@@ -37,7 +37,7 @@ def read_recorded(page: str) -> tuple[dict, list[bytes]]:
 
 
 def test_a_recorded_driver_is_the_episode_it_drove(two_buttons):
-    recording = record_driver(open_driver("planner", two_buttons))
+    recording = record_driver(open_driver("oracle", two_buttons))
     assert recording.end == "escaped" and len(recording.states) == len(recording.rewards) + 1
     assert [name for name, _ in recording.decisions] == ["meta-01", "meta-02", "meta-exit"]
     assert sum(count for _, count in recording.decisions) == len(recording.rewards)
@@ -55,7 +55,7 @@ def test_a_saved_episode_is_recorded_as_it_was_played(two_buttons, tmp_path: Pat
 
 @pytest.mark.in_turn
 def test_a_page_holds_everything_and_asks_for_nothing(two_buttons):
-    page = make_replay(record_driver(open_driver("planner", two_buttons)))
+    page = make_replay(record_driver(open_driver("oracle", two_buttons)))
     assert page.count("</body>") == 1
     assert not re.search(r"""<(script|img|link|iframe)[^>]+(src|href)=["']?(https?:)?//""", page)
     data = json.loads(re.search(r'id="r-data">(\{.*?\})</script>', page, re.S)[1])
@@ -64,8 +64,8 @@ def test_a_page_holds_everything_and_asks_for_nothing(two_buttons):
 
 @pytest.mark.in_turn
 def test_a_page_lets_its_own_scripts_run_and_asks_nobody(two_buttons):
-    page = make_replay(record_driver(open_driver("planner", two_buttons)))
-    assert page == make_replay(record_driver(open_driver("planner", two_buttons))), "its nonce is no random number"
+    page = make_replay(record_driver(open_driver("oracle", two_buttons)))
+    assert page == make_replay(record_driver(open_driver("oracle", two_buttons))), "its nonce is no random number"
     (policy,) = re.findall(r'<head><meta http-equiv="Content-Security-Policy" content="([^"]*)">', page)
     rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
     assert rules["default-src"] == rules["base-uri"] == rules["form-action"] == "'none'"
@@ -98,7 +98,7 @@ def test_what_cannot_be_recorded_gives_one_message(arguments, message: str, capf
 
 
 def test_a_page_is_named_after_its_room_and_fades_in_no_environment(two_buttons):
-    page = make_replay(record_driver(open_driver("planner", two_buttons)))
+    page = make_replay(record_driver(open_driver("oracle", two_buttons)))
     assert "<title>paper-two-button, seed 0: " in page and "<title>Viser" not in page
     content, _ = read_recorded(page)
     maps = [message for _, message in content["messages"] if message["type"] == "EnvironmentMapMessage"]
@@ -107,7 +107,7 @@ def test_a_page_is_named_after_its_room_and_fades_in_no_environment(two_buttons)
 
 @pytest.mark.in_turn
 def test_an_escape_is_told_beside_the_best_known_and_celebrated(two_buttons):
-    recording = record_driver(open_driver("planner", two_buttons))
+    recording = record_driver(open_driver("oracle", two_buttons))
     page = make_replay(recording)
     assert f"Escaped with a return of {sum(recording.rewards):g}: the best known!" in page
     assert '"initialCameraPosition": "0.000,' in page, "upright screens have a camera of their own"
@@ -121,7 +121,7 @@ def test_an_escape_is_told_beside_the_best_known_and_celebrated(two_buttons):
 
 
 def test_a_page_draws_the_whole_way_from_its_first_point(one_button):
-    recording = record_driver(open_driver("planner", one_button))
+    recording = record_driver(open_driver("oracle", one_button))
     content, buffers = read_recorded(make_replay(recording))
     lines = [message["props"] for _, message in content["messages"]
              if message["type"] == "LineSegmentsMessage" and message["name"] == "/room/trail"]

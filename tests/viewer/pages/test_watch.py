@@ -19,7 +19,7 @@ from tests.viewer.pages.test_clients import wait_until
 
 @pytest.mark.in_turn
 def test_the_scene_never_lags_the_panel(server: Server, two_buttons, monkeypatch):
-    view = WatchPage(server, Watch(open_driver("planner", two_buttons), Gate(None)))
+    view = WatchPage(server, Watch(open_driver("oracle", two_buttons), Gate(None)))
     behind: list[Any] = []
     refresh = view._refresh
 
@@ -41,7 +41,7 @@ def test_the_path_of_a_rectangular_base_begins_at_its_heading(server: Server, mo
     robot = dataclasses.replace(preset.robot, footprint="rectangle", body_length=1.6, body_width=0.5)
     start = StartConfig(place="fixed", x=9.5, y=0.0, heading_deg=90.0)
     room = generate(dataclasses.replace(preset, robot=robot, start=start), 0)
-    view = WatchPage(server, Watch(open_driver("planner", room), Gate(None)))
+    view = WatchPage(server, Watch(open_driver("oracle", room), Gate(None)))
     drawn: list[list[tuple[float, float]]] = []
     monkeypatch.setattr(view.page.scene, "draw_path", drawn.append)
     view.run(episodes=1)
@@ -50,7 +50,7 @@ def test_the_path_of_a_rectangular_base_begins_at_its_heading(server: Server, mo
 
 def test_the_buttons_pause_run_and_let_one_step_through(server: Server, two_buttons):
     gate = Gate(None)
-    view = WatchPage(server, Watch(open_driver("planner", two_buttons), gate))
+    view = WatchPage(server, Watch(open_driver("oracle", two_buttons), gate))
     view._turn("Pause")
     assert gate.is_paused
     thread = run_in_thread(view)

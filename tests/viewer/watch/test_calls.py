@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.synthesis import HierarchyEnv
 from hrl_escape.viewer.pages.watch import WatchPage
@@ -74,7 +74,7 @@ def test_the_running_machines_of_a_program_are_shown_with_arguments_lengths_and_
 
 @pytest.mark.parametrize("agent", ["maxq-q", "hamq"])
 def test_an_agent_that_learns_with_a_hierarchy_shows_its_calls(agent, two_buttons):
-    watch = Watch(open_driver(AgentSpec(agent, leaves="planned"), two_buttons), Gate(None))
+    watch = Watch(open_driver(AgentSpec(agent, low_level="planned"), two_buttons), Gate(None))
     seen = []
 
     def note(step):

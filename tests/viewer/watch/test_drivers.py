@@ -43,11 +43,11 @@ def test_a_folder_that_is_no_run_and_a_name_that_is_no_agent(two_buttons, tmp_pa
 
 
 def test_a_label_opens_the_agent_in_the_environment_that_it_needs(one_button):
-    driver = open_driver("smdp-dqn+objects+memory+no-primitives", one_button)
-    assert driver.name == "smdp-dqn+objects+memory+no-primitives, learning" and driver.primitives == 0
+    driver = open_driver("smdp-dqn+objects+memory", one_button)
+    assert driver.name == "smdp-dqn+objects+memory, learning" and driver.primitives == 0
     assert "failed" in driver.env.observation_space.words and driver.agent.settings.network == "objects"
     driver.env.close()
-    assert open_driver("smdp-retrace", one_button).name == "smdp-retrace"
+    assert open_driver("search-backtrack", one_button).name == "search-backtrack"
 
 
 def test_a_run_of_another_room_is_refused_with_the_way_out(run: Path, clutter):

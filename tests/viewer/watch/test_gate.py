@@ -15,7 +15,7 @@ from hrl_escape.viewer.watch.watch import Gate, Watch
 @pytest.mark.in_turn
 def test_the_gate_lets_primitives_and_decisions_through_one_at_a_time(two_buttons):
     gate = Gate(None, paused=True)
-    watch = Watch(open_driver("planner", two_buttons), gate)
+    watch = Watch(open_driver("oracle", two_buttons), gate)
     at_gate: list[int] = []
     watch.on_wait = lambda: at_gate.append(watch.primitives)
     thread = threading.Thread(target=watch.run, args=(1,), daemon=True)
@@ -44,7 +44,7 @@ def test_the_gate_lets_primitives_and_decisions_through_one_at_a_time(two_button
 
 def test_a_running_driver_can_be_paused_and_goes_on(two_buttons):
     gate = Gate(None)
-    watch = Watch(open_driver("smdp-random", two_buttons), gate)
+    watch = Watch(open_driver("random-options", two_buttons), gate)
     thread = threading.Thread(target=watch.run, daemon=True)
     thread.start()
     try:

@@ -19,15 +19,15 @@ from hrl_escape.viewer.watch.watch import Gate, ObservedChoice, Watch
 
 
 def test_the_planner_drives_the_escape_that_it_solves_for(clutter):
-    plan = get_planner(clutter).solve(open_driver("planner", clutter).env.unwrapped.rules.make_state(clutter.starts[0]))
-    recording = record_driver(open_driver("planner", clutter))
+    plan = get_planner(clutter).solve(open_driver("oracle", clutter).env.unwrapped.rules.make_state(clutter.starts[0]))
+    recording = record_driver(open_driver("oracle", clutter))
     assert len(recording.rewards) == plan.cost
     assert [count for _, count in recording.decisions] == [part.stop - part.start for part in plan.parts]
 
 
 @pytest.mark.parametrize("preset", ["four-rooms", "sokoban"])
 def test_the_planner_escapes_where_no_plan_foresees_the_whole_way(preset: str):
-    assert record_driver(open_driver("planner", generate(get_preset(preset), 0))).end == "escaped"
+    assert record_driver(open_driver("oracle", generate(get_preset(preset), 0))).end == "escaped"
 
 
 def list_choices(name: str, room) -> list[ObservedChoice]:
@@ -47,7 +47,7 @@ def list_choices(name: str, room) -> list[ObservedChoice]:
 
 def test_a_searcher_shows_its_list_and_takes_the_nearest_untried():
     room = generate(get_preset("four-button-chain"), 0)
-    choices = list_choices("smdp-untried-nearest", room)
+    choices = list_choices("search-nearest", room)
     *presses, leave = choices
     for choice in presses:
         untried = {action: float(re.search(r"[\d.]+", words)[0]) for action, words in choice.notes.items()
@@ -59,7 +59,7 @@ def test_a_searcher_shows_its_list_and_takes_the_nearest_untried():
     assert [words == "lit" for words in leave.notes.values()] == list(lit)
 
 
-@pytest.mark.parametrize(("name", "pattern"), [("smdp-retrace", "untried, "), ("smdp-bayes", r"lights with \d+%")])
+@pytest.mark.parametrize(("name", "pattern"), [("search-backtrack", "untried, "), ("bayes", r"lights with \d+%")])
 def test_other_searchers_say_what_they_know(name: str, pattern: str, two_buttons):
     first = list_choices(name, two_buttons)[0]
     assert len(first.notes) == 2 and all(re.match(pattern, words) for words in first.notes.values())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.text.told_env import ToolCall, Turn
 from hrl_escape.viewer.pages.panels import make_lines
 from hrl_escape.viewer.pages.watch import WatchPage, _list_turns
@@ -12,7 +12,7 @@ from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
 def test_the_page_shows_the_talk(server: Server, two_buttons):
-    driver = open_driver(AgentSpec("smdp-tools", settings={"model": "untried-nearest", "told": "places"}), two_buttons)
+    driver = open_driver(AgentSpec("text-agent", settings={"model": "search-nearest", "told": "places"}), two_buttons)
     assert driver.told is not None and not driver.trains
     view = WatchPage(server, Watch(driver, Gate(None)))
     view.run(episodes=1)
@@ -23,7 +23,7 @@ def test_the_page_shows_the_talk(server: Server, two_buttons):
 
 
 def test_another_driver_has_no_talk(server: Server, two_buttons):
-    assert WatchPage(server, Watch(open_driver("planner", two_buttons), Gate(None)))._talk is None
+    assert WatchPage(server, Watch(open_driver("oracle", two_buttons), Gate(None)))._talk is None
 
 
 def test_what_is_said_is_no_markup():

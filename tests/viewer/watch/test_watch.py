@@ -119,14 +119,14 @@ def test_what_is_kept_of_a_long_watch_is_bounded(one_button):
 
 
 def test_the_planner_drives_out_of_the_room(clutter):
-    watch = Watch(open_driver("planner", clutter), Gate(None))
+    watch = Watch(open_driver("oracle", clutter), Gate(None))
     choices, steps = watch_steps(watch)
     assert steps[-1].end == "escaped"
     assert [watch.driver.names[choice.action] for choice in choices][-1] == "meta-exit"
 
 
 def test_a_plan_shown_is_what_the_option_then_does(clutter):
-    watch = Watch(open_driver("planner", clutter), Gate(None))
+    watch = Watch(open_driver("oracle", clutter), Gate(None))
     plans, met = [], []
 
     def note(step: PrimitiveStep | None) -> None:
@@ -145,7 +145,7 @@ def test_a_plan_shown_is_what_the_option_then_does(clutter):
 
 @pytest.mark.in_turn
 def test_a_preview_does_not_disturb_the_option_that_runs(clutter):
-    plain, asked = (Watch(open_driver("planner", clutter), Gate(None)) for _ in range(2))
+    plain, asked = (Watch(open_driver("oracle", clutter), Gate(None)) for _ in range(2))
     _, expected = watch_steps(plain)
     steps: list[PrimitiveStep] = []
 

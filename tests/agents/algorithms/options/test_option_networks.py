@@ -10,7 +10,7 @@ from gymnasium import spaces
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.option_networks import NONE, OptionChoices, mix_values, mix_with_former
 from hrl_escape.agents.components.policy_gradient import Rollout
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
 from hrl_escape.errors import UnknownNameError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid

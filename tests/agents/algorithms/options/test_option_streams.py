@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from hrl_escape.agents import train
 from hrl_escape.agents.components.option_networks import NONE
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.streams import StreamTransitions
 from tests.agents.algorithms.options.test_option_networks import (
     ACTIONS,

@@ -8,7 +8,7 @@ from gymnasium import spaces
 
 from hrl_escape.agents import train
 from hrl_escape.agents.algorithms.options.ppoc import OptionSamples
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
 from tests.agents.algorithms.options.test_option_networks import make, make_rollout
 
 STATES, OPTIONS, ACTIONS, GAMMA, COST = 4, 2, 3, 0.9, 0.2

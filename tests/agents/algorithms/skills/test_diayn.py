@@ -9,7 +9,7 @@ import torch
 from gymnasium import spaces
 
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
 from tests.agents.running import learn
 
 ALL = np.ones(3, np.bool_)

@@ -12,7 +12,7 @@ from scipy.stats import beta
 from hrl_escape import get_preset
 from hrl_escape.agents.factored.structure import GrowingSets
 from hrl_escape.agents.factored.trees import TreeLearner, compute_information, find_split
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.making import make_agent
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.light_box import LightBoxPuzzle
 from tests.agents.puzzle_envs import learn_puzzle, make_button_env

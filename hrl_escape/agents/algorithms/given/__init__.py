@@ -1,1 +1,0 @@
-"""Algorithms that act by a given hierarchy of tasks, one file each."""

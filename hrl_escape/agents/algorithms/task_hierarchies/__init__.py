@@ -1,0 +1,1 @@
+"""Algorithms that act by a task hierarchy, one file each."""
