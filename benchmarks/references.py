@@ -34,10 +34,11 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import read_json, read_toml, write_json
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.manifest import AxisRecord, Manifest, RungRecord, RungReferences, SetRecord
-from hrl_escape.ladder.rung import Rung, derive_seed
+from hrl_escape.ladder.references import RungReferences
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.manifest import AxisRecord, Manifest, RungRecord, SetRecord
+from hrl_escape.sets.rung import Rung, derive_seed
 
 _FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/references"
 CHANCE, MOVES = "smdp-random", "random"

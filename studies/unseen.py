@@ -20,11 +20,11 @@ from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.options.memory import MemoryStreams
 from hrl_escape.planning.best_known import find_best_known, list_start_states
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
 
 __all__ = ["Streams", "UnseenRooms", "count_fewest", "get_unseen", "make_streams", "make_unseen",
            "play_agent", "play_unseen", "stream_rooms", "train_agent"]

@@ -31,10 +31,10 @@ from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError
-from hrl_escape.ladder import load_benchmark
 from hrl_escape.options import OptionsEnv
 from hrl_escape.planning.plan import Plan
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.sets import load_benchmark
 from hrl_escape.templates import embed_json
 
 ROOT = Path(__file__).parents[2]

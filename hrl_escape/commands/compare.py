@@ -42,13 +42,13 @@ from hrl_escape.comparison.cost import describe_cost
 from hrl_escape.comparison.grid import AgentSpec, Grid, load_grid
 from hrl_escape.comparison.launching.clusters import RayLauncher, SlurmLauncher
 from hrl_escape.comparison.launching.local import Launcher, LocalLauncher
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.presets import GRIDS, get_grid
 from hrl_escape.comparison.reporting.report import format_first_escape, write_report
 from hrl_escape.comparison.summary import Summary
 from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.names import join_words, make_console_text, make_file_name, tell_seconds
+from hrl_escape.sets.places import RoomSpec
 
 DEFAULT, DEMO = "quickstart", "demo"
 AGENTS_HELP = ("Other agents: names from `hrl-escape list agents references`, smdp- in front for those that choose "

@@ -43,7 +43,7 @@ class McpArgs(RoomChoice):
         """The room, of a rung or as the other options say."""
         if self.rung is None:
             return super().make_instance()
-        from hrl_escape.ladder.room_sets import parse_room_set
+        from hrl_escape.sets.room_sets import parse_room_set
 
         if self.load or self.config or self.set or self.arguments:
             raise UnsupportedError("--rung takes a room of the ladder: leave out --load, --config, --set, --arguments")

@@ -39,13 +39,13 @@ from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.room_choice import RoomChoice, refuse_options
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
-from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.runs import find_starts, make_env, make_player
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text, make_file_name
 from hrl_escape.planning.best_known import best_known_return, find_best_known
+from hrl_escape.sets.places import RunPlace
 from hrl_escape.settings import read_field_documents
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.text.settings import TOOLS, ToolsSettings

@@ -20,13 +20,13 @@ from typing_extensions import Self
 
 from hrl_escape.agents.label import DEFAULT_RECIPE, SMDP_PREFIX, AgentLabel
 from hrl_escape.agents.registry import check_agent_name, get_agent_class, get_recipe
-from hrl_escape.comparison.places import RoomSpec, RunPlace
 from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.env.observations.base import get_observation
 from hrl_escape.errors import EscapeError, GridError
 from hrl_escape.files import read_json, read_text, read_toml
-from hrl_escape.ladder.room_sets import parse_rooms
 from hrl_escape.names import make_file_name
+from hrl_escape.sets.places import RoomSpec, RunPlace
+from hrl_escape.sets.room_sets import parse_rooms
 from hrl_escape.settings import Range, Settings, replace_settings
 from hrl_escape.synthesis.kinds import find_kind, list_privileges
 from hrl_escape.text.settings import TOOLS, ToolsSettings

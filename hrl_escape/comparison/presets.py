@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from hrl_escape.comparison.grid import AgentSpec, Grid
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.errors import UnknownNameError
+from hrl_escape.sets.places import RoomSpec
 
 
 def _make(name: str, description: str, agents: str, rooms: str, **numbers: Any) -> Grid:

@@ -17,13 +17,13 @@ import numpy as np
 
 from hrl_escape.comparison.grid import AgentSpec, Grid
 from hrl_escape.comparison.inference import LEVEL, RESAMPLES, Estimate, compute_wilson_interval, draw_weights
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.references.registry import BAYES, BY_LIGHTS, BY_NUMBER
 from hrl_escape.comparison.statistics import Floats, Scores, compute_iqm
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.errors import ConfigError
-from hrl_escape.ladder.benchmark import Benchmark
-from hrl_escape.ladder.room_sets import ABOVE, TOWER_HORIZON, list_sets
+from hrl_escape.sets.benchmark import Benchmark
+from hrl_escape.sets.places import RoomSpec
+from hrl_escape.sets.room_sets import ABOVE, TOWER_HORIZON, list_sets
 from hrl_escape.text.settings import TOOLS
 
 LEAST_HEADROOM = 0.05

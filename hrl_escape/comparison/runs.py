@@ -22,7 +22,6 @@ from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_se
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.grid import AgentSpec, GridRun
-from hrl_escape.comparison.places import RoomSchedule, RunPlace, Split
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.references.registry import make_reference
@@ -33,10 +32,11 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.files import read_json, write_json
-from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.room_sets import RoomSets, Tower, list_sets
-from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
+from hrl_escape.sets.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.places import RoomSchedule, RunPlace, Split
+from hrl_escape.sets.room_sets import RoomSets, Tower, list_sets
+from hrl_escape.sets.sequence import SequenceEnv, compute_floor_seed
 from hrl_escape.settings import read_record
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.text.settings import TOOLS

@@ -66,10 +66,10 @@ from hrl_escape.errors import (
     show_value,
 )
 from hrl_escape.files import parse_json, read_bytes, write_json
-from hrl_escape.ladder.benchmark import list_benchmarks, load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.rung import Rung, read_beacon
 from hrl_escape.names import parse_whole
+from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.rung import Rung, read_beacon
 from hrl_escape.settings import Range, Settings, read_record, replace_settings
 from hrl_escape.version import __version__, find_versions
 

@@ -33,13 +33,13 @@ from hrl_escape.data.published import compare_published, refuse_other
 from hrl_escape.data.tape import DYNAMICS, FIELDS, TAPE_FORMAT, Tape, load_tape, save_tape
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import EpisodeFileError, PlanningFailed
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.room_sets import parse_room_set
-from hrl_escape.ladder.rung import derive_seed
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.room_sets import parse_room_set
+from hrl_escape.sets.rung import derive_seed
 from hrl_escape.step_info import ENDINGS, read_option
 from hrl_escape.version import __version__
 from hrl_escape.viewer.play.episode import load_episode

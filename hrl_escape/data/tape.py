@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from hrl_escape.errors import FileReadError, describe_damage
 from hrl_escape.files import atomic_writer, open_plain, parse_json
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.room_sets import parse_room_set
 
 TAPE_FORMAT = 1
 DYNAMICS = "EscapeRoom-v1"

@@ -1,4 +1,4 @@
-"""The ladder: named sets of rooms to train and test on, rung by rung, that anybody can generate and verify."""
+"""Results that come with the frozen sets: reference efficiencies, and trained agents (`comparison.load_pretrained`)."""
 
 import lazy_loader
 

@@ -18,8 +18,8 @@ from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.protocols import get_budget
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.names import count_nouns, join_words
+from hrl_escape.sets.benchmark import load_benchmark
 from studies.baseline import BaselineRun
 from studies.ladder.analysis import draw, group_runs, subtract, tabulate, tell_bar, tell_beyond_searching
 from studies.ladder.calibration import KNOWN

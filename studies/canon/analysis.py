@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from hrl_escape.comparison.comparison import Comparison, run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
 from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.runs import RunResult
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.names import count_nouns, join_words
+from hrl_escape.sets.places import RoomSpec
 from studies.figures import FIGURE_STYLE
 from studies.page import make_table
 from studies.running import NO_TRAINING, StudyArgs, refuse_failures

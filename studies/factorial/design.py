@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.presets import ladder_room
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.files import read_toml
+from hrl_escape.sets.places import RoomSpec
 from hrl_escape.settings import read_record
 
 __all__ = ["ALGORITHMS", "FACTORS", "MOST_FACTORS", "Factor", "get_factors", "make_factorial_grid",

@@ -15,8 +15,8 @@ from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.launching.local import get_fork_server
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
 from studies.baseline import BaselineRun
 from studies.generalisation.grids import AT_ONCE, TRAINED, TRANSFER, make_depth_sets
 from studies.unseen import (

@@ -25,9 +25,9 @@ from hrl_escape.comparison.references.registry import BAYES, SEARCHERS
 from hrl_escape.comparison.reporting.figures import SPARE
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.room_sets import TOWER_HORIZON
 from hrl_escape.names import count_nouns, join_words
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.room_sets import TOWER_HORIZON
 from studies.baseline import BaselineRun, compute_run_efficiency
 from studies.figures import FIGURE_STYLE
 from studies.ladder.baselines import (

@@ -22,7 +22,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError, UnknownNameError
-from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.sets.instance_set import InstanceSet
 from studies.buttons.analysis import FirstEscape, find_first_escape
 from studies.page import make_table
 from studies.parts.answers import (

@@ -20,11 +20,11 @@ from rich.console import Console
 from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView, SolvedRule
 from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.files import read_toml
+from hrl_escape.sets.places import RoomSpec
 from studies.running import refuse_failures
 from studies.scaling.results import RoomKind, ScalingRun, collect_scaling_runs
 

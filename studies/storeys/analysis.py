@@ -17,8 +17,8 @@ from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.statistics import compute_efficiency
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.room_sets import Tower, repeat_floor
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.room_sets import Tower, repeat_floor
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
 from studies.running import StudyArgs as Args

@@ -16,8 +16,8 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.room_sets import parse_room_set
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.sets.room_sets import parse_room_set
 from hrl_escape.text import Score, ToldEnv, ToolsAgent, make_model, verify_games
 from hrl_escape.text.settings import Level
 from studies.figures import FIGURE_STYLE

@@ -10,11 +10,11 @@ from rich.console import Console
 from hrl_escape.comparison.comparison import WHOLE, Comparison, Shard, run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun, OptionsView
 from hrl_escape.comparison.launching.local import Launcher
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.runs import get_training_folder
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.sets.places import RoomSpec
 
 SCHEMATIC = RoomConfig(
     name="small",

@@ -11,7 +11,6 @@ import pytest
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
 from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.reporting.report import write_markdown, write_report
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.verdict import write_verdict
@@ -21,7 +20,8 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GridError, UnknownNameError
-from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.places import RunPlace
 from tests.comparison.small import SCHEMATIC, run_quietly
 
 VARIED = dataclasses.replace(SCHEMATIC, horizon=60,

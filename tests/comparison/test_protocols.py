@@ -6,7 +6,6 @@ import pytest
 
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec, Grid
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.protocols import (
     LadderSettings,
     Protocol,
@@ -17,7 +16,8 @@ from hrl_escape.comparison.protocols import (
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ConfigError, GridError, UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.places import RoomSpec
 from studies.ladder.calibration import find_miscalibration, find_steps
 from tests.comparison.made_up import compare
 

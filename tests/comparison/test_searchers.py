@@ -46,9 +46,9 @@ from hrl_escape.env.puzzles.graphs import GraphConfig, GraphKind, mask_parents, 
 from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.settings import Between
 
 LADDER = load_benchmark("ladder-1")

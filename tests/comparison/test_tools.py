@@ -14,7 +14,7 @@ from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid, 
 from hrl_escape.comparison.runs import make_env, make_player
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.text import record_game, save_games
 from hrl_escape.text.told_env import find_told_env
 from tests.comparison.small import run_quietly

@@ -20,10 +20,10 @@ from torchrl.envs.libs.gym import GymWrapper, default_info_dict_reader
 from hrl_escape.agents import train
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import PRESETS, make_env_name
-from hrl_escape.ladder.sequence import SequenceEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.planning.route import PlanningSummary
+from hrl_escape.sets.sequence import SequenceEnv
 from tests.covering import thin
 from tests.env.test_ranges import VARIED
 

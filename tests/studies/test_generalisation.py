@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
 from studies.baseline import BaselineRun
 from studies.generalisation.grids import (
     AT_ONCE,

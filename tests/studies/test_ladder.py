@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.comparison.protocols import TOWER, compute_ladder_score
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
 from studies.__main__ import main
 from studies.baseline import BaselineRun
 from studies.ladder.analysis import describe

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.room_sets import repeat_floor
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.room_sets import repeat_floor
 from studies.storeys.analysis import FloorRun, play_towers, tell
 from studies.study import find_study
 from tests.studies.pages import tell as write_page

@@ -21,7 +21,7 @@ import hrl_escape.text.told_env as told_env
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.graphs import find_ancestors
-from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.sets.room_sets import parse_room_set
 from hrl_escape.text import RoomSession
 
 THING = re.compile(r'"button-(\d+)"(?: at \((-?[\d.]+), (-?[\d.]+)\))?, off')

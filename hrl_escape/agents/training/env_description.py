@@ -47,7 +47,7 @@ PARTS_GROUP = "hrl_escape.parts"
 MEMORY_WRAPPER = "hrl_escape.options.memory:DecisionMemory"
 
 OWN = frozenset({
-    "hrl_escape.comparison.places:RoomSchedule",
+    "hrl_escape.sets.places:RoomSchedule",
     "hrl_escape.env.config:DynamicsConfig",
     "hrl_escape.env.config:ExitConfig",
     "hrl_escape.env.config:ObstaclesConfig",
@@ -59,10 +59,10 @@ OWN = frozenset({
     "hrl_escape.env.escape_room:EscapeRoomEnv",
     "hrl_escape.env.instance:RoomInstance",
     "hrl_escape.env.rewards:RewardConfig",
-    "hrl_escape.ladder.common_spaces:CommonSpacesEnv",
-    "hrl_escape.ladder.goals:GoalsEnv",
-    "hrl_escape.ladder.instance_set:InstanceSetEnv",
-    "hrl_escape.ladder.sequence:SequenceEnv",
+    "hrl_escape.sets.common_spaces:CommonSpacesEnv",
+    "hrl_escape.sets.goals:GoalsEnv",
+    "hrl_escape.sets.instance_set:InstanceSetEnv",
+    "hrl_escape.sets.sequence:SequenceEnv",
     "hrl_escape.options.domain:OptionDomain",
     "hrl_escape.options.domain:RoomDomain",
     "hrl_escape.options.masked_observation:MaskedObservation",

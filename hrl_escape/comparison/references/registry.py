@@ -33,7 +33,7 @@ from hrl_escape.comparison.references.by_lights import (
     Untried,
     UntriedNearest,
 )
-from hrl_escape.ladder.sequence import SequenceEnv
+from hrl_escape.sets.sequence import SequenceEnv
 
 INDEX_ORDER, SHUFFLED_ROUND = "smdp-index-order", "smdp-shuffled-round"
 UNTRIED, UNTRIED_NEAREST, RETRACE, BAYES = "smdp-untried", "smdp-untried-nearest", "smdp-retrace", "smdp-bayes"

@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.inference import Estimate, Pair, is_better
-from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
 from hrl_escape.comparison.runs import RunResult, get_room_file, get_training_folder, read_episodes
 from hrl_escape.comparison.statistics import compute_iqm, compute_score
@@ -40,6 +39,7 @@ from hrl_escape.env.drawing.moving_map import PLAYER, PLAYER_COLOURS, describe_r
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.files import write_text
 from hrl_escape.names import tell_seconds
+from hrl_escape.sets.places import RunPlace
 from hrl_escape.templates import embed_json, render_template
 
 MEASURES = ("efficiency", "mean_progress", "success_rate", "mean_length")

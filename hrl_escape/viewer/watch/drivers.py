@@ -29,7 +29,6 @@ from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.places import RoomSchedule
 from hrl_escape.comparison.pretrained import list_pretrained, unpack_pretrained
 from hrl_escape.comparison.references.registry import BAYES, REFERENCES, SEARCHERS
 from hrl_escape.comparison.runs import make_env, make_player
@@ -37,13 +36,14 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import FileReadError, RunMismatchError, UnknownNameError, UnsupportedError
-from hrl_escape.ladder.instance_set import InstanceSetEnv
 from hrl_escape.options.meta_actions import PlannedOption, list_goals, make_meta_options
 from hrl_escape.options.option import Option
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, Goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
+from hrl_escape.sets.instance_set import InstanceSetEnv
+from hrl_escape.sets.places import RoomSchedule
 from hrl_escape.text.settings import TOOLS
 from hrl_escape.text.told_env import ToldEnv
 

@@ -8,11 +8,11 @@ import pytest
 from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
-from hrl_escape.ladder.manifest import AxisRecord
-from hrl_escape.ladder.room_sets import TOWER_HORIZON
+from hrl_escape.sets.benchmark import Benchmark, load_benchmark
+from hrl_escape.sets.manifest import AxisRecord
+from hrl_escape.sets.room_sets import TOWER_HORIZON
 from tests.command_line import call_script
-from tests.ladder.small import make_config, make_manifest
+from tests.sets.small import make_config, make_manifest
 
 
 def call(capsys, *arguments: str):

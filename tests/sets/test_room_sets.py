@@ -8,8 +8,8 @@ from gymnasium.envs.registration import EnvSpec
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.room_sets import parse_room_set
 
 
 def test_texts_name_the_rooms_of_rungs_presets_and_files(tmp_path):

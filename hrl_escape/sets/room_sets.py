@@ -29,9 +29,9 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import sample_puzzle
 from hrl_escape.errors import ConfigError, UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.names import parse_whole
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
 
 _FORM = re.compile(r"(?P<name>[^\[\]]+)(?:\[(?P<start>\d*)(?P<colon>:?)(?P<stop>\d*)\])?")
 

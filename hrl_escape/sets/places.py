@@ -19,10 +19,10 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GridError
 from hrl_escape.files import read_json, write_json
-from hrl_escape.ladder.benchmark import compute_task_overlap
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.room_sets import RoomSets, Tower, list_sets, load_rooms, parse_room_set
 from hrl_escape.names import parse_whole
+from hrl_escape.sets.benchmark import compute_task_overlap
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.room_sets import RoomSets, Tower, list_sets, load_rooms, parse_room_set
 from hrl_escape.settings import Range, Settings
 
 

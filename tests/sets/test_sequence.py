@@ -22,12 +22,12 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.errors import ConfigError, UnsupportedError
-from hrl_escape.ladder.common_spaces import CommonSpacesEnv, join_spaces
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.room_sets import TOWER_HORIZON, Tower, load_rooms, parse_rooms, repeat_floor
-from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
 from hrl_escape.options.memory import MEMORY_WORDS, DecisionMemory
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.sets.common_spaces import CommonSpacesEnv, join_spaces
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.room_sets import TOWER_HORIZON, Tower, load_rooms, parse_rooms, repeat_floor
+from hrl_escape.sets.sequence import SequenceEnv, compute_floor_seed
 
 CONFIG = RoomConfig(
     room=ShapeConfig(width=8, depth=8), robot=RobotConfig(body_radius=0.4, turn_step_deg=30), horizon=120,

@@ -21,13 +21,13 @@ from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, describe_damage
 from hrl_escape.figures import Pictured
 from hrl_escape.files import read_json, write_json
-from hrl_escape.ladder.keys import compute_task_key
+from hrl_escape.sets.keys import compute_task_key
 
 if TYPE_CHECKING:
     from hrl_escape.env.vector_env import EscapeRoomVectorEnv
     from hrl_escape.options.batched.env import BatchedOptionsEnv
 
-LADDER_ID, LADDER_ENTRY = "hrl_escape/Ladder-v1", "hrl_escape.ladder.room_sets:make_ladder_env"
+LADDER_ID, LADDER_ENTRY = "hrl_escape/Ladder-v1", "hrl_escape.sets.room_sets:make_ladder_env"
 CHOOSING_ROOMS = ("config", "instance", "instance_seed", "instances", "resample_instance")
 """Arguments of `EscapeRoomEnv` that a set gives itself."""
 
