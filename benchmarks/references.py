@@ -25,7 +25,7 @@ import numpy as np
 import tyro
 
 from hrl_escape.cli import run_script
-from hrl_escape.commands.room_choice import change_field, split_assignment
+from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.bayes import GraphFamily, condition_on_room, make_family
 from hrl_escape.comparison.references.registry import BAYES, BY_LIGHTS, PLANNER
@@ -36,6 +36,7 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import read_json, read_toml, write_json
 from hrl_escape.ladder.references import RungReferences
 from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.changes import change_field
 from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.sets.manifest import AxisRecord, Manifest, RungRecord, SetRecord
 from hrl_escape.sets.rung import Rung, derive_seed

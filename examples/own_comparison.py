@@ -11,7 +11,7 @@ from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
 from hrl_escape.comparison.reporting.report import write_report
 from hrl_escape.comparison.verdict import write_verdict
-from hrl_escape.sets.places import RoomSpec
+from hrl_escape.sets.room_spec import RoomSpec
 
 ONLY_OPTIONS = OptionsView(include_primitives=False)
 

@@ -19,7 +19,7 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.generation import sample_puzzle
 from hrl_escape.names import make_console_text, tell_seconds
 from hrl_escape.sets.places import RunPlace
-from hrl_escape.sets.room_sets import list_sets
+from hrl_escape.sets.room_sequence import list_sets
 
 Rates = Mapping[str, Mapping[int, float]]
 """Seconds of one core for a thousand primitives, by agent and number of buttons."""

@@ -7,7 +7,7 @@ from typing import Any
 from hrl_escape.comparison.grid import AgentSpec, Grid
 from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.sets.places import RoomSpec
+from hrl_escape.sets.room_spec import RoomSpec
 
 
 def _make(name: str, description: str, agents: str, rooms: str, **numbers: Any) -> Grid:
@@ -26,7 +26,7 @@ _PAPER: dict[str, Any] = {"runs": 10, "primitives": 20_000, "eval_every": 500, "
 GRIDS: dict[str, Grid] = {grid.name: grid for grid in (
     _make("demo", "Four buttons in a hidden order; a wrong press turns all of them off. Who learns the order?",
           "smdp-random+no-primitives smdp-q-learning+no-primitives dqn smdp-dqn+no-primitives smdp-retrace planner",
-          "ladder-2/violations-2/train[0]", runs=10, primitives=7_000, eval_every=1_000, eval_episodes=1),
+          "ladder-2/violations-2/train#0", runs=10, primitives=7_000, eval_every=1_000, eval_episodes=1),
     _make("quickstart", "Do options help in a room with two buttons, and does learning add to what they know?",
           f"random dqn smdp-random smdp-q-learning smdp-dqn {_REFERENCES}", "paper-two-button",
           runs=10, primitives=15_000, eval_episodes=3),

@@ -33,10 +33,12 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.files import read_json, write_json
 from hrl_escape.sets.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
+from hrl_escape.sets.grammar import FreshRooms, Rooms
 from hrl_escape.sets.instance_set import InstanceSet
-from hrl_escape.sets.places import RoomSchedule, RunPlace, Split
-from hrl_escape.sets.room_sets import RoomSets, Tower, list_sets
-from hrl_escape.sets.sequence import SequenceEnv, compute_floor_seed
+from hrl_escape.sets.places import RunPlace, Split
+from hrl_escape.sets.room_schedule import RoomSchedule
+from hrl_escape.sets.room_sequence import RoomSequence, list_sets
+from hrl_escape.sets.sequence import SequenceEnv, compute_room_seed
 from hrl_escape.settings import read_record
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.text.settings import TOOLS
@@ -119,30 +121,31 @@ def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> floa
                                    score_range.is_expected)
 
 
-def make_env(agent: AgentSpec, rooms: RoomInstance | RoomSets, observation: str,
+def make_env(agent: AgentSpec, rooms: Rooms, observation: str,
              schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None, trials: int = 1
              ) -> tuple[gymnasium.Env, StateRecorder]:
-    """The environment an agent acts in, and the recorder inside it; in a tower the one on the lowest floor.
+    """The environment an agent acts in, and the recorder inside it; of a sequence the one in the first room.
 
     Every episode draws a room of a set, but for those in the schedule, whose numbers, by their seeds, go round the set,
-    or that of every floor (see `RoomSchedule`). In `common` spaces rooms of several schematics look alike. An episode
-    has several `trials` in the same room; see `SequenceEnv`.
+    or each set of a sequence (see `RoomSchedule`). In `common` spaces rooms of several configurations look alike. An
+    episode has several `trials` in the same room; see `SequenceEnv`.
     """
     import hrl_escape  # noqa: F401  # registers the environment
 
     schedule = schedule or {}
-    if isinstance(rooms, Tower):
-        (first, recorder), *above = (
-            make_env(agent, floor, observation,
-                     {str(compute_floor_seed(int(seed), level)): number for seed, number in schedule.items()}, common)
-            for level, floor in enumerate(rooms.floors))
-        return SequenceEnv(first, then=[floor for floor, _ in above], paired=rooms.paired), recorder
+    if isinstance(rooms, RoomSequence):
+        (first, recorder), *others = (
+            make_env(agent, each, observation,
+                     {str(compute_room_seed(int(seed), place)): number for seed, number in schedule.items()}, common)
+            for place, each in enumerate(rooms.sets))
+        return SequenceEnv(first, then=[env for env, _ in others], paired=rooms.paired), recorder
     if isinstance(rooms, InstanceSet):
         flat = RoomSchedule(rooms.make_env(observation=observation),
                             {seed: number % len(rooms) for seed, number in schedule.items()})
     else:
-        flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=rooms, observation=observation,
-                              disable_env_checker=True)
+        given = {"config": rooms.config, "resample_instance": True} if isinstance(rooms, FreshRooms) else {
+            "instance": rooms}
+        flat = gymnasium.make("hrl_escape/EscapeRoom-v1", **given, observation=observation, disable_env_checker=True)
     recorder = StateRecorder(flat)
     if agent.leaves is not None:
         from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
@@ -182,7 +185,7 @@ def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -
 
 def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> CommonSpaces | None:
     """Spaces of rooms to train in and to be tested in together; None where they are the same already."""
-    if not split.is_transfer or (agent.is_reference and not isinstance(split.test, Tower)):
+    if not split.is_transfer or (agent.is_reference and not isinstance(split.test, RoomSequence)):
         return None
     envs = [make_env(agent, rooms, observation)[0] for rooms in split.sets]
     try:
@@ -286,10 +289,10 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
 
 def find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int]
                  ) -> list[tuple[RoomInstance, RoomState]]:
-    """Room and first state of the episodes of these seeds; of a tower those of every floor."""
+    """Room and first state of the episodes of these seeds; of a sequence those of every room."""
     if isinstance(env, SequenceEnv):
-        return [start for seed in seeds for level, floor in enumerate(env.floors)
-                for start in find_starts(floor, find_recorder(floor), [compute_floor_seed(seed, level)])]
+        return [start for seed in seeds for place, part in enumerate(env.parts)
+                for start in find_starts(part, find_recorder(part), [compute_room_seed(seed, place)])]
     room: Any = env.unwrapped
     starts = []
     for seed in seeds:

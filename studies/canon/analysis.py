@@ -25,7 +25,7 @@ from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.names import count_nouns, join_words
-from hrl_escape.sets.places import RoomSpec
+from hrl_escape.sets.room_spec import RoomSpec
 from studies.figures import FIGURE_STYLE
 from studies.page import make_table
 from studies.running import NO_TRAINING, StudyArgs, refuse_failures
@@ -192,7 +192,7 @@ def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence
         if not own or time.monotonic() > until:
             continue
         grid = Grid(f"canon-{'learners' if learns else 'references'}", "", tuple(
-            dataclasses.replace(agent, label=label) for label, (agent, _) in own.items()), (RoomSpec(set=room),),
+            dataclasses.replace(agent, label=label) for label, (agent, _) in own.items()), (RoomSpec(room),),
             runs=1, primitives=budget, eval_every=step, eval_episodes=episodes)
         keys = {run.agent.label: run.key for run in grid.make_runs(grid.make_places())}
         missing = tuple(agent for agent in grid.agents

@@ -24,7 +24,7 @@ from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, Shape
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.files import read_toml
-from hrl_escape.sets.places import RoomSpec
+from hrl_escape.sets.room_spec import RoomSpec
 from studies.running import refuse_failures
 from studies.scaling.results import RoomKind, ScalingRun, collect_scaling_runs
 
@@ -92,7 +92,7 @@ class Round:
 
     @cached_property
     def _specs(self) -> tuple[RoomSpec, ...]:
-        return tuple(RoomSpec(config=make_room(task).to_dict(), seed=self.seed) for task in self.tasks)
+        return tuple(RoomSpec(config=make_room(task).to_dict(), instance=self.seed) for task in self.tasks)
 
     @cached_property
     def rooms(self) -> dict[RoomKind, RoomInstance]:

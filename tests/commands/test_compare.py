@@ -14,7 +14,7 @@ from hrl_escape.cli import main
 from hrl_escape.commands.compare import CompareArgs
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.presets import get_grid
-from hrl_escape.sets.places import RoomSpec
+from hrl_escape.sets.room_spec import RoomSpec
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:

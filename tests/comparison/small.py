@@ -14,7 +14,7 @@ from hrl_escape.comparison.runs import get_training_folder
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.sets.places import RoomSpec
+from hrl_escape.sets.room_spec import RoomSpec
 
 SCHEMATIC = RoomConfig(
     name="small",

@@ -12,7 +12,7 @@ from hrl_escape.comparison.presets import GRIDS, get_grid
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError, FileReadError, GridError, UnknownNameError
-from hrl_escape.sets.places import RoomSpec
+from hrl_escape.sets.room_spec import RoomSpec
 from tests.comparison.small import SMALL, change
 
 

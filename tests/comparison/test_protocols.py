@@ -17,7 +17,7 @@ from hrl_escape.comparison.runs import make_env
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ConfigError, GridError, UnknownNameError
 from hrl_escape.sets.benchmark import load_benchmark
-from hrl_escape.sets.places import RoomSpec
+from hrl_escape.sets.room_spec import RoomSpec
 from studies.ladder.calibration import find_miscalibration, find_steps
 from tests.comparison.made_up import compare
 

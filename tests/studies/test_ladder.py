@@ -216,7 +216,7 @@ def test_a_tower_s_grids_have_the_rungs_as_floors():
     assert [(place.rung, place.kind, len(grid.agents)) for place, grid in grids] == [
         (TOWER, kind, count) for kind, most in (("references", 3), ("learners", 2)) for count in range(1, most + 1)]
     (place,) = grids[-1][1].make_places()
-    assert [floor.name for floor in place.split.test.floors] == [f"ladder-1/{rung}/test[:2]" for rung in RUNGS_OF_TWO]
+    assert [floor.name for floor in place.split.test.sets] == [f"ladder-1/{rung}/test#0..2" for rung in RUNGS_OF_TWO]
 
 
 def test_baselines_run_join_what_is_there_and_need_no_runs_for_the_page(tmp_path: Path, capsys):

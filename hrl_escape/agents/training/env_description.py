@@ -47,7 +47,7 @@ PARTS_GROUP = "hrl_escape.parts"
 MEMORY_WRAPPER = "hrl_escape.options.memory:DecisionMemory"
 
 OWN = frozenset({
-    "hrl_escape.sets.places:RoomSchedule",
+    "hrl_escape.sets.room_schedule:RoomSchedule",
     "hrl_escape.env.config:DynamicsConfig",
     "hrl_escape.env.config:ExitConfig",
     "hrl_escape.env.config:ObstaclesConfig",

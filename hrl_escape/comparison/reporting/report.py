@@ -243,7 +243,7 @@ def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
     run = next(run for run, _ in comparison.runs if (run.agent.label, run.place_id, run.seed)
                == (replay["agent"], place.id, replay["seed"]))
     arguments = shlex.join([str(get_training_folder(comparison.out, run)),
-                            "--load", str(get_room_file(comparison.out, place.instance.id))])
+                            "--room", str(get_room_file(comparison.out, place.instance.id))])
     flavour = run.agent.options.flavour
     arguments += f" --flavour {flavour}" if run.agent.chooses_options and flavour != "press" else ""
     return [f"hrl-escape watch {arguments}", f"hrl-escape record {arguments} --out escape.html"]

@@ -43,7 +43,7 @@ from hrl_escape.planning.goals import ExitGoal, Goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
 from hrl_escape.sets.instance_set import InstanceSetEnv
-from hrl_escape.sets.places import RoomSchedule
+from hrl_escape.sets.room_schedule import RoomSchedule
 from hrl_escape.text.settings import TOOLS
 from hrl_escape.text.told_env import ToldEnv
 
@@ -230,7 +230,7 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
     if (repr(env.observation_space), repr(env.action_space)) != spaces:
         env.close()
         raise RunMismatchError(f"{folder} was trained with the spaces {spaces[0]} and {spaces[1]}, which room "
-                               f"{instance.id} does not have: leave out --load to use the run's own room")
+                               f"{instance.id} does not have: leave out --room to use the run's own room")
     return _make_driver(f"{name}, as trained", load_agent(folder, env), env, flavour)
 
 
