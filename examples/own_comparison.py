@@ -1,6 +1,6 @@
 """Your own comparison in Python: a grid of agents and rooms as data, parallel runs that are kept, and a report.
 
-The same from a shell: hrl-escape compare --agents smdp-random smdp-q-learning --rooms four-button-chain
+The same from a shell: hrl-escape compare --agents smdp-random smdp-q-learning --room four-button-chain
 """
 
 from pathlib import Path

@@ -61,5 +61,5 @@ def test_a_changed_file_is_read_or_refused_in_words(tmp_path, room, kind, how):
 def test_an_extreme_schematic_is_one_short_line(tmp_path, capsys, text):
     (tmp_path / "x.toml").write_text(text)
     assert read_toml(tmp_path / "x.toml")
-    code, _, err = call(capsys, "room", "--config", tmp_path / "x.toml")
+    code, _, err = call(capsys, "room", "--room", tmp_path / "x.toml")
     assert code == 2 and err.count("\n") == 1 and len(err) < 2_000

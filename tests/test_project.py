@@ -346,8 +346,8 @@ for name in ("Clutter", "ArmTwoButton", "BlocksWorld"):
     env.reset(seed=0)
     print(len(env.step(0)))
 from hrl_escape.cli import main
-print(main(["solve", "--preset", "paper-one-button", "--planner", "RRTConnect"]))
-print(main(["solve", "--preset", "arm-two-button"]))
+print(main(["solve", "--room", "paper-one-button", "--planner", "RRTConnect"]))
+print(main(["solve", "--room", "arm-two-button"]))
 """
 
 

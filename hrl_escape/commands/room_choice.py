@@ -13,6 +13,7 @@ from typing import Any
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.names import join_words
 from hrl_escape.sets.changes import read_value
 from hrl_escape.sets.grammar import Rooms, find_config, find_rooms, make_room, quote_room
 
@@ -87,22 +88,21 @@ def refuse_old_options(command: Sequence[str], words: Sequence[str], trains: boo
     """
     given = _read_words(words)
     old = [name for name in OLD_OPTIONS if name in given]
-    if "--training-seed" in given:
-        seed = " ".join(given["--training-seed"]) or "0"
-        raise UnsupportedError(f"--training-seed is --seed now: write --seed {seed}")
-    is_ambiguous = "--seed" in given and not {"--room", "--data"} & given.keys()
-    if "--seed" in given and not trains or is_ambiguous:
+    if "--seed" in given and (not trains or old or not {"--room", "--data"} & given.keys()):
         old.append("--seed")
+    if "--training-seed" in given:
+        old.append("--training-seed")
     if not old:
         return
-    room = quote_room(_name_old(given))
+    room = quote_room(_name_old(given, "--seed" in old))
     advice = f"write --room {room}"
-    if trains and old == ["--seed"]:
-        seed = " ".join(given["--seed"])
-        advice += f" for this room, or --room {DEFAULT_ROOM} --seed {seed} for the training seed {seed}"
-    words_of = " and ".join(dict.fromkeys(old))
-    raise UnsupportedError(f"{words_of} chose a room of {' '.join(command)} up to version 0.3; --room names it now: "
-                           f"{advice}")
+    if "--training-seed" in given:
+        advice += f" --seed {' '.join(given['--training-seed'])}"
+    elif trains and old == ["--seed"]:
+        base, seed = quote_room(_name_old(given, False)), " ".join(given["--seed"])
+        advice += f" for this room, or --room {base} --seed {seed} for the training seed {seed}"
+    raise UnsupportedError(f"{join_words(old)} of version 0.3: --room names the room of {' '.join(command)} now"
+                           + (", and --seed is the training seed" if trains else "") + f": {advice}")
 
 
 def refuse_rooms(words: Sequence[str]) -> None:
@@ -129,8 +129,8 @@ def _read_words(words: Sequence[str]) -> dict[str, list[str]]:
     return given
 
 
-def _name_old(given: dict[str, list[str]]) -> str:
-    """Text of the room that options of 0.3 chose."""
+def _name_old(given: dict[str, list[str]], has_seed: bool) -> str:
+    """Text of the room that options of 0.3 chose; `--seed` is its instance seed or says nothing about it."""
     def first(name: str, default: str = "") -> str:
         return (given.get(name) or [default])[0]
 
@@ -138,11 +138,12 @@ def _name_old(given: dict[str, list[str]]) -> str:
         return file
     if rung := first("--rung"):
         return f"{first('--benchmark', 'ladder-1')}/{rung}/{first('--room', 'test#0')}"
-    base = first("--config") or first("--room").partition("#")[0] or first("--preset", DEFAULT_ROOM)
+    default = RoomConfig().name if "--set" in given else DEFAULT_ROOM
+    base = first("--config") or first("--room") or first("--preset", default)
     if given.get("--arguments"):
         base += f"({', '.join(given['--arguments'])})"
-    seed = first("--seed")
-    return f"{base}#{seed}" if seed not in ("", "0") else base
+    seed = first("--seed") if has_seed else ""
+    return f"{base.partition('#')[0]}#{seed}" if seed not in ("", "0") else base
 
 
 def refuse_options(args: Any, names: Collection[str], why: str) -> None:

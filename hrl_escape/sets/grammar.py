@@ -11,6 +11,7 @@
 | `ladder-1/chain/test x 3` | sequences of three rooms |
 | `A + B` | sequences of a room of A and a room of B |
 | `my-room.json`, `my-set.json`, `my-config.toml` | a file: one room, a set, or a configuration as TOML or JSON |
+| `custom`, `custom#3` | the defaults of `RoomConfig`, to be changed by `--set` |
 
 A range `START..STOP` holds STOP - START rooms: as in Python, STOP itself is left out. Ranges are lazy and hold at most
 `LARGEST_RANGE` rooms. A configuration in a file takes `#` as a preset does.
@@ -339,6 +340,8 @@ def _refuse_arguments(name: RoomName) -> None:
 
 
 def _find_preset(name: RoomName) -> RoomConfig:
+    if name.base == RoomConfig().name and not name.arguments:
+        return RoomConfig()
     try:
         return get_preset(name.base, **name.arguments)
     except UnknownNameError as error:

@@ -120,7 +120,7 @@ def identify(data: Mapping[str, Any], rung: str, number: int, agent: str, seed: 
         "room": get_room_id(data["benchmark"], rung, number), "agent": agent,
         "settings": AgentSpec.parse(agent).settings, "seed": seed, "primitives": primitives, "copies": data["copies"],
         "episodes": data["episodes"]})
-    return (PROTOCOL, rung, f"{data['benchmark']}/{rung}/test[{number}]", agent, seed, primitives), key
+    return (PROTOCOL, rung, f"{data['benchmark']}/{rung}/test#{number}", agent, seed, primitives), key
 
 
 def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:

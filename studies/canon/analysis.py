@@ -71,7 +71,7 @@ class CanonRun:
     Attributes:
         agent: label.
         candidate: which of its settings, from 1; 0 for agents without settings.
-        room: of a rung, in short text, such as `ladder-1/pair/test[0]`.
+        room: of a rung, in short text, such as `ladder-1/pair/test#0`.
         primitives: training budget; 0 for agents that learn nothing.
         efficiency: in the last fifth of training.
         escapes: share of the evaluation episodes there that escaped.
@@ -166,7 +166,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
             done = find_lost(study, collect_cells(study, store.load()))
             if index >= slow["rooms"]:
                 done |= set(slow["learners"])
-            made += run_room(study, args, store, f"{kind}/test[{index}]", [
+            made += run_room(study, args, store, f"{kind}/test#{index}", [
                 *((AgentSpec.parse(label), 0) for label in references if label in (args.agents or known)),
                 *((agent, number) for agent, number in chosen
                   if agent.label not in done and fits(study, agent.label, kind))], until)
@@ -257,7 +257,7 @@ def collect_cells(study: Study, lines: Sequence[CanonRun]) -> Cells:
                 continue
     cells: dict[tuple[str, str], dict[str, CanonRun]] = {}
     for line in lines:
-        if "/test[" in line.room and line.candidate == chosen.get(line.agent, 0):
+        if "/test#" in line.room and line.candidate == chosen.get(line.agent, 0):
             cells.setdefault((line.kind, line.agent), {})[line.room] = line
     return cells
 

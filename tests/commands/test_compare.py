@@ -33,7 +33,7 @@ def test_flags_change_the_preset_and_nothing_else():
     assert grid.agents == get_grid("quickstart").agents and grid.name == "quickstart"
     other = CompareArgs("ladder", agents=("dqn", "smdp-dqn@paper"), rooms=("clutter#2",)).make_grid()
     assert other.agents == (AgentSpec("dqn"), AgentSpec("smdp-dqn", recipe="paper"))
-    assert other.rooms == (RoomSpec("clutter", seed=2),) and other.name == "ladder"
+    assert other.rooms == (RoomSpec("clutter#2"),) and other.name == "ladder"
     assert CompareArgs(agents=("dqn",)).make_grid().name == "comparison"
 
 
@@ -45,7 +45,7 @@ def test_sets_of_rooms_take_the_place_of_rooms():
 
 
 def test_work_is_told_before_made_in_parts_and_reported_from_the_folder(capsys, tmp_path: Path):
-    words = ("compare", "--agents", "smdp-random", "planner", "--rooms", "paper-two-button", "--runs", "1",
+    words = ("compare", "--agents", "smdp-random", "planner", "--room", "paper-two-button", "--runs", "1",
              "--primitives", "40", "--eval-episodes", "1", "--workers", "1", "--out", tmp_path)
     code, out, _ = call(capsys, *words, "--dry-run")
     assert code == 0 and "2 runs, 2 to be made" in out and not list(tmp_path.iterdir()), "nothing was run"
@@ -99,7 +99,7 @@ def test_compare_prints_verdict_table_and_report(capsys: pytest.CaptureFixture[s
         (["quickstrat"], "did you mean 'quickstart'"),
         (["nowhere.toml"], "nowhere.toml: no such grid"),
         (["--agents", "dqqn"], "did you mean 'dqn'"),
-        (["--rooms", "cluter"], "did you mean 'clutter'"),
+        (["--room", "cluter"], "did you mean 'clutter'"),
         (["--runs", "0"], "grid.runs = 0 is not possible"),
         (["--agents", "dqn", "dqn"], "same agent label twice"),
         (["--out", "/dev/null/out"], "cannot write /dev/null/out"),
@@ -159,9 +159,9 @@ def test_train_prints_the_curve_keeps_the_run_and_goes_on(capsys: pytest.Capture
 def test_train_refuses_a_folder_with_another_room_or_other_settings(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     arguments = ["train", "smdp-random", "--primitives", 100, "--eval-episodes", 1, "--out", tmp_path]
     assert call(capsys, *arguments)[0] == 0
-    code, _, err = call(capsys, *arguments, "--preset", "clutter")
+    code, _, err = call(capsys, *arguments, "--room", "clutter")
     assert code == 2 and "holds a run that differs in environment.arguments.instance" in err
-    code, _, err = call(capsys, *arguments, "--training-seed", 1)
+    code, _, err = call(capsys, *arguments, "--seed", 1)
     assert code == 2 and "seed: 0 there, 1 now" in err
 
 

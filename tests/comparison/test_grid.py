@@ -12,6 +12,7 @@ from hrl_escape.comparison.presets import GRIDS, get_grid
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError, FileReadError, GridError, UnknownNameError
+from hrl_escape.sets import make_room
 from hrl_escape.sets.room_spec import RoomSpec
 from tests.comparison.small import SMALL, change
 
@@ -26,8 +27,8 @@ def make_runs(grid: Grid):
 def test_short_texts_name_recipe_and_instance():
     assert AgentSpec.parse("smdp-dqn@paper") == AgentSpec("smdp-dqn", recipe="paper")
     assert AgentSpec.parse("smdp-dqn@paper").label == "smdp-dqn@paper"
-    assert RoomSpec.parse("clutter#3") == RoomSpec("clutter", seed=3)
-    assert RoomSpec.parse("some/room.json") == RoomSpec(file="some/room.json")
+    assert RoomSpec.parse("clutter#3") == RoomSpec("clutter#3")
+    assert RoomSpec.parse("some/room.json") == RoomSpec("some/room.json")
 
 
 def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
@@ -35,7 +36,8 @@ def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
     (tmp_path / "mine.toml").write_text("""
         primitives = 500
         runs = 3
-        rooms = ["clutter#2", { preset = "larg-2019", arguments = { size = 3 } }, { file = "room.json" }]
+        rooms = ["clutter#2", "larg-2019(size=3)", "room.json", "ladder-1/pair/test#3",
+                 { room = "clutter", set = { horizon = 50 } }, { config = { horizon = 60 }, instance = 4 }]
         [[agents]]
         name = "dqn"
         [[agents]]
@@ -49,9 +51,28 @@ def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
     assert grid.agents == (AgentSpec("dqn"), AgentSpec("smdp-dqn", label="far", settings={"gamma": 0.999},
                                                        options=OptionsView(include_primitives=False)))
     instances = [room.make_instance() for room in grid.rooms]
-    assert [(i.name, i.seed) for i in instances] == [("clutter", 2), ("larg-2019", 0), ("paper-one-button", 0)]
-    assert len(instances[1].targets) == 3
+    assert [(i.name, i.seed) for i in instances] == [
+        ("clutter", 2), ("larg-2019", 0), ("paper-one-button", 0), ("pair", make_room("ladder-1/pair/test#3").seed),
+        ("clutter", 0), ("custom", 4)]
+    assert len(instances[1].targets) == 3 and [i.horizon for i in instances[4:]] == [50, 60]
+    assert [place.name for place in grid.make_places()][:4] == [
+        "clutter#2", "larg-2019(size=3)", "paper-one-button", "ladder-1/pair/test#3"]
     assert grid.agents[1].resolve_settings()["gamma"] == 0.999
+
+
+@pytest.mark.parametrize(("room", "text"), [
+    ('{ preset = "clutter", seed = 3 }', "clutter#3"), ('{ set = "ladder-1/pair/test[3]" }', "ladder-1/pair/test#3"),
+    ('{ file = "room.json" }', "room.json"),
+    ('{ preset = "larg-2019", arguments = { size = 4 }, seed = 2 }', r"larg-2019\(size=4\)#2"),
+    ('"ladder-1/pair/test[3]"', "ladder-1/pair/test#3")])
+def test_a_room_of_a_grid_of_version_0_3_is_refused_with_its_new_form(tmp_path: Path, room: str, text: str):
+    (tmp_path / "old.toml").write_text(f"rooms = [{room}]")
+    with pytest.raises(GridError, match=f"write '?{text}"):
+        load_grid(tmp_path / "old.toml")
+
+
+def test_rooms_of_a_grid_are_texts_in_python_too():
+    assert Grid(rooms=("clutter#3",)) == Grid(rooms=(RoomSpec("clutter#3"),))
 
 
 @pytest.mark.in_turn_for("ladder")

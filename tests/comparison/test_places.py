@@ -114,7 +114,7 @@ def test_sets_that_do_not_go_together_are_refused(fields, words):
     ("four-button-chain#0..1", {}, "set observation to objects, not features"),
     ("four-button-chain#0..1", {"observation": "objects"}, r"set network to objects, in short dqn\+objects"),
     ("four-button-chain#0", {"observation": "objects", "agents": (AgentSpec("q-learning"),)}, r"such as dqn\+objects"),
-    ("ladder-1/reach/test[0]", {"observation": "objects"}, "has 0 joints and that of .* 3"),
+    ("ladder-1/reach/test#0", {"observation": "objects"}, "has 0 joints and that of .* 3"),
 ])
 def test_sets_of_different_schematics_ask_for_what_both_can_show(test, fields, words):
     grid = Grid(train_rooms=("paper-two-button#0..1",), test_rooms=(test,), **{"agents": (AgentSpec("dqn"),), **fields})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,6 +12,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.commands.room_choice import refuse_rooms
 from hrl_escape.data.catalogue import FOLDER, RUNGS, TAPE_KINDS, find_tape, list_specs, parse_spec
 from hrl_escape.data.published import compare_published, read_published, refuse_other
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, VerificationError
@@ -123,6 +125,11 @@ class MakeArgs:
     """With --played: the rooms that were played, such as paper-two-button or ladder-1/pair/train#0..4."""
     played: tuple[Path, ...] = ()
     """Episodes saved by `hrl-escape play`, to make a data set of."""
+
+    @classmethod
+    def check_words(cls, command: Sequence[str], words: Sequence[str]) -> None:
+        """Refuse --rooms, the name of --room in 0.3."""
+        refuse_rooms(words)
 
 
 def run_make(args: MakeArgs) -> None:
