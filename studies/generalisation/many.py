@@ -107,7 +107,7 @@ def run_course(benchmark: str, course: str, agent: str, seed: int, primitives: i
 
 def name_rooms(benchmark: str, rung: str, half: Literal["train", "test"], count: int) -> str:
     """The first rooms of a rung's half, in a line."""
-    return f"{benchmark}/{rung}/{half}[:{count}]"
+    return f"{benchmark}/{rung}/{half}#0..{count}"
 
 
 def run_reference(benchmark: str, rung: str, agent: str, tested: int) -> BaselineRun:

@@ -147,7 +147,7 @@ def test_options_say_nothing_about_a_flat_agent():
         ({"agents": [AgentSpec("dqn", settings={"gama": 1})]}, "did you mean 'gamma'"),
         ({"agents": [AgentSpec("dqn", settings={"gamma": 2})]}, r"gamma = 2 is not possible.*from 0 to 1"),
         ({"rooms": ["cluter"]}, "did you mean 'clutter'"),
-        ({"rooms": ["clutter#x"]}, "after # comes the number"),
+        ({"rooms": ["clutter#x"]}, "after # write the number"),
         ({"runs": 0}, "grid.runs = 0 is not possible"),
         ({"primitives": "many"}, "grid.primitives = 'many' is not possible: a whole number"),
     ],
@@ -172,7 +172,7 @@ def test_an_unknown_agent_is_refused_where_it_is_named(name: str, message: str):
     [
         ("runs = ", "mine.toml: .*TOML"),
         ("run = 3", "mine.toml: unknown grid field .run.; did you mean .runs."),
-        ('rooms = [{ preset = "clutter", file = "x.json" }]', "one of preset, config, file or set"),
+        ('rooms = [{ room = "clutter", config = { horizon = 50 } }]', "a room is a text such as 'clutter#3'"),
         ('agents = [{ nam = "dqn" }]', "unknown agent field .nam.; did you mean .name."),
     ],
 )

@@ -34,8 +34,8 @@ def finished(tmp_path_factory) -> Comparison:
     folder = tmp_path_factory.mktemp("split")
     InstanceSet("ten", VARIED, range(10)).save(folder / "ten.json")
     agents = ("smdp-random", "smdp-dqn+objects+memory", "planner")
-    grid = Grid("split", agents=tuple(map(AgentSpec.parse, agents)), train_rooms=(f"{folder}/ten.json[:4]",),
-                test_rooms=(f"{folder}/ten.json[4:7]",), runs=1, primitives=150, eval_every=150, eval_episodes=4,
+    grid = Grid("split", agents=tuple(map(AgentSpec.parse, agents)), train_rooms=(f"{folder}/ten.json#0..4",),
+                test_rooms=(f"{folder}/ten.json#4..7",), runs=1, primitives=150, eval_every=150, eval_episodes=4,
                 observation="objects")
     return run_quietly(grid, folder / "out", LocalLauncher(1))
 
@@ -100,10 +100,10 @@ def test_overlaps_of_rooms_and_tasks_are_counted():
 
 
 @pytest.mark.parametrize(("fields", "words"), [
-    ({"train_rooms": ("clutter#0..3",)}, "one set of test_rooms"),
-    ({"train_rooms": ("clutter#0..3",) * 3, "test_rooms": ("clutter#4",) * 2}, "3 train_rooms"),
-    ({"rooms": ["clutter"], "train_rooms": ["clutter#0..3"], "test_rooms": ["clutter#4"]}, "not both"),
-    ({"train_rooms": ["clutter#0..3"], "test_rooms": ["clutter#4"], "until_solved": {"score": 0.9}}, "until_solved"),
+    ({"train_rooms": ("clutter#0..4",)}, "one set of test_rooms"),
+    ({"train_rooms": ("clutter#0..4",) * 3, "test_rooms": ("clutter#4",) * 2}, "3 train_rooms"),
+    ({"rooms": ["clutter"], "train_rooms": ["clutter#0..4"], "test_rooms": ["clutter#4"]}, "not both"),
+    ({"train_rooms": ["clutter#0..4"], "test_rooms": ["clutter#4"], "until_solved": {"score": 0.9}}, "until_solved"),
 ])
 def test_sets_that_do_not_go_together_are_refused(fields, words):
     with pytest.raises(GridError, match=words):
@@ -111,13 +111,13 @@ def test_sets_that_do_not_go_together_are_refused(fields, words):
 
 
 @pytest.mark.parametrize(("test", "fields", "words"), [
-    ("four-button-chain#0..1", {}, "set observation to objects, not features"),
-    ("four-button-chain#0..1", {"observation": "objects"}, r"set network to objects, in short dqn\+objects"),
+    ("four-button-chain#0..2", {}, "set observation to objects, not features"),
+    ("four-button-chain#0..2", {"observation": "objects"}, r"set network to objects, in short dqn\+objects"),
     ("four-button-chain#0", {"observation": "objects", "agents": (AgentSpec("q-learning"),)}, r"such as dqn\+objects"),
     ("ladder-1/reach/test#0", {"observation": "objects"}, "has 0 joints and that of .* 3"),
 ])
 def test_sets_of_different_schematics_ask_for_what_both_can_show(test, fields, words):
-    grid = Grid(train_rooms=("paper-two-button#0..1",), test_rooms=(test,), **{"agents": (AgentSpec("dqn"),), **fields})
+    grid = Grid(train_rooms=("paper-two-button#0..2",), test_rooms=(test,), **{"agents": (AgentSpec("dqn"),), **fields})
     with pytest.raises(GridError, match=words):
         grid.make_runs(grid.make_places())
 

@@ -1,6 +1,7 @@
 """Rooms of the frozen benchmarks are those of version 0.3: seeds of all, content of the first and the last of each set.
 
-`frozen_rooms.json` was written by version 0.3: number of rooms, hash of the seeds, digests of two rooms, hash of the set.
+`frozen_rooms.json` was written by version 0.3: number of rooms, hash of the seeds, digests of two rooms, hash of the
+set.
 """
 
 import hashlib
