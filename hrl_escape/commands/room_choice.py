@@ -14,8 +14,8 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.names import join_words
-from hrl_escape.sets.changes import read_value
-from hrl_escape.sets.grammar import Rooms, find_config, find_rooms, make_room, quote_room
+from hrl_escape.sets.changes import parse_value
+from hrl_escape.sets.grammar import NamedRooms, find_config, find_rooms, make_room, quote_room
 
 DEFAULT_ROOM = "paper-two-button"
 OLD_OPTIONS = ("--preset", "--arguments", "--config", "--load", "--rung")
@@ -65,7 +65,7 @@ class RoomChoice:
         """Find the configuration that the room is sampled from; None for the file of a finished room."""
         return find_config(self._source, self.changes)
 
-    def find_rooms(self) -> Rooms:
+    def find_rooms(self) -> NamedRooms:
         """Find the room, the set of rooms, or what else the text names."""
         source = self._source
         return make_room(source, self.changes) if isinstance(source, RoomConfig) else find_rooms(source, self.changes)
@@ -159,4 +159,4 @@ def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise ConfigError(option, text, f"name=value is needed, such as {example}")
-    return name, read_value(value, f"{option} {name}")
+    return name, parse_value(value, f"{option} {name}")

@@ -41,13 +41,13 @@ from hrl_escape.commands.room_choice import RoomChoice, refuse_options
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.records import record_returns
-from hrl_escape.comparison.runs import find_starts, make_env, make_player
+from hrl_escape.comparison.runs import find_starts, make_agent_env, make_player
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text, make_file_name
 from hrl_escape.planning.best_known import best_known_return, find_best_known
 from hrl_escape.sets.environments import list_batch_arguments
-from hrl_escape.sets.grammar import Rooms
+from hrl_escape.sets.grammar import NamedRooms
 from hrl_escape.sets.places import RunPlace
 from hrl_escape.settings import read_field_documents
 from hrl_escape.synthesis.kinds import find_kind
@@ -98,7 +98,7 @@ class TrainArgs(AgentChoice, RoomChoice):
     json: bool = False
     """Print the result as JSON."""
 
-    def make_batch(self, spec: AgentSpec, rooms: Rooms) -> VectorEnv | Streams:
+    def make_batch(self, spec: AgentSpec, rooms: NamedRooms) -> VectorEnv | Streams:
         """Copies of the room, or of the rooms of a set, that train together."""
         assert self.batch is not None
         given = list_batch_arguments(rooms)
@@ -155,7 +155,7 @@ def run(args: TrainArgs) -> None:
     if args.batch is None:
         refuse_options(args, ("compile", "device"), "is for many copies of the room: give --batch N too; one room is "
                        "stepped by Bullet, on the CPU")
-        env, recorder = make_env(spec, rooms, args.choose_observation(spec))
+        env, recorder = make_agent_env(spec, rooms, args.choose_observation(spec))
         player = make_player(spec, env, recorder) if spec.name == TOOLS else None
     else:
         env = args.make_batch(spec, rooms)

@@ -33,7 +33,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.files import read_json, write_json
 from hrl_escape.sets.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
-from hrl_escape.sets.grammar import FreshRooms, Rooms
+from hrl_escape.sets.grammar import FreshRooms, NamedRooms
 from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.sets.places import RunPlace, Split
 from hrl_escape.sets.room_schedule import RoomSchedule
@@ -121,7 +121,7 @@ def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> floa
                                    score_range.is_expected)
 
 
-def make_env(agent: AgentSpec, rooms: Rooms, observation: str,
+def make_agent_env(agent: AgentSpec, rooms: NamedRooms, observation: str,
              schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None, trials: int = 1
              ) -> tuple[gymnasium.Env, StateRecorder]:
     """The environment an agent acts in, and the recorder inside it; of a sequence the one in the first room.
@@ -135,7 +135,7 @@ def make_env(agent: AgentSpec, rooms: Rooms, observation: str,
     schedule = schedule or {}
     if isinstance(rooms, RoomSequence):
         (first, recorder), *others = (
-            make_env(agent, each, observation,
+            make_agent_env(agent, each, observation,
                      {str(compute_room_seed(int(seed), place)): number for seed, number in schedule.items()}, common)
             for place, each in enumerate(rooms.sets))
         return SequenceEnv(first, then=[env for env, _ in others], paired=rooms.paired), recorder
@@ -143,8 +143,8 @@ def make_env(agent: AgentSpec, rooms: Rooms, observation: str,
         flat = RoomSchedule(rooms.make_env(observation=observation),
                             {seed: number % len(rooms) for seed, number in schedule.items()})
     else:
-        given = {"config": rooms.config, "resample_instance": True} if isinstance(rooms, FreshRooms) else {
-            "instance": rooms}
+        given: dict[str, Any] = {"config": rooms.config, "resample_instance": True} if isinstance(
+            rooms, FreshRooms) else {"instance": rooms}
         flat = gymnasium.make("hrl_escape/EscapeRoom-v1", **given, observation=observation, disable_env_checker=True)
     recorder = StateRecorder(flat)
     if agent.leaves is not None:
@@ -175,7 +175,7 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
 
 
 def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -> Agent:
-    """Make an agent that is not trained, a reference or the caller of tools, for an environment from `make_env`."""
+    """Make an agent that is not trained for an environment from `make_agent_env`: a reference or the caller of tools."""
     if agent.name != TOOLS:
         return make_reference(agent.name, env, recorder)
     from hrl_escape.text.managers import ToolsAgent, make_model
@@ -187,7 +187,7 @@ def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> Com
     """Spaces of rooms to train in and to be tested in together; None where they are the same already."""
     if not split.is_transfer or (agent.is_reference and not isinstance(split.test, RoomSequence)):
         return None
-    envs = [make_env(agent, rooms, observation)[0] for rooms in split.sets]
+    envs = [make_agent_env(agent, rooms, observation)[0] for rooms in split.sets]
     try:
         return join_spaces(envs)
     finally:
@@ -204,7 +204,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
     common = _find_common_spaces(agent, place.split, grid.observation) if place.split else None
     rooms = place.split.test if place.split else place.instance
     floors = 1 if isinstance(rooms, RoomInstance) else len(list_sets(rooms))
-    env, recorder = make_env(agent, rooms, grid.observation, order, common)
+    env, recorder = make_agent_env(agent, rooms, grid.observation, order, common)
     try:
         starts = find_starts(env, recorder, seeds)
         score_range = compute_score_range(starts, agent, out / "references", floors)
@@ -233,8 +233,8 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPl
     assert place.split is not None
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(run.grid.eval_episodes)]
     order, floors = {str(seed): n for n, seed in enumerate(seeds)}, len(list_sets(place.split.train))
-    env, _ = make_env(run.agent, place.split.train, run.grid.observation, common=common, trials=run.grid.trials)
-    again, again_recorder = make_env(run.agent, place.split.train, run.grid.observation, order, common)
+    env, _ = make_agent_env(run.agent, place.split.train, run.grid.observation, common=common, trials=run.grid.trials)
+    again, again_recorder = make_agent_env(run.agent, place.split.train, run.grid.observation, order, common)
     try:
         agent, value = _train(run, out, env, eval_env, place, score_range, checkpoint_seconds)
         starts = find_starts(again, again_recorder, seeds)
@@ -251,7 +251,7 @@ def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, com
                        order: Mapping[str, int], value: RunResult) -> RunResult:
     """Evaluate every trial of episodes with several in the rooms to be tested in."""
     trials, starts = run.grid.trials, []
-    env, recorder = make_env(run.agent, split.test, run.grid.observation, order, common, trials)
+    env, recorder = make_agent_env(run.agent, split.test, run.grid.observation, order, common, trials)
     room: Any = env.unwrapped
     if run.agent.is_reference:
         player = make_player(run.agent, env, recorder)

@@ -41,7 +41,7 @@ def change_config(config: RoomConfig, changes: Mapping[str, Any]) -> RoomConfig:
     return RoomConfig.from_dict(fields)
 
 
-def read_value(text: str, path: str) -> Any:
+def parse_value(text: str, path: str) -> Any:
     """Read the value of `name=value`: JSON, or plain text where it is no JSON.
 
     Raises:

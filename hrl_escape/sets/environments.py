@@ -13,7 +13,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError
 from hrl_escape.sets.changes import change_config
-from hrl_escape.sets.grammar import FreshRooms, Rooms, find_rooms, find_set, make_room
+from hrl_escape.sets.grammar import FreshRooms, NamedRooms, find_rooms, find_set, make_room
 from hrl_escape.sets.instance_set import CHOOSING_ROOMS, InstanceSet, add_options, check_names
 from hrl_escape.sets.room_sequence import RoomSequence, RoomSets
 from hrl_escape.sets.sequence import SequenceEnv
@@ -71,7 +71,7 @@ def make_vec(room: RoomForm = "paper-two-button", num_envs: int = 1, options: bo
     return _make_batch(num_envs, list_batch_arguments(_find(room, changes)), options, arguments)
 
 
-def list_batch_arguments(rooms: Rooms) -> dict[str, Any]:
+def list_batch_arguments(rooms: NamedRooms) -> dict[str, Any]:
     """Arguments by which a batch is made over rooms: one room, or one that every episode draws.
 
     Raises:
@@ -101,7 +101,7 @@ def _make_batch(num_envs: int, rooms: Mapping[str, Any], options: bool | Mapping
     return EscapeRoomVectorEnv(num_envs, **{**rooms, **arguments})
 
 
-def _find(room: RoomForm, changes: Mapping[str, Any] | None) -> Rooms:
+def _find(room: RoomForm, changes: Mapping[str, Any] | None) -> NamedRooms:
     if isinstance(room, str):
         return find_rooms(room, changes)
     if isinstance(room, InstanceSet):

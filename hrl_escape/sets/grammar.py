@@ -33,9 +33,9 @@ from hrl_escape.errors import ConfigError, InstanceFileError, UnknownNameError, 
 from hrl_escape.files import read_json, read_toml
 from hrl_escape.names import count_nouns, parse_whole
 from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
-from hrl_escape.sets.changes import change_config, read_urdf, read_value
+from hrl_escape.sets.changes import change_config, parse_value, read_urdf
 from hrl_escape.sets.instance_set import InstanceSet
-from hrl_escape.sets.room_sequence import RoomSequence, RoomSets, repeat_rooms
+from hrl_escape.sets.room_sequence import RoomSequence, RoomSets, repeat_set
 
 LARGEST_RANGE = 1_000_000
 """Most rooms of a range `START..STOP`."""
@@ -64,7 +64,7 @@ class FreshRooms(NamedTuple):
     config: RoomConfig  # configuration that is sampled
 
 
-Rooms: TypeAlias = "RoomInstance | RoomSets | FreshRooms"
+NamedRooms: TypeAlias = "RoomInstance | RoomSets | FreshRooms"
 """Rooms of a text: one room, a set, sequences, or a fresh room each episode."""
 
 
@@ -151,7 +151,7 @@ def _parse_arguments(text: str, inside: str) -> dict[str, Any]:
         name, equals, value = part.partition("=")
         if not equals or not name.strip().isidentifier():
             raise ConfigError("room", text, "write arguments as name=value, such as larg-2019(size=4)")
-        arguments[name.strip()] = read_value(value.strip(), f"argument {name.strip()}")
+        arguments[name.strip()] = parse_value(value.strip(), f"argument {name.strip()}")
     return arguments
 
 
@@ -163,7 +163,7 @@ def quote_room(text: str) -> str:
 # --- rooms of a text ---------------------------------------------------------------------
 
 
-def find_rooms(text: str, changes: Mapping[str, Any] | None = None) -> Rooms:
+def find_rooms(text: str, changes: Mapping[str, Any] | None = None) -> NamedRooms:
     """Find the rooms of a text, in any form of the grammar; sets and ranges generate none yet.
 
     Args:
@@ -274,7 +274,7 @@ def _split(text: str) -> RoomName | tuple[list[RoomName], int]:
 
 def _find_sequence(names: Sequence[RoomName], count: int, changes: Mapping[str, Any]) -> RoomSequence:
     sets = [_require_set(name.base, _find(name, changes)) for name in names]
-    return repeat_rooms(sets[0], count) if count > 1 else RoomSequence(sets)
+    return repeat_set(sets[0], count) if count > 1 else RoomSequence(sets)
 
 
 def _require_set(text: str, found: InstanceSet | RoomInstance | FreshRooms) -> InstanceSet:

@@ -48,7 +48,7 @@ class RoomSequence:
                                                **({"paired": True} if self.paired else {})}}
 
 
-def repeat_rooms(rooms: InstanceSet, count: int) -> RoomSequence:
+def repeat_set(rooms: InstanceSet, count: int) -> RoomSequence:
     """Make a sequence of several rooms of one set, whose marks have one motif in an episode.
 
     Rooms whose motif fewer rooms have than the sequence is long are left out.

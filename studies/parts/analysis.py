@@ -16,7 +16,7 @@ from rich.console import Console
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import PLANNER, make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -171,7 +171,7 @@ def make_config(room: Mapping[str, Any], buttons: int, rule: str) -> RoomConfig:
 def _search(reference: str, config: RoomConfig, seed: int, budget: int) -> int | None:
     """Primitives to the first escape of a reference, which may ask how the room was drawn."""
     spec = AgentSpec.parse(f"{reference}+no-primitives")
-    env, recorder = make_env(spec, InstanceSet(reference, config, [seed]), "features")
+    env, recorder = make_agent_env(spec, InstanceSet(reference, config, [seed]), "features")
     try:
         return train(make_reference(spec.name, env, recorder), env, primitives=budget, seed=seed, eval_episodes=0,
                      probe=FirstEscape(), progress=False, observed=False).first_escape

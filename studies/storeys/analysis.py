@@ -13,12 +13,12 @@ from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate_trials
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.comparison.statistics import compute_efficiency
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.benchmark import load_benchmark
-from hrl_escape.sets.room_sequence import RoomSequence, repeat_rooms
+from hrl_escape.sets.room_sequence import RoomSequence, repeat_set
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
 from studies.running import StudyArgs as Args
@@ -58,7 +58,7 @@ def play_towers(agent: str, tower: RoomSequence, repeats: bool, towers: int) -> 
     """Play an episode in each of the first towers; without `repeats` nothing is carried from floor to floor."""
     spec, floors = AgentSpec.parse(agent), len(tower.sets)
     order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(towers)}
-    env, recorder = make_env(spec, RoomSequence(tower.sets, repeats), "objects", order)
+    env, recorder = make_agent_env(spec, RoomSequence(tower.sets, repeats), "objects", order)
     found = evaluate_trials(make_reference(spec.name, env, recorder), env, towers, floors)
     env.close()
     runs = []
@@ -73,7 +73,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     """Play what is missing."""
     data = study.data
     benchmark, rung = data["rung"].split("/")
-    tower = repeat_rooms(load_benchmark(benchmark)[rung].test, data["floors"])
+    tower = repeat_set(load_benchmark(benchmark)[rung].test, data["floors"])
     known = {run.place for run in store.load()}
     for agent, repeats in ((data["searcher"], True), (data["ceiling"], False), (data["ceiling"], True)):
         if (agent, repeats, data["floors"]) not in known:

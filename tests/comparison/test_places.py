@@ -12,7 +12,7 @@ from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.reporting.report import write_markdown, write_report
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.env.config import Between
 from hrl_escape.env.puzzles.base import Panels
@@ -136,7 +136,7 @@ def test_traits_of_agents_are_read_from_short_texts():
 
 def test_an_episode_s_room_hangs_on_its_seed_alone():
     rooms = InstanceSet("rooms", VARIED, range(4))
-    env, recorder = make_env(AgentSpec.parse("smdp-dqn+memory"), rooms, "objects", {"11": 2, "12": 0})
+    env, recorder = make_agent_env(AgentSpec.parse("smdp-dqn+memory"), rooms, "objects", {"11": 2, "12": 0})
     seen = []
     for seed in (11, 12, 11, 13, 13):
         env.reset(seed=seed)

@@ -14,7 +14,7 @@ from hrl_escape.agents.training.env_description import describe_env, make_descri
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env as make_view
+from hrl_escape.comparison.runs import make_agent_env as make_view
 from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
@@ -27,7 +27,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.sets.common_spaces import CommonSpacesEnv, join_spaces
 from hrl_escape.sets.grammar import find_sets
 from hrl_escape.sets.instance_set import InstanceSet
-from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON, RoomSequence, load_rooms, repeat_rooms
+from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON, RoomSequence, load_rooms, repeat_set
 from hrl_escape.sets.sequence import SequenceEnv, compute_room_seed
 
 CONFIG = RoomConfig(
@@ -249,7 +249,7 @@ def find_motif(room):
 
 
 def test_floors_that_repeat_have_one_motif_and_other_rooms():
-    tower = repeat_rooms(SAME, 3)
+    tower = repeat_set(SAME, 3)
     assert tower.paired and len({len(floor) for floor in tower.sets}) == 1 and len(tower.sets[0]) > 30
     seeds = np.array([floor.seeds for floor in tower.sets])
     assert all(len(set(rooms)) == 3 for rooms in seeds.T.tolist())
@@ -271,7 +271,7 @@ def test_floors_that_repeat_have_one_motif_and_other_rooms():
 
 
 def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_nothing_repeats():
-    spec, tower = AgentSpec.parse("smdp-bayes+no-primitives"), repeat_rooms(SAME, 2)
+    spec, tower = AgentSpec.parse("smdp-bayes+no-primitives"), repeat_set(SAME, 2)
     presses = {}
     for paired in (True, False):
         env, recorder = make_view(spec, RoomSequence(tower.sets, paired), "objects", {str(n): n for n in range(12)})

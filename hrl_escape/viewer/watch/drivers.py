@@ -31,7 +31,7 @@ from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.grid import AgentSpec
 from hrl_escape.comparison.pretrained import list_pretrained, unpack_pretrained
 from hrl_escape.comparison.references.registry import BAYES, REFERENCES, SEARCHERS
-from hrl_escape.comparison.runs import make_env, make_player
+from hrl_escape.comparison.runs import make_agent_env, make_player
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -177,7 +177,7 @@ def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: 
         return _make_driver("the planner", PlannerAgent(env, plan), env, "press", plan=plan)
     if name in (*SEARCHERS, BAYES):
         spec = dataclasses.replace(spec, options=dataclasses.replace(spec.options, include_primitives=False))
-    env, recorder = make_env(spec, instance, observation)
+    env, recorder = make_agent_env(spec, instance, observation)
     if spec.is_reference:
         words = f"{name}, {spec.resolve_settings()['model']}" if name == TOOLS else name
         return _make_driver(words, make_player(spec, env, recorder), env, flavour)
