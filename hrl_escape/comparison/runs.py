@@ -175,7 +175,7 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
 
 
 def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -> Agent:
-    """Make an agent that is not trained for an environment from `make_agent_env`: a reference or the caller of tools."""
+    """Make an agent without training, a reference or the caller of tools, for an environment of `make_agent_env`."""
     if agent.name != TOOLS:
         return make_reference(agent.name, env, recorder)
     from hrl_escape.text.managers import ToolsAgent, make_model

@@ -95,11 +95,11 @@ MUTATIONS = [
         "sets/test_keys.py::test_names_of_buttons_are_no_part_of_the_task",
     ),
     Mutation(
-        "a range of rooms has one too few",
-        "sets/room_sets.py",
-        "range(first, last + 1))",
-        "range(first, max(last, 1)))",
-        "sets/test_room_sets.py::test_texts_name_the_rooms_of_rungs_presets_and_files",
+        "a range of rooms holds its end too",
+        "sets/grammar.py",
+        "return range(first, stop), False",
+        "return range(first, stop + 1), False",
+        "sets/test_grammar.py::test_presets_take_a_number_a_range_and_arguments",
     ),
     Mutation(
         "a beacon's value in capitals is another test",
