@@ -11,7 +11,6 @@ from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
 from hrl_escape.comparison.reporting.report import write_report
 from hrl_escape.comparison.verdict import write_verdict
-from hrl_escape.sets.room_spec import RoomSpec
 
 ONLY_OPTIONS = OptionsView(include_primitives=False)
 
@@ -33,7 +32,7 @@ def main(primitives: int = 5_000, runs: int = 4, out: Path = Path("runs/own-comp
             AgentSpec("smdp-q-learning"),
             AgentSpec("smdp-q-learning", label="q-learning, options only", options=ONLY_OPTIONS),
         ),
-        rooms=(RoomSpec("paper-two-button"), RoomSpec("four-button-chain")),
+        rooms=("paper-two-button", "four-button-chain"),
         runs=runs,
         primitives=primitives,
         eval_every=primitives // 2,
