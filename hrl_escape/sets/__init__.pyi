@@ -1,27 +1,17 @@
-from .benchmark import Benchmark, certify_rung, list_benchmarks, load_benchmark
+from .benchmark import Benchmark, list_benchmarks, load_benchmark
 from .environments import make_env, make_vec
 from .goals import GoalsEnv
-from .grammar import find_rooms, find_set, make_room
-from .instance_set import InstanceSet, InstanceSetEnv
-from .keys import compute_keys
-from .room_sequence import RoomSequence
-from .room_spec import RoomSpec
-from .rung import Rung, derive_hidden_seed
+from .grammar import find_set, make_room
+from .instance_set import InstanceSet
+from .rung import Rung
 from .sequence import SequenceEnv
 
 __all__ = [
     "Benchmark",
     "GoalsEnv",
     "InstanceSet",
-    "InstanceSetEnv",
-    "RoomSequence",
-    "RoomSpec",
     "Rung",
     "SequenceEnv",
-    "certify_rung",
-    "compute_keys",
-    "derive_hidden_seed",
-    "find_rooms",
     "find_set",
     "list_benchmarks",
     "load_benchmark",

@@ -16,9 +16,9 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, EscapeError, FileReadError, UnknownNameError, UnsupportedError
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.sets import InstanceSet, RoomSequence, SequenceEnv, find_rooms, find_set, load_benchmark, make_room
-from hrl_escape.sets.grammar import LARGEST_RANGE, RoomName
-from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON
+from hrl_escape.sets import InstanceSet, SequenceEnv, find_set, load_benchmark, make_room
+from hrl_escape.sets.grammar import LARGEST_RANGE, RoomName, find_rooms
+from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON, RoomSequence
 
 
 def list_seeds(text):
