@@ -3,7 +3,7 @@
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 DEMO   ?= hrl-escape demo
-WATCH  ?= hrl-escape watch --preset clutter --seed 3
+WATCH  ?= hrl-escape watch --room clutter#3
 JOBS   ?= 2
 SHARD  ?= 1/1
 

@@ -30,8 +30,8 @@ from hrl_escape.comparison.submission import (
 )
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.files import read_json, write_text
-from hrl_escape.ladder.rung import Rung
 from hrl_escape.names import count_nouns, make_console_text
+from hrl_escape.sets.rung import Rung
 from hrl_escape.settings import read_record
 
 

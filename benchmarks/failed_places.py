@@ -30,10 +30,10 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import PlanningFailed
 from hrl_escape.floor.cost_to_go import FieldMaker
-from hrl_escape.ladder import load_benchmark
 from hrl_escape.planning.goals import Goal, PoseGoal, PressGoal
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch, SearchProblem
+from hrl_escape.sets import load_benchmark
 
 LIMIT_S = 0.2
 LINKS, FIND_PROOF = "_get_links", "_find_proof"

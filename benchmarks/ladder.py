@@ -40,8 +40,8 @@ from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.files import write_json
-from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
-from hrl_escape.ladder.manifest import load_manifest
+from hrl_escape.sets.benchmark import Benchmark, load_benchmark
+from hrl_escape.sets.manifest import load_manifest
 from hrl_escape.version import __version__
 from studies.ladder.calibration import find_miscalibration, find_steps
 from studies.ladder.freezing import freeze_manifest

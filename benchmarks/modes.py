@@ -6,7 +6,7 @@ published code made 97 steps a second when rerun in its fastest setting.
 
 Examples:
     python -m benchmarks.modes
-    python -m benchmarks.modes --preset clutter --seconds 2 --json
+    python -m benchmarks.modes --room clutter --seconds 2 --json
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.comparison.runs import get_training_folder
 from hrl_escape.comparison.submission import Card, describe_score, pack_submission
-from hrl_escape.ladder import load_benchmark
+from hrl_escape.sets import load_benchmark
 from studies.unseen import make_streams
 
 READER = "smdp-ppo+objects+memory"

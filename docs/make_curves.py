@@ -17,8 +17,8 @@ from hrl_escape.agents.registry import join_name, list_agents
 from hrl_escape.comparison.comparison import Comparison, run_grid
 from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.files import write_json
+from hrl_escape.sets.room_spec import RoomSpec
 
 ROOM, RUNS, PRIMITIVES, POINTS = "paper-one-button", 3, 10_000, 20
 OPTIONS_ONLY = {"factored-r-max", "hrc", "met-r-max", "monte-carlo-model", "vigorito-barto"}

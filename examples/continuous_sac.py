@@ -5,18 +5,18 @@ import argparse
 import gymnasium
 from stable_baselines3 import SAC
 
-import hrl_escape  # noqa: F401  # registers the rooms
+import hrl_escape
 from hrl_escape.planning import RoomPlanner, make_trajectory, track
 
 
 def main() -> None:
     """Track the plan, train, and play the policy once."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--preset", default="paper-one-button")
+    parser.add_argument("--room", default="paper-one-button")
     parser.add_argument("--steps", type=int, default=3000, help="of training, 0.1 s each")
     chosen = parser.parse_args()
-    env = gymnasium.make("hrl_escape/EscapeRoomContinuous-v1", config=chosen.preset, observation="features",
-                         time_limit=100.0)
+    env = gymnasium.make("hrl_escape/EscapeRoomContinuous-v1", instance=hrl_escape.make_room(chosen.room),
+                         observation="features", time_limit=100.0)
     env.reset(seed=0)
     room = env.unwrapped
     tracking = track(make_trajectory(RoomPlanner(room.instance).solve(room.get_state())), env)

@@ -2,21 +2,20 @@
 
 from pathlib import Path
 
-import gymnasium
 import tyro
 
-import hrl_escape  # noqa: F401  # registers the environments
+import hrl_escape
 from hrl_escape.planning.planner import RoomPlanner
 
 
-def main(config: str = "clutter", draw: Path = Path("plan.svg")) -> None:
+def main(room: str = "clutter", draw: Path = Path("plan.svg")) -> None:
     """Plan to one button, then plan the whole escape, drive it and draw it.
 
     Args:
-        config: preset of the room.
+        room: the room, such as clutter or ladder-1/chain/test#5.
         draw: picture to write.
     """
-    env = gymnasium.make("hrl_escape/EscapeRoom-v1", config=config)
+    env = hrl_escape.make_env(room)
     env.reset(seed=0)
     planner = RoomPlanner(env.unwrapped.instance)
     target = env.unwrapped.instance.targets[0].name

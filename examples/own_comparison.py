@@ -1,6 +1,6 @@
 """Your own comparison in Python: a grid of agents and rooms as data, parallel runs that are kept, and a report.
 
-The same from a shell: hrl-escape compare --agents random-options smdp-q-learning --rooms four-button-chain
+The same from a shell: hrl-escape compare --agents random-options smdp-q-learning --room four-button-chain
 """
 
 from pathlib import Path
@@ -9,7 +9,6 @@ import tyro
 
 from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.reporting.report import write_report
 from hrl_escape.comparison.verdict import write_verdict
 
@@ -31,7 +30,7 @@ def main(primitives: int = 5_000, runs: int = 4, out: Path = Path("runs/own-comp
             "smdp-q-learning",
             "smdp-q-learning+primitives",
         ),
-        rooms=(RoomSpec("paper-two-button"), RoomSpec("four-button-chain")),
+        rooms=("paper-two-button", "four-button-chain"),
         runs=runs,
         primitives=primitives,
         eval_every=primitives // 2,

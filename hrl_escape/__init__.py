@@ -28,5 +28,5 @@ for _suffix, (_one, _many) in _DOORS.items():
 
 gymnasium.register("hrl_escape/EscapeRoomContinuous-v1", "hrl_escape.env.continuous:EscapeRoomContinuousEnv",
                    vector_entry_point="hrl_escape.env.continuous_vector_env:EscapeRoomContinuousVectorEnv")
-gymnasium.register("hrl_escape/Ladder-v1", "hrl_escape.ladder.room_sets:make_ladder_env",
-                   vector_entry_point="hrl_escape.ladder.room_sets:make_ladder_vec")
+gymnasium.register("hrl_escape/Ladder-v1", "hrl_escape.sets.environments:make_ladder_env",
+                   vector_entry_point="hrl_escape.sets.environments:make_ladder_vec")

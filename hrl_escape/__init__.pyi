@@ -8,6 +8,8 @@ from .env.presets import get_preset
 from .env.sampling.generation import generate
 from .options.options_env import OptionsEnv
 from .planning.planner import RoomPlanner
+from .sets.environments import make_env, make_vec
+from .sets.grammar import make_room
 
 __version__: str
 
@@ -22,5 +24,8 @@ __all__ = [
     "get_preset",
     "load_pretrained",
     "make_agent",
+    "make_env",
+    "make_room",
+    "make_vec",
     "train",
 ]

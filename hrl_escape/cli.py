@@ -145,6 +145,8 @@ def _run_command(run: Callable[..., int | None], arguments: list[str], words: li
     import tyro  # not for `hrl-escape --help`
 
     args_type = typing.get_type_hints(run)["args"]
+    if hasattr(args_type, "check_words"):
+        args_type.check_words(words, arguments)
     document = sys.modules[run.__module__].__doc__ if run.__name__ == "run" else inspect.getdoc(run)
     args = tyro.cli(args_type, prog=" ".join(words), args=arguments, description=document,
                     config=(tyro.conf.FlagCreatePairsOff,))

@@ -32,8 +32,8 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.files import read_text
-from hrl_escape.ladder.goals import GoalsEnv
 from hrl_escape.planning.best_known import find_best_known
+from hrl_escape.sets.goals import GoalsEnv
 from hrl_escape.settings import read_record, replace_settings
 from hrl_escape.version import find_versions
 from studies.archive import ArchiveSettings, explore

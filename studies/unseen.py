@@ -15,16 +15,16 @@ from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.options.memory import MemoryStreams
 from hrl_escape.planning.best_known import find_best_known, list_start_states
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
 
 __all__ = ["Streams", "UnseenRooms", "count_fewest", "get_unseen", "make_streams", "make_unseen",
            "play_agent", "play_unseen", "stream_rooms", "train_agent"]
@@ -107,7 +107,7 @@ def play_agent(spec: AgentSpec, unseen: UnseenRooms, train_in: InstanceSet | Str
     def make_player(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
         if spec.is_reference:
             return make_reference(spec.name, env, recorder)
-        own = make_env(spec, train_in, "objects")[0] if isinstance(train_in, InstanceSet) else train_in
+        own = make_agent_env(spec, train_in, "objects")[0] if isinstance(train_in, InstanceSet) else train_in
         player, _ = train_agent(spec, own, primitives, seed)
         if isinstance(own, gymnasium.Env):
             own.close()
@@ -128,7 +128,7 @@ def play_unseen(view: AgentSpec, unseen: UnseenRooms, make_player: Callable[[gym
     """
     tested = len(unseen.fewest)
     order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(tested)}
-    env, recorder = make_env(view, unseen.rooms, observation, order)
+    env, recorder = make_agent_env(view, unseen.rooms, observation, order)
     try:
         found = evaluate(make_player(env, recorder), env, tested)
     finally:

@@ -57,7 +57,7 @@ def test_a_missing_package_stops_only_the_commands_that_need_it(missing):
 
 def test_a_missing_extra_is_named(capsys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    code, _, err = call(capsys, "solve", "--preset", "paper-one-button", "--draw", tmp_path / "way.mp4")
+    code, _, err = call(capsys, "solve", "--room", "paper-one-button", "--draw", tmp_path / "way.mp4")
     assert code == 2 and "'.[video]'" in err and err.count("\n") == 1
 
 
@@ -90,18 +90,18 @@ def test_an_impossible_episode_seed_is_refused_before_anything_is_opened_or_writ
     if command == "mcp":
         pytest.importorskip("mcp")
     monkeypatch.chdir(tmp_path)
-    assert_refused(capsys, [command, "--preset", "paper-one-button", "--episode-seed", "-1"],
+    assert_refused(capsys, [command, "--room", "paper-one-button", "--episode-seed", "-1"],
                    "seed = -1 is not possible: a whole number of at least 0")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unknown_option_is_explained(capsys):
-    code, out, err = call(capsys, "room", "--sed", "3")
-    assert code == 2 and "--seed" in out + err
+    code, out, err = call(capsys, "room", "--romm", "clutter")
+    assert code == 2 and "--room" in out + err
 
 
 def test_mistakes_show_no_traceback_in_the_real_program(tmp_path):
-    done = subprocess.run([PROGRAM, "room", "--preset", "cluter"], cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run([PROGRAM, "room", "--room", "cluter"], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.count("\n") == 1 and "Traceback" not in done.stderr
 
@@ -156,11 +156,11 @@ LONG = "a" * 300
 
 
 @pytest.mark.parametrize("arguments", [
-    ["room", "--load", LONG], ["room", "--config", LONG + ".toml"], ["compare", LONG + ".toml"],
+    ["room", "--room", LONG + ".json"], ["room", "--room", LONG + ".toml"], ["compare", LONG + ".toml"],
     ["record", LONG + ".json"], ["record", LONG], ["room", "--save", f"/tmp/{LONG}"],
     ["train", "random", "--primitives", "10", "--out", LONG], ["compare", "quickstart", "--out", LONG],
-    ["room", "--load", "a\0b"], ["room", "--load", "/dev/zero"], ["room", "--config", "/dev/zero"],
-    ["compare", "/dev/zero.toml"], ["room", "--load", "/"],
+    ["room", "--room", "a\0b.json"], ["room", "--room", "/dev/zero.json"], ["room", "--room", "/dev/zero"],
+    ["compare", "/dev/zero.toml"], ["room", "--room", "/"],
 ], ids=lambda arguments: " ".join(arguments)[:30])
 def test_a_name_that_no_file_can_have_and_what_is_no_file_are_one_line(capsys, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
@@ -170,7 +170,7 @@ def test_a_name_that_no_file_can_have_and_what_is_no_file_are_one_line(capsys, t
 
 def test_an_animation_needs_no_viewer(tmp_path):
     script = ("import sys; sys.modules['viser'] = sys.modules['trimesh'] = None; from hrl_escape.cli import main\n"
-              "sys.exit(main(['record', '--preset', 'paper-one-button', '--out', sys.argv[1]]))")
+              "sys.exit(main(['record', '--room', 'paper-one-button', '--out', sys.argv[1]]))")
     done = run_fork(script, str(tmp_path / "x.gif"))
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "x.gif").read_bytes()[:3] == b"GIF"

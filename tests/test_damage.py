@@ -7,13 +7,13 @@ import random
 
 import pytest
 
-from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.comparison.grid import load_grid
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError
 from hrl_escape.files import read_toml
+from hrl_escape.sets.grammar import find_config
 from hrl_escape.viewer.play.episode import SavedEpisode, load_episode, save_episode
 from tests.agents.training.test_damage import change_bytes, change_value
 from tests.command_line import call
@@ -32,7 +32,7 @@ def make_json(kind, room, path):
     if kind == "grid":
         return SMALL.to_dict(), load_grid
     if kind == "schematic":
-        return SCHEMATIC.to_dict(), lambda path: RoomChoice(config=path).make_config()
+        return SCHEMATIC.to_dict(), lambda path: find_config(str(path))
     save_episode(path, SavedEpisode(room, 0, (("forward", (0, 0), "done"),), -2.0, False))
     return json.loads(path.read_text()), load_episode
 
@@ -61,5 +61,5 @@ def test_a_changed_file_is_read_or_refused_in_words(tmp_path, room, kind, how):
 def test_an_extreme_schematic_is_one_short_line(tmp_path, capsys, text):
     (tmp_path / "x.toml").write_text(text)
     assert read_toml(tmp_path / "x.toml")
-    code, _, err = call(capsys, "room", "--config", tmp_path / "x.toml")
+    code, _, err = call(capsys, "room", "--room", tmp_path / "x.toml")
     assert code == 2 and err.count("\n") == 1 and len(err) < 2_000

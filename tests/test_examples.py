@@ -19,7 +19,7 @@ LESSONS = [
      [r"meta-01: \d+ primitives, reached, .*pressed \['button-1'\]", r"escaped: True, return \d+"]),
     ("door_3_training.py", ["--agent", "random-options", "--primitives", "500"],
      [r"  0 primitives: return", r"  5\d\d primitives: return", r"meta-0\d: \d+ primitives, reward -\d+"]),
-    ("door_4_planner.py", ["--config", "paper-two-button", "--draw", "plan.svg"],
+    ("door_4_planner.py", ["--room", "paper-two-button", "--draw", "plan.svg"],
      [r"total +\d+", r"driven: escaped True.*every state as predicted: True"]),
     ("stable_baselines.py", ["--steps", "256"],
      [r"DQN on primitives", r"MaskablePPO on options: 256 steps, then return",

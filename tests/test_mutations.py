@@ -1,7 +1,7 @@
 """Planted bugs, one at a time in a copy of the package: each makes a test fail.
 
 `tests/mutations/<package>.py` lists them. `make test-planted` runs them all, with `SHARD=2/4` a quarter; `python -m
-pytest tests/test_mutations.py -m slow -k ladder` runs those of one package.
+pytest tests/test_mutations.py -m slow -k sets` runs those of one package.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import pytest
 
 from tests.mutations.mutation import ROOT, Mutation, PackageCopy, find_source
 
-PACKAGES = ("smdp_traps", "task_hierarchies", "learned", "env", "planning", "options", "agents", "ladder",
+PACKAGES = ("smdp_traps", "task_hierarchies", "learned", "env", "planning", "options", "agents", "sets",
             "comparison", "studies", "viewer", "commands", "text", "data")
 MUTATIONS: dict[str, list[Mutation]] = {
     package: [Mutation(*fields) for fields in import_module(f"tests.mutations.{package}").MUTATIONS]

@@ -14,9 +14,9 @@ import pytest
 from hrl_escape import EscapeRoomEnv, OptionsEnv, RoomInstance, RoomPlanner, generate, get_preset, train
 from hrl_escape.comparison.comparison import read_comparison, run_grid
 from hrl_escape.comparison.grid import Grid, RoomSpec
-from hrl_escape.ladder import load_benchmark
 from hrl_escape.planning import ArmPlanner
 from hrl_escape.planning.plan import Plan
+from hrl_escape.sets import load_benchmark
 
 
 @pytest.fixture(scope="module")

@@ -160,7 +160,7 @@ for things in "agents", "puzzles", "observations":
     call("list", things)
 check_agent(get_agent_class("first-legal"))
 check_puzzle(get_puzzle_kind("toggles").config_type().make_puzzle(numpy.random.default_rng(0)))
-budget = ["--preset", "paper-one-button", "--primitives", "40", "--eval-episodes", "1", "--json"]
+budget = ["--room", "paper-one-button", "--primitives", "40", "--eval-episodes", "1", "--json"]
 call("train", "smdp-first-legal", *budget, "--out", "algorithm")
 call("train", "q-learning", *budget, "--observation", "compass", "--out", "observation")
 small = {"warmup": 20, "hidden": (8,), "batch_size": 8}
@@ -169,7 +169,7 @@ for name, many in (("one", EscapeRoomEnv("paper-one-button", observation="featur
     done = train("mellow-dqn", many, primitives=120, settings=small, eval_episodes=1)
     said[name] = [done.primitives, done.agent.settings.n_step, done.agent.values.learner.updates,
                   len(list_recipes("smdp-mellow-dqn")["corrected"].to_dict())]
-call("solve", "--set", "puzzle.kind=toggles", "--seed", "1")
+call("solve", "--set", "puzzle.kind=toggles", "--room", "custom#1")
 env = EscapeRoomEnv("paper-one-button", observation="compass")
 said["first"] = [env.observation_space.shape, env.reset(seed=0)[0].tolist()]
 batch = EscapeRoomVectorEnv(2, "paper-one-button", observation="compass")

@@ -45,7 +45,7 @@ env.config env.presets env.instance env.robot env.primitives env.geometry env.ob
 env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip env.sampling.generation env.pictures.maps
 env.bullet.engine env.bullet.physics env.batched.engine env.batched.rules
 env.escape_room env.vector_env env.torchrl_env
-ladder.benchmark ladder.rung ladder.instance_set
+sets.benchmark sets.rung sets.instance_set ladder.references
 data.tape data.materialise text.told_env
 """.split()
 
@@ -58,8 +58,8 @@ ALLOWED_IMPORTS = {
     "options.meta_actions": "hrl_escape.planning.planner",
     "planning.paths.navigator": "ompl",
     "planning.arm.model": "pinocchio",
-    "ladder.instance_set": "hrl_escape.env.escape_room",
-    "comparison.grid": "hrl_escape.ladder.benchmark",
+    "sets.instance_set": "hrl_escape.env.escape_room",
+    "comparison.grid": "hrl_escape.sets.benchmark",
     "env.escape_room": "hrl_escape.env.engine",
     "env.vector_env": "gymnasium",
     "env.bullet.engine": "pybullet",
@@ -75,8 +75,8 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("errors", "hrl_escape.env.config", "errors <- env <- floor <- planning <- options"),
     ("options.option", "hrl_escape.agents.agent", "errors <- env <- floor <- planning <- options"),
     ("options.new", "hrl_escape.comparison.reporting.report", "errors <- env <- floor <- planning <- options"),
-    ("ladder.new", "hrl_escape.comparison.reporting.report", "errors <- env <- floor <- planning <- options"),
-    ("agents.components.new", "hrl_escape.ladder.rung", "errors <- env <- floor <- planning <- options"),
+    ("sets.new", "hrl_escape.comparison.reporting.report", "errors <- env <- floor <- planning <- options"),
+    ("agents.components.new", "hrl_escape.sets.rung", "errors <- env <- floor <- planning <- options"),
     ("viewer.scene", "hrl_escape.cli", "errors <- env <- floor <- planning <- options"),
     ("agents.algorithms.new", "hrl_escape.env.config", "agents know neither env, planning nor options"),
     ("agents.training.new", "hrl_escape.options.option", "agents know neither env, planning nor options"),
@@ -86,6 +86,7 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("env.sampling.new", "hrl_escape.env.batched.engine", "rules of a room"),
     ("planning.new", "hrl_escape.env.bullet.engine", "no engine but through"),
     ("commands.new", "hrl_escape.env.bullet.physics", "no engine but through"),
+    ("data.new", "hrl_escape.comparison.grid", "data sets and training name rooms"),
     ("env.puzzles.new", "hrl_escape.env.puzzles.buttons", "puzzles do not import puzzles"),
     ("agents.hierarchy.new", "hrl_escape.agents.algorithms.task_hierarchies.hamq", "agents: the protocol and parts"),
     ("agents.components.new", "hrl_escape.agents.training.train", "agents: the protocol and parts"),
@@ -140,7 +141,7 @@ def test_import_contracts_find_planted_violations(tmp_path: Path):
     """All at once; each is told below the contract that it breaks."""
     report = lint_imports(write_house(tmp_path, (pair[:2] for pair in FORBIDDEN_IMPORTS))).stdout
     contracts = re.findall(r"^(.+) (?:BROKEN|KEPT)$", report, re.MULTILINE)
-    assert len(contracts) == 13
+    assert len(contracts) == 14
     told = report.partition("Broken contracts")[2]
     places = sorted((told.index(f"\n{name}\n---"), name) for name in contracts)
     ends = [*(place for place, _ in places[1:]), len(told)]
@@ -346,8 +347,8 @@ for name in ("Clutter", "ArmTwoButton", "BlocksWorld"):
     env.reset(seed=0)
     print(len(env.step(0)))
 from hrl_escape.cli import main
-print(main(["solve", "--preset", "paper-one-button", "--planner", "RRTConnect"]))
-print(main(["solve", "--preset", "arm-two-button"]))
+print(main(["solve", "--room", "paper-one-button", "--planner", "RRTConnect"]))
+print(main(["solve", "--room", "arm-two-button"]))
 """
 
 

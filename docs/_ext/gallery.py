@@ -1,7 +1,7 @@
 """The gallery: a card for every preset and every rung, with the planner's escape as a moving map.
 
 Rooms are generated, solved and searched while the site is built; how learners do comes from the lines of the studies.
-`{gallery} presets` shows all presets, `{gallery} rungs` all rungs of the ladder, `{play} --preset clutter` one escape.
+`{gallery} presets` shows all presets, `{gallery} rungs` all rungs of the ladder, `{play} --room clutter` one escape.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from hrl_escape.env.pictures.moving_map import PLAYER, PLAYER_COLOURS, describe_
 from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError
-from hrl_escape.ladder import load_benchmark
 from hrl_escape.options import OptionsEnv
 from hrl_escape.planning.plan import Plan
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.sets import load_benchmark
 from hrl_escape.templates import embed_json
 from studies.store import read_rows
 
@@ -126,7 +126,7 @@ def list_presets() -> Iterator[Card]:
         found = "" if config.dynamics.kind == "physics" else search(room)
         facts += [("searcher", found)] if found else []
         yield Card(name, describe_schematic(config), f"hrl_escape/{make_env_name(name)}-v1", room, tuple(facts),
-                   f"hrl-escape play --preset {name}")
+                   f"hrl-escape play --room {name}")
 
 
 def list_rungs() -> Iterator[Card]:
@@ -192,7 +192,7 @@ class Gallery(SphinxDirective):
 
 
 class Play(SphinxDirective):
-    """`{play} --preset clutter --seed 3`: the planner's escape of one room; the content is its caption."""
+    """`{play} --room clutter#3`: the planner's escape of one room; the content is its caption."""
 
     required_arguments = 1
     final_argument_whitespace = True

@@ -73,7 +73,7 @@ class Picture(SphinxDirective):
 
 
 class Room(Picture):
-    """`{room} --preset clutter --seed 3`."""
+    """`{room} --room clutter#3`."""
 
     option_spec = {"solve": directives.flag, "moving": directives.flag, "camera": directives.unchanged,
                    "sampled": directives.nonnegative_int}

@@ -24,9 +24,9 @@ from hrl_escape.env import RoomInstance, generate, get_preset
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.pictures.moving_map import PLAYER_COLOURS as LOOK
 from hrl_escape.env.pictures.moving_map import describe_room, make_frames
-from hrl_escape.ladder import load_benchmark
 from hrl_escape.options import OptionsEnv
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.sets import load_benchmark
 
 KEPT = Path(__file__).parents[1] / "images" / "strip.svg"
 SEED, TRAINING, SEARCHER, LEARNER = 3, 10_000, "search-nearest", "smdp-q-learning+primitives"

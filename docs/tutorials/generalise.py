@@ -8,8 +8,8 @@ import numpy as np
 
 from hrl_escape import make_agent, train
 from hrl_escape.comparison import record_episode
-from hrl_escape.ladder import load_benchmark
 from hrl_escape.options import DecisionMemory
+from hrl_escape.sets import load_benchmark
 
 rung = load_benchmark("ladder-1")["pair"]
 print(len(rung.train), "rooms to train on,", len(rung.test), "to be tested in")

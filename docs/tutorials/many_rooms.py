@@ -12,8 +12,8 @@ import torch
 from hrl_escape import train
 from hrl_escape.comparison import record_episode
 from hrl_escape.figures import get_figure_class
-from hrl_escape.ladder import load_benchmark
 from hrl_escape.options import DecisionMemory, MemoryStreams
+from hrl_escape.sets import load_benchmark
 
 freight = load_benchmark("ladder-1")["freight"].train[:8]
 batch = freight.make_vec(8, options={"include_primitives": False}, compile=False)

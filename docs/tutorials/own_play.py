@@ -31,7 +31,7 @@ for number, moves in enumerate([(SECOND, TURN, FIRST, SECOND, LEAVE), (FIRST, FI
     episode.close()
 
 # The files become a data set. Every move is a decision with its duration; primitives between them are decisions of one.
-# On the command line it is `hrl-escape data make mine --rooms paper-two-button#0 --played episodes/*.json`.
+# On the command line it is `hrl-escape data make mine --room paper-two-button#0 --played episodes/*.json`.
 
 tape = make_played_tape("mine", "paper-two-button#0", sorted(folder.glob("mine-*.json")))
 save_tape(folder / "mine.npz", tape)

@@ -2,19 +2,19 @@
 
     hrl-escape compare                                     # quickstart: do options help, does learning add to them?
     hrl-escape compare demo                                # the same as hrl-escape demo
-    hrl-escape compare --agents smdp-r-max search-backtrack random-options --rooms clutter
+    hrl-escape compare --agents smdp-r-max search-backtrack random-options --room clutter
     hrl-escape compare paper --workers 8
-    hrl-escape compare ladder --rooms clutter clutter#1 --runs 5
-    hrl-escape compare --agents dqn smdp-dqn smdp-dqn@keras-rl-2019 random-options --rooms four-button-chain
+    hrl-escape compare ladder --room clutter clutter#1 --runs 5
+    hrl-escape compare --agents dqn smdp-dqn smdp-dqn@keras-rl-2019 random-options --room four-button-chain
     hrl-escape compare my-grid.toml --out runs/mine
     hrl-escape compare --agents smdp-dqn random-options --observation objects \
-        --train-rooms ladder-1/pair/train[:16] --test-rooms ladder-1/pair/test
+        --train-rooms ladder-1/pair/train#0..16 --test-rooms ladder-1/pair/test
 
 Finished runs are kept: the same command goes on where it was stopped, however it was stopped. In a grid's file, agents
-and rooms are tables or the same short texts:
+are tables or short texts, and rooms are short texts:
 
     primitives = 20000
-    rooms = ["clutter#3", { preset = "larg-2019", arguments = { size = 4 } }, { file = "my-room.json" }]
+    rooms = ["clutter#3", "larg-2019(size=4)", "my-room.json", "ladder-1/lattice/test#3"]
     agents = ["random-options", { name = "smdp-dqn", label = "far-sighted", settings = { gamma = 0.999 } },
               { name = "smdp-dqn", label = "no primitives", options = { include_primitives = false } }]
 """
@@ -26,6 +26,7 @@ import json
 import shlex
 import sys
 import webbrowser
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,19 +37,19 @@ from rich.text import Text
 
 from hrl_escape.agents.spec import PARTS, AgentSpec
 from hrl_escape.commands.agent_choice import VectorObservation
-from hrl_escape.commands.room_choice import split_assignment
+from hrl_escape.commands.room_choice import refuse_rooms, split_assignment
 from hrl_escape.comparison.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.comparison.cost import describe_cost
 from hrl_escape.comparison.grid import Grid, load_grid
 from hrl_escape.comparison.launching.clusters import RayLauncher, SlurmLauncher
 from hrl_escape.comparison.launching.local import Launcher, LocalLauncher
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.presets import GRIDS, get_grid
 from hrl_escape.comparison.reporting.report import format_first_escape, write_report
 from hrl_escape.comparison.summary import Summary
 from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.names import join_words, make_console_text, make_file_name, tell_seconds
+from hrl_escape.sets.room_spec import RoomSpec
 
 DEFAULT, DEMO = "quickstart", "demo"
 AGENTS_HELP = ("Other agents: names from `hrl-escape list agents references`, smdp- in front for those that choose "
@@ -123,10 +124,10 @@ class CompareArgs(LaunchArgs):
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
     """Name of a comparison, see `hrl-escape list comparisons`; or a .toml or .json file with your own grid."""
     agents: Annotated[tuple[str, ...], tyro.conf.arg(help=AGENTS_HELP)] = ()
-    rooms: tuple[str, ...] = ()
-    """Other rooms: presets, #3 behind for instance 3, .json files of instances, or ladder-1/lattice/test[3]."""
+    room: tuple[str, ...] = ()
+    """Other rooms: clutter, clutter#3, ladder-1/lattice/test#3, my-room.json; see `hrl-escape room --help`."""
     train_rooms: tuple[str, ...] = ()
-    """Sets of rooms to train in, such as ladder-1/lattice/train[:64], clutter#0..15 or a .json file of a set."""
+    """Sets of rooms to train in, such as ladder-1/lattice/train#0..64, clutter#0..16 or a .json file of a set."""
     test_rooms: tuple[str, ...] = ()
     """Sets of rooms to be tested in: one for all --train-rooms, or one for each."""
     runs: int | None = None
@@ -148,6 +149,11 @@ class CompareArgs(LaunchArgs):
     json: bool = False
     """Print the results as JSON instead of words and a table."""
 
+    @classmethod
+    def check_words(cls, command: Sequence[str], words: Sequence[str]) -> None:
+        """Refuse --rooms, the name of --room in 0.3."""
+        refuse_rooms(words)
+
     def make_grid(self) -> Grid:
         """The grid that is asked for; `EscapeError` where it cannot be read or has an impossible value."""
         if Path(self.what).suffix.lower() in (".toml", ".json"):
@@ -164,11 +170,11 @@ class CompareArgs(LaunchArgs):
             agents = changes["agents"] = tuple(map(AgentSpec.parse, self.agents))
             if any(agent.reads_objects for agent in agents):
                 changes.setdefault("observation", "objects")
-        if self.rooms:
-            changes["rooms"] = tuple(map(RoomSpec.parse, self.rooms))
+        if self.room:
+            changes["rooms"] = tuple(map(RoomSpec.parse, self.room))
         if self.train_rooms:
             changes |= {"rooms": (), "train_rooms": self.train_rooms, "test_rooms": self.test_rooms}
-        if self.what == DEFAULT and (self.agents or self.rooms or self.train_rooms):
+        if self.what == DEFAULT and (self.agents or self.room or self.train_rooms):
             changes |= {"name": "comparison", "description": ""}
         return dataclasses.replace(grid, **changes)
 

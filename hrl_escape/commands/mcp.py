@@ -1,8 +1,8 @@
 """Let a language model play a room: serve its tools by the Model Context Protocol, on stdin and stdout.
 
     hrl-escape mcp
-    hrl-escape mcp --rung lattice --room test#3
-    hrl-escape mcp --rung chain --room test#0 --told names --record games/mine.jsonl
+    hrl-escape mcp --room ladder-1/lattice/test#3
+    hrl-escape mcp --room ladder-1/chain/test#0 --told names --record games/mine.jsonl
 
 A client starts this command itself; its configuration needs these words and nothing else. Needs the extra `mcp`.
 The recorded game can be replayed and compared: see the page on tools.
@@ -16,20 +16,12 @@ from pathlib import Path
 
 from hrl_escape.agents.text_agent import Level
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.instance import RoomInstance
-from hrl_escape.errors import ConfigError, UnsupportedError
 
 
 @dataclasses.dataclass(frozen=True)
 class McpArgs(RoomChoice):
     """Options of `hrl-escape mcp`."""
 
-    rung: str | None = None
-    """Rung of the ladder, in place of a preset; `hrl-escape ladder list` names them all."""
-    room: str = "test#0"
-    """Set and number of the rung's room."""
-    benchmark: str = "ladder-1"
-    """Benchmark that has the rung."""
     told: Level = "places"
     """Told to the caller: names, places or model."""
     options_only: bool = False
@@ -38,19 +30,6 @@ class McpArgs(RoomChoice):
     """Episode seed: fixes the start and the noise."""
     record: Path | None = None
     """File for the game, written at its start and anew after every call, in JSON Lines."""
-
-    def make_instance(self) -> RoomInstance:
-        """The room, of a rung or as the other options say."""
-        if self.rung is None:
-            return super().make_instance()
-        from hrl_escape.ladder.room_sets import parse_room_set
-
-        if self.load or self.config or self.set or self.arguments:
-            raise UnsupportedError("--rung takes a room of the ladder: leave out --load, --config, --set, --arguments")
-        role, mark, number = self.room.partition("#")
-        if not mark or not number.isdecimal():
-            raise ConfigError("--room", self.room, "a set and a number, such as test#3")
-        return parse_room_set(f"{self.benchmark}/{self.rung}/{role}[{number}]")[0]
 
 
 def run(args: McpArgs) -> None:

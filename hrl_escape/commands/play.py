@@ -1,7 +1,7 @@
 """Play a room yourself, in the browser, and beat the best known return.
 
     hrl-escape play
-    hrl-escape play --preset clutter --seed 3 --hidden
+    hrl-escape play --room clutter#3 --hidden
     hrl-escape play --replay episodes/paper-two-button-0-31-primitives-3f9c02ab.json
 
 W A S D and the arrows drive, U J move the arm, M and a number run a meta-action. Z takes a move back, R starts
@@ -69,11 +69,10 @@ class PlayArgs(PageAddress, RoomChoice):
     def make_episode(self, saved: SavedEpisode | None = None) -> Episode:
         """Episode in the room that is asked for, or in that of a saved one."""
         if saved is not None:
-            refuse_options(self, ("preset", "arguments", "config", "set", "seed", "load", "episode_seed"),
+            refuse_options(self, ("room", "set", "episode_seed"),
                            "chooses what to play, and --replay has room and start: give one of them")
             return Episode(saved.instance, None, saved.seed, self.hidden)
-        config = None if self.load else self.make_config()
-        return Episode(self.make_instance(), config, self.episode_seed, self.hidden)
+        return Episode(self.make_instance(), self.find_config(), self.episode_seed, self.hidden)
 
 
 def run(args: PlayArgs) -> None:

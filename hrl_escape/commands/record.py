@@ -1,7 +1,7 @@
 """Record an episode as one HTML page that plays it in 3D offline, or as an animation.
 
     hrl-escape record
-    hrl-escape record --preset clutter --seed 3 --out clutter.html clutter.gif
+    hrl-escape record --room clutter#3 --out clutter.html clutter.gif
     hrl-escape record runs/smdp-dqn-paper-two-button-0-5a1d3f0c --out learned.html
     hrl-escape record episodes/paper-two-button-0-31-primitives-3f9c02ab.json --out mine.mp4
 
@@ -75,7 +75,7 @@ def _record(args: RecordArgs) -> Recording:
     if args.driver.endswith(".json"):
         return record_saved(load_episode(args.driver), Path(args.driver).stem)
     text, own = find_driver(args.driver)
-    instance = (None if args.load else own) or args.make_instance()
+    instance = (None if args.is_given else own) or args.make_instance()
     driver = open_driver(text, instance, trust=args.trust)
     try:
         return record_driver(driver, args.episode_seed)

@@ -1,10 +1,10 @@
 """Make a room: generate or load it, check it, draw it, save it.
 
 Examples:
-    hrl-escape room --preset clutter --seed 3 --draw room.svg --save room.json --check
-    hrl-escape room --preset larg-2019 --arguments size=4 seed=3
+    hrl-escape room --room clutter#3 --draw room.svg --save room.json --check
+    hrl-escape room --room 'larg-2019(size=4)#3'
     hrl-escape room --set room.width=30 obstacles.count=40 --draw room.png
-    hrl-escape room --load room.json --json
+    hrl-escape room --room room.json --json
 """
 
 from __future__ import annotations

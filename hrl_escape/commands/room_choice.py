@@ -1,117 +1,149 @@
 """The choice of a room: the options that every command on a room shares. Not a command.
 
-A room comes from a preset, a schematic file or an instance file. Any field of a schematic can
-be changed by its dotted path.
+A room is named by one text, see `sets.grammar`. Any field of its configuration can be changed by its dotted path.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
-from collections.abc import Collection
-from pathlib import Path
+import re
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.presets import get_preset
-from hrl_escape.env.robot import load_urdf
-from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, UnsupportedError
-from hrl_escape.files import parse_json, read_json, read_toml
-from hrl_escape.settings import Settings
+from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.names import join_words
+from hrl_escape.sets.changes import parse_value
+from hrl_escape.sets.grammar import NamedRooms, find_config, find_rooms, make_room, quote_room
 
-DEFAULT_PRESET = "paper-two-button"
-
-
-KIND_PATHS = ("puzzle.kind", "reward.kind")
-"""Paths of kinds: another kind has other fields, at its own defaults."""
+DEFAULT_ROOM = "paper-two-button"
+OLD_OPTIONS = ("--preset", "--arguments", "--config", "--load", "--rung")
+"""Options of 0.3 that named a room, as `--seed` without `--room` did."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RoomChoice:
     """Options that choose a room; dataclasses of commands inherit them."""
 
-    preset: str | None = None
-    """Named schematic, paper-two-button by default; `hrl-escape list presets` names them all."""
-    arguments: tuple[str, ...] = ()
-    """Arguments of the preset, as name=value: size=4 seed=3 for larg-2019."""
-    config: Path | None = None
-    """Schematic in a TOML or JSON file, in place of a preset."""
+    room: str | None = None
+    """Room, paper-two-button by default: a preset (clutter), an instance of it (clutter#3), a preset with arguments
+    ('larg-2019(size=4)'), a room of a set (ladder-1/chain/test#5), or a file (my-room.json, my-config.toml).
+    `hrl-escape list presets` and `hrl-escape ladder list` name them."""
     set: tuple[str, ...] = ()
-    """Fields of the schematic to change, as path=value: room.width=30 obstacles.count=40; robot.urdf takes a file.
-    Without --preset or --config all others have the defaults of `RoomConfig`."""
-    seed: int = 0
-    """Instance seed: selects one room of the schematic."""
-    load: Path | None = None
-    """Instance in a JSON file written by --save, in place of a schematic."""
+    """Fields of the configuration to change, as path=value: room.width=30 obstacles.count=40; robot.urdf takes a file.
+    Without --room all others have the defaults of `RoomConfig`."""
 
-    def make_config(self) -> RoomConfig:
-        """Build the schematic; `EscapeError` for an unknown preset or field, or an impossible value."""
-        if self.config is None:
-            arguments = dict(split_assignment(text, "--arguments", "size=3") for text in self.arguments)
-            is_bare = self.preset is None and self.set and not arguments
-            config = RoomConfig() if is_bare else get_preset(self.preset or DEFAULT_PRESET, **arguments)
-        else:
-            refuse_options(self, ("preset", "arguments"), "is about presets, and --config is a schematic of its own: "
-                           "change its fields by --set")
-            read = read_toml if self.config.suffix.lower() == ".toml" else read_json
-            content = read(self.config, "schematic")
-            if not isinstance(content, dict):
-                raise ConfigError("config", content, "a table of fields")
-            table = {"name": self.config.stem} | content
-            _read_urdf(table, self.config.parent)
-            config = RoomConfig.from_dict(table)
-        if not self.set:
-            return config
-        fields = config.to_dict()
-        for text in self.set:
-            path, value = split_assignment(text, "--set", "room.width=30")
-            _check_path(config, path)
-            change_field(fields, path, value)
-            if path in ("puzzle", "reward", *KIND_PATHS):
-                config = RoomConfig.from_dict(fields)  # whose other paths are those of the kind
-        _read_urdf(fields, Path())
-        return RoomConfig.from_dict(fields)
+    @classmethod
+    def check_words(cls, command: Sequence[str], words: Sequence[str]) -> None:
+        """Refuse the options of 0.3 that chose a room.
+
+        Args:
+            command: words before the options, such as `hrl-escape solve`.
+            words: the options as given.
+
+        Raises:
+            UnsupportedError: the message shows the new form with the given values.
+        """
+        refuse_old_options(command, words, "seed" in {field.name for field in dataclasses.fields(cls)})
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """Changed fields, by dotted path."""
+        return dict(split_assignment(text, "--set", "room.width=30") for text in self.set)
+
+    @property
+    def is_given(self) -> bool:
+        """A room or a change was asked for."""
+        return self.room is not None or bool(self.set)
+
+    @property
+    def _source(self) -> str | RoomConfig:
+        return RoomConfig() if self.room is None and self.set else self.room or DEFAULT_ROOM
+
+    def find_config(self) -> RoomConfig | None:
+        """Find the configuration that the room is sampled from; None for the file of a finished room."""
+        return find_config(self._source, self.changes)
+
+    def find_rooms(self) -> NamedRooms:
+        """Find the room, the set of rooms, or what else the text names."""
+        source = self._source
+        return make_room(source, self.changes) if isinstance(source, RoomConfig) else find_rooms(source, self.changes)
 
     def make_instance(self) -> RoomInstance:
-        """Load the instance, or generate it."""
-        if self.load is None:
-            return generate(self.make_config(), self.seed)
-        refuse_options(self, ("preset", "arguments", "config", "set", "seed"),
-                       "chooses a room to make, and --load takes a finished one: give one of them")
-        return RoomInstance.load(self.load)
+        """Load the room, or generate it."""
+        return make_room(self._source, self.changes)
 
 
-def list_paths(settings: Any, prefix: str = "") -> list[str]:
-    """Dotted paths of the fields of settings, and of the sections in them."""
-    paths: list[str] = []
-    for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name)
-        paths.append(prefix + field.name)
-        if isinstance(value, Settings):
-            paths += list_paths(value, f"{prefix}{field.name}.")
-    return paths
+def refuse_old_options(command: Sequence[str], words: Sequence[str], trains: bool = False) -> None:
+    """Refuse options of 0.3 by which a command chose a room.
 
+    Args:
+        command: words before the options.
+        words: the options as given.
+        trains: the command takes `--seed` as its training seed, which needs `--room` or `--data`.
 
-def _check_path(config: RoomConfig, path: str) -> None:
-    """Refuse a path that cannot be set; the message gives those of its section and those with its last name."""
-    known = [*list_paths(config), *KIND_PATHS]
-    if path in known or not path:
+    Raises:
+        UnsupportedError: the message shows the new form with the given values.
+    """
+    given = _read_words(words)
+    old = [name for name in OLD_OPTIONS if name in given]
+    if "--seed" in given and (not trains or old or not {"--room", "--data"} & given.keys()):
+        old.append("--seed")
+    if "--training-seed" in given:
+        old.append("--training-seed")
+    if not old:
         return
-    section, _, name = path.rpartition(".")
-    named = [each for each in known if each.rpartition(".")[2] == name]
-    beside = [each for each in known if each.rpartition(".")[0] == section]
-    note = f". {name!r} is in {', '.join(named)}" if named and beside else ""
-    raise UnknownNameError("path of --set", path, beside or named or [each for each in known if "." not in each], note)
+    room = quote_room(_name_old(given, "--seed" in old))
+    advice = f"write --room {room}"
+    if "--training-seed" in given:
+        advice += f" --seed {' '.join(given['--training-seed'])}"
+    elif trains and old == ["--seed"]:
+        base, seed = quote_room(_name_old(given, False)), " ".join(given["--seed"])
+        advice += f" for this room, or --room {base} --seed {seed} for the training seed {seed}"
+    raise UnsupportedError(f"{join_words(old)} of version 0.3: --room names the room of {' '.join(command)} now"
+                           + (", and --seed is the training seed" if trains else "") + f": {advice}")
 
 
-def _read_urdf(fields: dict[str, Any], folder: Path) -> None:
-    """Put the text of a URDF file, and the paths of its meshes, in place of the file's path."""
-    robot = fields.get("robot")
-    urdf = robot.get("urdf") if isinstance(robot, dict) else None
-    if isinstance(robot, dict) and isinstance(urdf, str) and not urdf.lstrip().startswith("<"):
-        robot["urdf"] = load_urdf(folder / urdf)
+def refuse_rooms(words: Sequence[str]) -> None:
+    """Refuse `--rooms`, the name of `--room` in 0.3 where several rooms are named; the message shows the new form."""
+    given = _read_words(words)
+    if "--rooms" in given:
+        rooms = (re.sub(r"\[(\d+)\]$", r"#\1", re.sub(r"\[(\d*):(\d+)\]$", lambda found: (
+            f"#{found[1] or 0}..{found[2]}"), room)) for room in given["--rooms"])
+        raise UnsupportedError(f"--rooms is --room now: write --room {' '.join(map(quote_room, rooms))}")
+
+
+def _read_words(words: Sequence[str]) -> dict[str, list[str]]:
+    """Values of each option, in order; words before the first option go by an empty name."""
+    given: dict[str, list[str]] = {"": []}
+    name = ""
+    for word in words:
+        if word.startswith("--"):
+            name, equals, value = word.partition("=")
+            given.setdefault(name, [])
+            if equals:
+                given[name].append(value)
+        else:
+            given[name].append(word)
+    return given
+
+
+def _name_old(given: dict[str, list[str]], has_seed: bool) -> str:
+    """Text of the room that options of 0.3 chose; `--seed` is its instance seed or says nothing about it."""
+    def first(name: str, default: str = "") -> str:
+        return (given.get(name) or [default])[0]
+
+    if file := first("--load"):
+        return file
+    if rung := first("--rung"):
+        return f"{first('--benchmark', 'ladder-1')}/{rung}/{first('--room', 'test#0')}"
+    default = RoomConfig().name if "--set" in given else DEFAULT_ROOM
+    base = first("--config") or first("--room") or first("--preset", default)
+    if given.get("--arguments"):
+        base += f"({', '.join(given['--arguments'])})"
+    seed = first("--seed") if has_seed else ""
+    return f"{base.partition('#')[0]}#{seed}" if seed not in ("", "0") else base
 
 
 def refuse_options(args: Any, names: Collection[str], why: str) -> None:
@@ -127,26 +159,4 @@ def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise ConfigError(option, text, f"name=value is needed, such as {example}")
-    try:
-        return name, parse_json(value, f"{option} {name}", "value")
-    except FileReadError as error:
-        if isinstance(error.__cause__, json.JSONDecodeError):
-            return name, value
-        raise
-
-
-def change_field(fields: dict[str, Any], path: str, value: Any) -> None:
-    """Set one field of a nested table; the schematic itself refuses unknown fields and sections.
-
-    Another kind of puzzle or reward begins with that kind's defaults.
-    """
-    *sections, last = path.split(".")
-    for depth, section in enumerate(sections):
-        inner = fields.setdefault(section, {})  # a section at its defaults is not written
-        if not isinstance(inner, dict):
-            known = [name for name, part in fields.items() if isinstance(part, dict)]
-            raise UnknownNameError(" ".join([*sections[:depth], "section"]), section, known)
-        fields = inner
-    if path in KIND_PATHS and fields.get("kind") != value:
-        fields.clear()
-    fields[last] = value
+    return name, parse_value(value, f"{option} {name}")

@@ -1,9 +1,10 @@
 """Plan the way out of a room, or to one goal in it; run the plan and show it.
 
-    hrl-escape solve --preset clutter --seed 3
-    hrl-escape solve --preset paper-two-button --goal button-2 --draw plan.svg
-    hrl-escape solve --preset arm-two-button --draw escape.gif
-    hrl-escape solve --preset push-block --json
+    hrl-escape solve --room clutter#3
+    hrl-escape solve --room ladder-1/chain/test#5 --json
+    hrl-escape solve --room paper-two-button --goal button-2 --draw plan.svg
+    hrl-escape solve --room arm-two-button --draw escape.gif
+    hrl-escape solve --room push-block --json
     hrl-escape solve --set dynamics.noise=0.1 dynamics.slip=0.1
 
 Under noise, slip or physics, where a plan is uncertain, meta-actions run one by one and replan as they go.

@@ -1,11 +1,12 @@
-"""Train one agent in one room, with a curve, a log and checkpoints; a stopped run resumes.
+"""Train one agent in a room or a set of rooms, with a curve, a log and checkpoints; a stopped run resumes.
 
     hrl-escape train smdp-dqn
     hrl-escape train smdp-r-max
-    hrl-escape train smdp-ppo+objects+memory --preset clutter --seed 3 --primitives 50000
+    hrl-escape train smdp-ppo+objects+memory --room clutter#3 --primitives 50000
+    hrl-escape train smdp-dqn --room ladder-1/pair/train#0..64
     hrl-escape train smdp-dqn --settings gamma=0.995 hidden=[128,128]
     hrl-escape train smdp-dqn --list-settings
-    hrl-escape train dqn@keras-rl-2019 --training-seed 7 --json
+    hrl-escape train dqn@keras-rl-2019 --room paper-two-button --seed 7 --json
     hrl-escape train maxq-q+planned
     hrl-escape train ppo --batch 1024 --primitives 5000000
     hrl-escape train dac --batch 64 --primitives 500000
@@ -41,13 +42,15 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.room_choice import RoomChoice, refuse_options
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.records import record_returns
-from hrl_escape.comparison.runs import find_starts, make_env, make_player
+from hrl_escape.comparison.runs import find_starts, make_agent_env, make_player
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text, make_file_name
 from hrl_escape.planning.best_known import best_known_return, find_best_known
+from hrl_escape.sets.environments import list_batch_arguments
+from hrl_escape.sets.grammar import NamedRooms
+from hrl_escape.sets.places import RunPlace
 from hrl_escape.settings import read_field_documents
 
 if TYPE_CHECKING:
@@ -70,8 +73,8 @@ class TrainArgs(AgentChoice, RoomChoice):
     """Primitives to train for; 20,000 by default, with --data as many as the agent's passes over it come to."""
     data: str | None = None
     """Learn from this data set, or tape, and be tested in its rung's unseen rooms; see `hrl-escape list offline`."""
-    training_seed: int = 0
-    """Training seed: fixes the agent and every training episode."""
+    seed: int = 0
+    """Training seed: fixes the agent and every training episode. Give --room too: --seed alone chose a room in 0.3."""
     list_settings: bool = False
     """Print the agent's settings with their meaning; train nothing."""
     eval_every: int | None = None
@@ -94,25 +97,26 @@ class TrainArgs(AgentChoice, RoomChoice):
     json: bool = False
     """Print the result as JSON."""
 
-    def make_batch(self, spec: AgentSpec, instance: RoomInstance) -> VectorEnv | Streams:
-        """Copies of the room that train together."""
+    def make_batch(self, spec: AgentSpec, rooms: NamedRooms) -> VectorEnv | Streams:
+        """Copies of the room, or of the rooms of a set, that train together."""
         assert self.batch is not None
+        given = list_batch_arguments(rooms)
         observation = self.choose_observation(spec)
         if spec.low_level is not None or not spec.chooses_options:
             from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 
-            rooms = EscapeRoomVectorEnv(self.batch, instance=instance, observation=observation, output="torch",
-                                        device=self.device, compile=self.compile)
+            flat = EscapeRoomVectorEnv(self.batch, **given, observation=observation, output="torch",
+                                       device=self.device, compile=self.compile)
             if spec.low_level is None:
-                return rooms
+                return flat
             from hrl_escape.synthesis import HierarchyVectorEnv
 
-            return HierarchyVectorEnv(rooms, find_kind(spec.name), spec.low_level)
+            return HierarchyVectorEnv(flat, find_kind(spec.name), spec.low_level)
         from hrl_escape.options.batched.env import BatchedOptionsEnv
         from hrl_escape.options.memory import MemoryStreams
 
         gamma = spec.resolve_settings()["gamma"]
-        options = BatchedOptionsEnv(self.batch, instance=instance, observation=observation, discount=gamma,
+        options = BatchedOptionsEnv(self.batch, **given, observation=observation, discount=gamma,
                                     include_primitives=spec.options.include_primitives, flavour=spec.options.flavour,
                                     device=self.device, compile=self.compile)
         return MemoryStreams(options) if spec.options.memory else options
@@ -142,27 +146,28 @@ def run(args: TrainArgs) -> None:
         acts = "options" if spec.chooses_options else "primitives"
         print(f"{spec.name} is given no hierarchy: it learns over {acts}, as one task. {spec.algorithm}+planned and "
               f"{spec.algorithm}+learned give it one", file=sys.stderr)
-    instance = args.make_instance()
-    name = make_file_name(f"{spec.label}-{RunPlace.of_room(instance).name}-{args.training_seed}")
+    rooms = args.find_rooms()
+    place = RunPlace.of_room(rooms).name if isinstance(rooms, RoomInstance) else rooms.name
+    name = make_file_name(f"{spec.label}-{place}-{args.seed}")
     out = args.out or Path("runs") / f"{name}-{{key}}"
     recorder: StateRecorder | None = None
     player: Agent | None = None
     if args.batch is None:
         refuse_options(args, ("compile", "device"), "is for many copies of the room: give --batch N too; one room is "
                        "stepped by Bullet, on the CPU")
-        env, recorder = make_env(spec, instance, args.choose_observation(spec))
+        env, recorder = make_agent_env(spec, rooms, args.choose_observation(spec))
         player = make_player(spec, env, recorder) if spec.name == TEXT_AGENT else None
     else:
-        env = args.make_batch(spec, instance)
+        env = args.make_batch(spec, rooms)
     result = train(player or spec, env, primitives=PRIMITIVES if args.primitives is None else args.primitives,
-                   seed=args.training_seed, eval_every=args.eval_every,
+                   seed=args.seed, eval_every=args.eval_every,
                    eval_episodes=args.eval_episodes, out=out, callbacks=[TensorBoard()] if args.tensorboard else [],
                    threads=args.threads, observed=recorder is None)
-    if isinstance(env, gymnasium.Env) and recorder is not None:
-        _record(env, recorder, result, f"{spec.label}, seed {args.training_seed}")
+    if isinstance(env, gymnasium.Env) and recorder is not None and isinstance(rooms, RoomInstance):
+        _record(env, recorder, result, f"{spec.label}, seed {args.seed}")
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
         env.close()
-    _tell(args, spec, result, best_known_return(instance))
+    _tell(args, spec, result, best_known_return(rooms) if isinstance(rooms, RoomInstance) else None)
 
 
 def _train_offline(args: TrainArgs, spec: AgentSpec) -> None:
@@ -170,8 +175,8 @@ def _train_offline(args: TrainArgs, spec: AgentSpec) -> None:
     from hrl_escape.data.materialise import load_data
 
     data = load_data(args.data or "", observation=args.choose_observation(spec))
-    out = args.out or Path("runs") / f"{make_file_name(f'{spec.label}-{data.name}-{args.training_seed}')}-{{key}}"
-    result = train(spec, data=data, primitives=args.primitives, seed=args.training_seed,
+    out = args.out or Path("runs") / f"{make_file_name(f'{spec.label}-{data.name}-{args.seed}')}-{{key}}"
+    result = train(spec, data=data, primitives=args.primitives, seed=args.seed,
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
                    callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads)
     _tell(args, spec, result, data.tape.about["scores"].get("best_known"))

@@ -1,8 +1,8 @@
 """Watch an agent drive: options and plans, action values, SMDP transitions, what-if previews.
 
     hrl-escape watch
-    hrl-escape watch smdp-r-max --preset clutter --seed 3
-    hrl-escape watch search-backtrack --preset four-button-chain
+    hrl-escape watch smdp-r-max --room clutter#3
+    hrl-escape watch search-backtrack --room four-button-chain
     hrl-escape watch maxq-q+planned
     hrl-escape watch runs/smdp-dqn-paper-two-button-0-5a1d3f0c
     hrl-escape watch lattice
@@ -43,8 +43,10 @@ class WatchArgs(PageAddress, AgentChoice, RoomChoice):
     """Primitives a second at first; 0 for no limit."""
     paused: bool = False
     """Wait for the page's play button before the first primitive."""
+    seed: int = 0
+    """Training seed of an agent to train. Give --room too: --seed alone chose a room in 0.3."""
     episode_seed: int = 0
-    """Seed of the episodes, and of an agent to train."""
+    """Seed of the episodes."""
     trust: bool = False
     """Let a run's folder import whatever code it names; only for folders that you trust."""
 
@@ -53,9 +55,9 @@ def run(args: WatchArgs) -> None:
     """Open the page in the browser and let the driver act until interrupted."""
     torch.set_num_threads(1)
     text, own = find_driver(args.driver)
-    instance = (None if args.load else own) or args.make_instance()
+    instance = (None if args.is_given else own) or args.make_instance()
     chosen = text if names_run(text) else args.make_spec(parse_driver(text))
-    driver = open_driver(chosen, instance, observation=args.observation, seed=args.episode_seed, trust=args.trust)
+    driver = open_driver(chosen, instance, observation=args.observation, seed=args.seed, trust=args.trust)
     gate = Gate(args.pace or None, args.paused)
     watch = Watch(driver, gate, args.episode_seed)
     server = args.open_server()

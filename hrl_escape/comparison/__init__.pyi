@@ -1,6 +1,5 @@
 from .comparison import run_grid
 from .grid import Grid
-from .places import RoomSpec
 from .pretrained import Pretrained, list_pretrained, load_pretrained
 from .recording import RecordedEpisode, record_episode
 from .reporting.report import write_report
@@ -10,7 +9,6 @@ __all__ = [
     "RecordedEpisode",
     "Grid",
     "Pretrained",
-    "RoomSpec",
     "list_pretrained",
     "load_pretrained",
     "record_episode",

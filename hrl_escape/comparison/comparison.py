@@ -21,13 +21,13 @@ from rich.text import Text
 from hrl_escape.comparison.cost import describe_cost
 from hrl_escape.comparison.grid import Grid, GridRun, load_grid
 from hrl_escape.comparison.launching.local import Failure, Launcher, LocalLauncher
-from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.runs import RunResult, get_run_folder, load_run_result
 from hrl_escape.errors import ConfigError, FileReadError, RunBusyError
 from hrl_escape.figures import Pictured
 from hrl_escape.files import clear_unfinished, make_folder, open_for_writing, write_json
 from hrl_escape.names import parse_whole
 from hrl_escape.processes import take_lock
+from hrl_escape.sets.places import RunPlace
 
 SPEED_SECONDS = 3600.0
 """Time over which the speed is averaged that the time left follows from."""

@@ -16,11 +16,11 @@ import numpy as np
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.places import RunPlace
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.generation import sample_puzzle
-from hrl_escape.ladder.room_sets import list_sets
 from hrl_escape.names import make_console_text, tell_seconds
+from hrl_escape.sets.places import RunPlace
+from hrl_escape.sets.room_sequence import list_sets
 
 Rates = Mapping[str, Mapping[int, float]]
 """Seconds of one core for a thousand primitives, by agent and number of buttons."""

@@ -19,12 +19,13 @@ from typing import Annotated, Any, Literal
 from typing_extensions import Self
 
 from hrl_escape.agents.spec import LARGEST, AgentSpec
-from hrl_escape.comparison.places import RoomSpec, RunPlace
 from hrl_escape.env.observations.base import get_observation
 from hrl_escape.errors import EscapeError, GridError
 from hrl_escape.files import read_json, read_toml
-from hrl_escape.ladder.room_sets import parse_rooms
 from hrl_escape.names import make_file_name
+from hrl_escape.sets.grammar import find_sets
+from hrl_escape.sets.places import RunPlace
+from hrl_escape.sets.room_spec import RoomSpec
 from hrl_escape.settings import Range, Settings
 from hrl_escape.version import __version__, find_versions
 
@@ -62,9 +63,9 @@ class Grid(Settings):
     agents: tuple[AgentSpec, ...] = (AgentSpec("random"),)
     """Agents to compare, each in every room: specs, their texts, or agent classes; labels must differ."""
     rooms: tuple[RoomSpec, ...] = DEFAULT_ROOMS
-    """Rooms to train and be tested in, one after another; empty with `train_rooms`."""
+    """Rooms to train and be tested in, one after another, as texts such as clutter#3; empty with `train_rooms`."""
     train_rooms: tuple[str, ...] = ()
-    """Sets of rooms to train in, as ladder-1/lattice/train[:64] or clutter#0..15; plus joins the floors of a tower."""
+    """Sets of rooms to train in, such as ladder-1/lattice/train#0..64 or clutter#0..16; see `sets.grammar`."""
     test_rooms: tuple[str, ...] = ()
     """Sets of rooms to be tested in: one for all `train_rooms`, or one for each."""
     runs: Annotated[int, Range(1, 10_000)] = 10
@@ -94,6 +95,9 @@ class Grid(Settings):
         if isinstance(self.agents, (tuple, list)):
             agents = (each if isinstance(each, Mapping) else AgentSpec.parse(each) for each in self.agents)
             object.__setattr__(self, "agents", tuple(agents))
+        if isinstance(self.rooms, (list, tuple)):
+            object.__setattr__(self, "rooms", tuple(
+                RoomSpec.parse(room) if isinstance(room, str) else room for room in self.rooms))
         super().__post_init__()
 
     def check(self) -> None:
@@ -132,7 +136,7 @@ class Grid(Settings):
         if not self.train_rooms:
             return tuple(room.make_place() for room in self.rooms)
         tests = self.test_rooms * (len(self.train_rooms) if len(self.test_rooms) == 1 else 1)
-        return tuple(RunPlace.of_split(parse_rooms(train), parse_rooms(test))
+        return tuple(RunPlace.of_split(find_sets(train), find_sets(test))
                      for train, test in zip(self.train_rooms, tests, strict=True))
 
     def _check_transfer(self, resolved: Sequence[Mapping[str, Any]]) -> None:
@@ -274,5 +278,4 @@ def load_grid(path: str | Path) -> Grid:
         grid = Grid.from_dict({"name": path.stem} | content if isinstance(content, dict) else content)
     except EscapeError as error:
         raise GridError(f"{path}: {error}") from error
-    rooms = [dataclasses.replace(room, file=str(path.parent / room.file)) if room.file else room for room in grid.rooms]
-    return dataclasses.replace(grid, rooms=tuple(rooms))
+    return dataclasses.replace(grid, rooms=tuple(room.move_to(path.parent) for room in grid.rooms))

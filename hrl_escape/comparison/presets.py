@@ -6,8 +6,8 @@ from typing import Any
 
 from hrl_escape.agents.spec import REFERENCES, AgentSpec
 from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.errors import UnknownNameError
+from hrl_escape.sets.room_spec import RoomSpec
 
 
 def _make(name: str, description: str, agents: str, rooms: str, **numbers: Any) -> Grid:
@@ -28,7 +28,7 @@ _PAPER: dict[str, Any] = {"runs": 10, "primitives": 20_000, "eval_every": 500, "
 GRIDS: dict[str, Grid] = {grid.name: grid for grid in (
     _make("demo", "Four buttons in a hidden order; a wrong press turns all of them off. Who learns the order?",
           "random-options smdp-q-learning dqn smdp-dqn search-backtrack oracle",
-          "ladder-2/violations-2/train[0]", runs=10, primitives=7_000, eval_every=1_000, eval_episodes=1),
+          "ladder-2/violations-2/train#0", runs=10, primitives=7_000, eval_every=1_000, eval_episodes=1),
     _make("quickstart", "Do options help in a room with two buttons, and does learning add to what they know?",
           f"random dqn random-options+primitives smdp-q-learning+primitives smdp-dqn+primitives {_REFERENCES}",
           "paper-two-button", runs=10, primitives=15_000, eval_episodes=3),

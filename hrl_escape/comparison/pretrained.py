@@ -30,7 +30,7 @@ from hrl_escape.comparison.submission import (
 )
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.ladder.rung import Rung
+from hrl_escape.sets.rung import Rung
 
 _FOLDER = Path(str(files("hrl_escape.ladder") / "data" / "pretrained"))
 

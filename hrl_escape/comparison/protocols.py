@@ -19,13 +19,14 @@ from hrl_escape.agents.spec import BAYES, AgentSpec
 from hrl_escape.agents.text_agent import TEXT_AGENT
 from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.inference import LEVEL, RESAMPLES, Estimate, compute_wilson_interval, draw_weights
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.references.registry import BY_LIGHTS, BY_NUMBER
 from hrl_escape.comparison.statistics import Floats, Scores, compute_iqm
 from hrl_escape.comparison.summary import AgentSummary, Summary
 from hrl_escape.errors import ConfigError
-from hrl_escape.ladder.benchmark import Benchmark
-from hrl_escape.ladder.room_sets import ABOVE, TOWER_HORIZON, list_sets
+from hrl_escape.sets.benchmark import Benchmark
+from hrl_escape.sets.grammar import THEN
+from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON, list_sets
+from hrl_escape.sets.room_spec import RoomSpec
 
 LEAST_HEADROOM = 0.05
 """Least efficiency between search baseline and Bayes planner for which the learned share is given."""
@@ -150,7 +151,7 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     if protocol == "per-instance":
         return _make_grid(
             f"{bench.name}-{rung}-per-instance", f"Each of {count} rooms of {name} from nothing.", agents, settings,
-            primitives, 20, observation, rooms=tuple(RoomSpec(set=f"{name}/test[{index}]") for index in range(count)))
+            primitives, 20, observation, rooms=tuple(RoomSpec(f"{name}/test#{index}") for index in range(count)))
     train, most = f"{bench.source}/{source}", bench[source].record.train.count
     for size in settings.train_sizes:
         if not 1 <= size <= most:
@@ -158,8 +159,8 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     tested = f"{count} others" if source == rung else f"{count} of {name}, without learning there"
     return _make_grid(
         f"{bench.name}-{rung}-{label}", f"Trained in rooms of {train}, tested in {tested}.", agents, settings,
-        primitives, count, observation, train_rooms=tuple(f"{train}/train[:{size}]" for size in settings.train_sizes),
-        test_rooms=(f"{name}/test[:{count}]",), trials=settings.trials if protocol == "few-shot" else 1)
+        primitives, count, observation, train_rooms=tuple(f"{train}/train#0..{size}" for size in settings.train_sizes),
+        test_rooms=(f"{name}/test#0..{count}",), trials=settings.trials if protocol == "few-shot" else 1)
 
 
 def _make_grid(name: str, description: str, agents: Sequence[AgentSpec], settings: LadderSettings, primitives: int,
@@ -203,15 +204,15 @@ def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[Age
             raise ConfigError(field, number, f"from 1 to {most}, the rooms that {role} of every floor has")
 
     def name_rooms(role: str, number: int) -> str:
-        text = ABOVE.join(f"{bench.source}/{rung}/{role}[:{number}]" for rung in rungs)
+        text = THEN.join(f"{bench.source}/{rung}/{role}#0..{number}" for rung in rungs)
         return f"{text} x {settings.floors}" if repeats else text
 
     primitives = max(map(get_budget, rungs)) if settings.primitives is None else settings.primitives
     rooms = (f"{settings.floors} rooms of {bench.name}/{rungs[0]} with one motif" if repeats else
              f"A room of each of {len(rungs)} rungs of {bench.name}, from {rungs[0]} to {rungs[-1]},")
     return _make_grid(
-        f"{bench.name}-{TOWER}", f"{rooms} in an episode of {TOWER_HORIZON:,} primitives; tested in others than those "
-        "trained in.", agents, settings, primitives, count, settings.observation or "objects",
+        f"{bench.name}-{TOWER}", f"{rooms} in an episode of {SEQUENCE_HORIZON:,} primitives; tested in others than "
+        "those trained in.", agents, settings, primitives, count, settings.observation or "objects",
         train_rooms=tuple(name_rooms("train", size) for size in settings.train_sizes),
         test_rooms=(name_rooms("test", count),))
 

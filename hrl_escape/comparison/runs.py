@@ -25,7 +25,6 @@ from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_se
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.grid import GridRun
-from hrl_escape.comparison.places import RoomSchedule, RunPlace, Split
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.references.registry import make_reference
@@ -36,10 +35,13 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.files import read_json, write_json
-from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.room_sets import RoomSets, Tower, list_sets
-from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
+from hrl_escape.sets.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
+from hrl_escape.sets.grammar import FreshRooms, NamedRooms
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.places import RunPlace, Split
+from hrl_escape.sets.room_schedule import RoomSchedule
+from hrl_escape.sets.room_sequence import RoomSequence, list_sets
+from hrl_escape.sets.sequence import SequenceEnv, compute_room_seed
 from hrl_escape.settings import read_record
 from hrl_escape.version import __version__, find_versions
 
@@ -120,30 +122,31 @@ def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> floa
                                    score_range.is_expected)
 
 
-def make_env(agent: AgentSpec, rooms: RoomInstance | RoomSets, observation: str,
+def make_agent_env(agent: AgentSpec, rooms: NamedRooms, observation: str,
              schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None, trials: int = 1
              ) -> tuple[gymnasium.Env, StateRecorder]:
-    """The environment an agent acts in, and the recorder inside it; in a tower the one on the lowest floor.
+    """The environment an agent acts in, and the recorder inside it; of a sequence the one in the first room.
 
     Every episode draws a room of a set, but for those in the schedule, whose numbers, by their seeds, go round the set,
-    or that of every floor (see `RoomSchedule`). In `common` spaces rooms of several schematics look alike. An episode
-    has several `trials` in the same room; see `SequenceEnv`.
+    or each set of a sequence (see `RoomSchedule`). In `common` spaces rooms of several configurations look alike. An
+    episode has several `trials` in the same room; see `SequenceEnv`.
     """
     import hrl_escape  # noqa: F401  # registers the environment
 
     schedule = schedule or {}
-    if isinstance(rooms, Tower):
-        (first, recorder), *above = (
-            make_env(agent, floor, observation,
-                     {str(compute_floor_seed(int(seed), level)): number for seed, number in schedule.items()}, common)
-            for level, floor in enumerate(rooms.floors))
-        return SequenceEnv(first, then=[floor for floor, _ in above], paired=rooms.paired), recorder
+    if isinstance(rooms, RoomSequence):
+        (first, recorder), *others = (
+            make_agent_env(agent, each, observation,
+                     {str(compute_room_seed(int(seed), place)): number for seed, number in schedule.items()}, common)
+            for place, each in enumerate(rooms.sets))
+        return SequenceEnv(first, then=[env for env, _ in others], paired=rooms.paired), recorder
     if isinstance(rooms, InstanceSet):
         flat = RoomSchedule(rooms.make_env(observation=observation),
                             {seed: number % len(rooms) for seed, number in schedule.items()})
     else:
-        flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=rooms, observation=observation,
-                              disable_env_checker=True)
+        given: dict[str, Any] = {"config": rooms.config, "resample_instance": True} if isinstance(
+            rooms, FreshRooms) else {"instance": rooms}
+        flat = gymnasium.make("hrl_escape/EscapeRoom-v1", **given, observation=observation, disable_env_checker=True)
     recorder = StateRecorder(flat)
     if agent.low_level is not None:
         from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
@@ -173,7 +176,7 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
 
 
 def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -> Agent:
-    """Make an agent that is not trained, a reference or the caller of tools, for an environment from `make_env`."""
+    """Make an agent without training, a reference or the caller of tools, for an environment of `make_agent_env`."""
     if agent.name != TEXT_AGENT:
         return make_reference(agent.name, env, recorder)
     from hrl_escape.text.managers import ToolsAgent, make_model
@@ -183,9 +186,9 @@ def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -
 
 def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> CommonSpaces | None:
     """Spaces of rooms to train in and to be tested in together; None where they are the same already."""
-    if not split.is_transfer or (agent.is_reference and not isinstance(split.test, Tower)):
+    if not split.is_transfer or (agent.is_reference and not isinstance(split.test, RoomSequence)):
         return None
-    envs = [make_env(agent, rooms, observation)[0] for rooms in split.sets]
+    envs = [make_agent_env(agent, rooms, observation)[0] for rooms in split.sets]
     try:
         return join_spaces(envs)
     finally:
@@ -202,7 +205,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
     common = _find_common_spaces(agent, place.split, grid.observation) if place.split else None
     rooms = place.split.test if place.split else place.instance
     floors = 1 if isinstance(rooms, RoomInstance) else len(list_sets(rooms))
-    env, recorder = make_env(agent, rooms, grid.observation, order, common)
+    env, recorder = make_agent_env(agent, rooms, grid.observation, order, common)
     try:
         starts = find_starts(env, recorder, seeds)
         score_range = compute_score_range(starts, agent, out / "references", floors)
@@ -231,8 +234,8 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPl
     assert place.split is not None
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(run.grid.eval_episodes)]
     order, floors = {str(seed): n for n, seed in enumerate(seeds)}, len(list_sets(place.split.train))
-    env, _ = make_env(run.agent, place.split.train, run.grid.observation, common=common, trials=run.grid.trials)
-    again, again_recorder = make_env(run.agent, place.split.train, run.grid.observation, order, common)
+    env, _ = make_agent_env(run.agent, place.split.train, run.grid.observation, common=common, trials=run.grid.trials)
+    again, again_recorder = make_agent_env(run.agent, place.split.train, run.grid.observation, order, common)
     try:
         agent, value = _train(run, out, env, eval_env, place, score_range, checkpoint_seconds)
         starts = find_starts(again, again_recorder, seeds)
@@ -249,7 +252,7 @@ def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, com
                        order: Mapping[str, int], value: RunResult) -> RunResult:
     """Evaluate every trial of episodes with several in the rooms to be tested in."""
     trials, starts = run.grid.trials, []
-    env, recorder = make_env(run.agent, split.test, run.grid.observation, order, common, trials)
+    env, recorder = make_agent_env(run.agent, split.test, run.grid.observation, order, common, trials)
     room: Any = env.unwrapped
     if run.agent.is_reference:
         player = make_player(run.agent, env, recorder)
@@ -287,10 +290,10 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
 
 def find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int]
                  ) -> list[tuple[RoomInstance, RoomState]]:
-    """Room and first state of the episodes of these seeds; of a tower those of every floor."""
+    """Room and first state of the episodes of these seeds; of a sequence those of every room."""
     if isinstance(env, SequenceEnv):
-        return [start for seed in seeds for level, floor in enumerate(env.floors)
-                for start in find_starts(floor, find_recorder(floor), [compute_floor_seed(seed, level)])]
+        return [start for seed in seeds for place, part in enumerate(env.parts)
+                for start in find_starts(part, find_recorder(part), [compute_room_seed(seed, place)])]
     room: Any = env.unwrapped
     starts = []
     for seed in seeds:

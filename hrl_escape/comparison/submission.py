@@ -52,7 +52,7 @@ from hrl_escape.agents.training.train import load_agent
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.inference import Estimate, compute_interval
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.comparison.score_range import compute_score_range
 from hrl_escape.comparison.statistics import compute_efficiency, compute_mean, compute_mean_efficiency
 from hrl_escape.env.observations.base import get_observation
@@ -66,10 +66,10 @@ from hrl_escape.errors import (
     show_value,
 )
 from hrl_escape.files import parse_json, read_bytes, write_json
-from hrl_escape.ladder.benchmark import list_benchmarks, load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.rung import Rung, read_beacon
 from hrl_escape.names import parse_whole
+from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.rung import Rung, read_beacon
 from hrl_escape.settings import Range, Settings, read_record, replace_settings
 from hrl_escape.version import __version__, find_versions
 
@@ -439,9 +439,9 @@ def read_view(described: Mapping[str, Any]) -> RoomView:
 
 def make_view_env(view: RoomView, rooms: InstanceSet, schedule: Mapping[str, int] | None = None
                   ) -> tuple[gymnasium.Env, StateRecorder]:
-    """Environment over a set of rooms as a view shows it; see `make_env`."""
+    """Environment over a set of rooms as a view shows it; see `make_agent_env`."""
     name = "random-options" if view.choices == "options" else "random"
-    return make_env(AgentSpec(name, options=view.options), rooms, view.observation, schedule)
+    return make_agent_env(AgentSpec(name, options=view.options), rooms, view.observation, schedule)
 
 
 def play_cells(entry: Entry, folder: Path, rooms: InstanceSet, role: str, numbers: Iterable[int], trust: bool = False

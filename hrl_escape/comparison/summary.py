@@ -26,7 +26,6 @@ from hrl_escape.comparison.inference import (
     compute_interval,
     compute_wilson_interval,
 )
-from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.runs import RunResult
 from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.comparison.statistics import (
@@ -41,6 +40,7 @@ from hrl_escape.comparison.statistics import (
 )
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError
+from hrl_escape.sets.places import RunPlace
 
 FinishedRun: TypeAlias = tuple[GridRun, RunResult]
 

@@ -51,7 +51,7 @@ class DataSpec:
 
     def list_rooms(self, primitives: int) -> str:
         """Rooms for so many primitives, the first of the rung's training set: one for every 1,000, at most 250."""
-        return f"{BENCHMARK}/{self.rung}/train[:{max(1, min(primitives // 1000, 250))}]"
+        return f"{BENCHMARK}/{self.rung}/train#0..{max(1, min(primitives // 1000, 250))}"
 
 
 def list_specs() -> tuple[DataSpec, ...]:

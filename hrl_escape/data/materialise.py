@@ -26,7 +26,7 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import draw_episode
 from hrl_escape.env.observations.base import get_observation, make_observer
 from hrl_escape.errors import ConfigError, FileReadError
-from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.sets.instance_set import InstanceSet
 
 DataLevel = Literal["primitives", "decisions"]
 BLOCK = 65_536
@@ -104,7 +104,7 @@ class DataSet:
         place = self.tape.rooms.place
         if place is None or self._rooms == "own":
             return self.tape.rooms
-        from hrl_escape.ladder.benchmark import load_benchmark
+        from hrl_escape.sets.benchmark import load_benchmark
 
         return load_benchmark(place["benchmark"])[place["rung"]].sets[self._rooms]
 

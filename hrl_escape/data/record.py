@@ -33,13 +33,13 @@ from hrl_escape.data.published import compare_published, refuse_other
 from hrl_escape.data.tape import DYNAMICS, FIELDS, TAPE_FORMAT, Tape, load_tape, save_tape
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import EpisodeFileError, PlanningFailed
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.room_sets import parse_room_set
-from hrl_escape.ladder.rung import derive_seed
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.sets.grammar import find_set, quote_room
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.rung import derive_seed
 from hrl_escape.step_info import ENDINGS, read_option
 from hrl_escape.version import __version__
 from hrl_escape.viewer.play.episode import load_episode
@@ -131,7 +131,7 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
         VerificationError: it is not the published tape; it is then beside `path`, ending in `.other.npz`.
     """
     total, part = primitives or spec.primitives, path.with_suffix(".part")
-    rooms = parse_room_set(text := spec.list_rooms(total))
+    rooms = find_set(text := spec.list_rooms(total))
     share = -(-total // len(rooms))
     env, choose = _make_behaviour(spec, rooms, path.with_suffix(".medium"))
     command = f"hrl-escape data make {spec.name}" + (f" --primitives {primitives}" if primitives else "")
@@ -293,7 +293,7 @@ def _count_fewest(room: Any) -> float:
 @cache
 def measure_references(rung: str, count: int = REFERENCE_ROOMS) -> dict[str, float]:
     """Mean returns in the first test rooms: of random legal options (`chance`), and the best known (`best_known`)."""
-    rooms = parse_room_set(f"{BENCHMARK}/{rung}/test[:{count}]")
+    rooms = find_set(f"{BENCHMARK}/{rung}/test#0..{count}")
     best = [find_best_known(room, list_start_states(room)[0]).value for room in rooms]
     env = rooms.make_env({"include_primitives": False}, observation="features")
     returns = []
@@ -323,14 +323,14 @@ def _measure(tape: Tape) -> dict[str, float]:
 def make_played_tape(name: str, rooms: str, paths: Sequence[str | Path]) -> Tape:
     """Make a tape of episodes that `hrl-escape play` saved; its decisions are the moves, primitives among them.
 
-    The rooms that were played are told as `parse_room_set` reads them, such as `paper-two-button#0`.
+    The rooms that were played are given as text, such as `paper-two-button#0`.
 
     Raises:
         EpisodeFileError: no episode, a room that is not among `rooms`, or moves that do not lead where they led.
     """
     if not paths:
         raise EpisodeFileError("no episode is given: save some with the Save button of hrl-escape play")
-    found = parse_room_set(rooms)
+    found = find_set(rooms)
     numbers = {room.id: index for index, room in enumerate(found)}
     writer, envs = TapeWriter(), {}
     for path in paths:
@@ -354,7 +354,8 @@ def make_played_tape(name: str, rooms: str, paths: Sequence[str | Path]) -> Tape
             legal = info["action_mask"]
         writer.end_episode(saved.seed, room, len(saved.moves), np.asarray(legal), end)
     env = next(iter(envs.values()))
-    about = make_about(name, "played", rooms, found, env, f"hrl-escape data make {name} --rooms {rooms} --played FILES")
+    command = f"hrl-escape data make {name} --room {quote_room(rooms)} --played FILES"
+    about = make_about(name, "played", rooms, found, env, command)
     for each in envs.values():
         each.close()
     return writer.make_tape(about)

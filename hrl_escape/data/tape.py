@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from hrl_escape.errors import FileReadError, describe_damage
 from hrl_escape.files import atomic_writer, open_plain, parse_json
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.sets.grammar import find_set
+from hrl_escape.sets.instance_set import InstanceSet
 
 TAPE_FORMAT = 1
 DYNAMICS = "EscapeRoom-v1"
@@ -47,7 +47,7 @@ class Tape:
     """Recorded episodes; E episodes, D decisions, P primitives.
 
     Attributes:
-        about: JSON values: `name`, `kind`, `rooms` (a text of `parse_room_set`) and the hash of its seeds, `engine`,
+        about: JSON values: `name`, `kind`, `rooms` (a text of `sets.grammar`) and the hash of its seeds, `engine`,
             `dynamics`, `package`, `command`, `actions` (names), `primitive_count` (actions that are primitives),
             `policies`, `scores`, and of what was recorded for a name of the catalogue `asked_primitives`.
         episode_seed: of `reset`, uint64 (E,).
@@ -105,7 +105,7 @@ class Tape:
         Raises:
             FileReadError: here the text names other rooms than where the tape was recorded.
         """
-        rooms = parse_room_set(self.about["rooms"])
+        rooms = find_set(self.about["rooms"])
         if rooms.describe()["id"] != self.about["rooms_id"]:
             raise FileReadError(f"tape {self.about['name']}: its rooms {self.about['rooms']} are not those of this "
                                 f"version (recorded with hrl_escape {self.about['package']}); record it anew")

@@ -1,5 +1,1 @@
-"""The ladder: named sets of rooms to train and test on, rung by rung, that anybody can generate and verify."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Results that come with the frozen sets: reference efficiencies, and trained agents (`comparison.load_pretrained`)."""

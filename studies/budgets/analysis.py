@@ -17,8 +17,8 @@ from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.protocols import get_budget
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.names import count_nouns, join_words
+from hrl_escape.sets.benchmark import load_benchmark
 from studies.baseline import BaselineRun
 from studies.ladder.analysis import draw, group_runs, subtract, tabulate, tell_bar, tell_beyond_searching
 from studies.ladder.calibration import KNOWN
@@ -119,7 +119,7 @@ def identify(data: Mapping[str, Any], rung: str, number: int, agent: str, seed: 
         "room": get_room_id(data["benchmark"], rung, number), "agent": agent,
         "settings": AgentSpec.parse(agent).settings, "seed": seed, "primitives": primitives, "copies": data["copies"],
         "episodes": data["episodes"]})
-    return (PROTOCOL, rung, f"{data['benchmark']}/{rung}/test[{number}]", agent, seed, primitives), key
+    return (PROTOCOL, rung, f"{data['benchmark']}/{rung}/test#{number}", agent, seed, primitives), key
 
 
 def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:

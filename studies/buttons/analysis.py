@@ -24,7 +24,7 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.inference import ALPHA
 from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.pictures import palette
@@ -134,7 +134,7 @@ def run_once(agent: str, room: RoomConfig, buttons: int, seed: int, budget: int)
 def find_first_escape(agent: str, room: RoomInstance, seed: int, budget: int) -> int | None:
     """Primitives at the end of an agent's first episode that escapes; None if none does within the budget."""
     spec = AgentSpec.parse(agent)
-    env, recorder = make_env(spec, room, "objects" if "objects" in agent else "features")
+    env, recorder = make_agent_env(spec, room, "objects" if "objects" in agent else "features")
     try:
         player = make_reference(spec.name, env, recorder) if spec.is_reference else spec.name
         result = train(player, env, primitives=budget, seed=seed, settings=None if spec.is_reference else spec.settings,

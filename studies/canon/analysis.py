@@ -21,12 +21,12 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.comparison import Comparison, run_grid
 from hrl_escape.comparison.grid import Grid, GridRun
 from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.runs import RunResult
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.names import count_nouns, join_words
+from hrl_escape.sets.room_spec import RoomSpec
 from studies.figures import FIGURE_STYLE
 from studies.page import make_table
 from studies.running import NO_TRAINING, StudyArgs, refuse_failures
@@ -72,7 +72,7 @@ class CanonRun:
     Attributes:
         agent: label.
         candidate: which of its settings, from 1; 0 for agents without settings.
-        room: of a rung, in short text, such as `ladder-1/pair/test[0]`.
+        room: of a rung, in short text, such as `ladder-1/pair/test#0`.
         primitives: training budget; 0 for agents that learn nothing.
         efficiency: in the last fifth of training.
         escapes: share of the evaluation episodes there that escaped.
@@ -167,7 +167,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
             done = find_lost(study, collect_cells(study, store.load()))
             if index >= slow["rooms"]:
                 done |= set(slow["learners"])
-            made += run_room(study, args, store, f"{kind}/test[{index}]", [
+            made += run_room(study, args, store, f"{kind}/test#{index}", [
                 *((AgentSpec.parse(label), 0) for label in references if label in (args.agents or known)),
                 *((agent, number) for agent, number in chosen
                   if agent.label not in done and fits(study, agent.label, kind))], until)
@@ -193,7 +193,7 @@ def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence
         if not own or time.monotonic() > until:
             continue
         grid = Grid(f"canon-{'learners' if learns else 'references'}", "", tuple(
-            dataclasses.replace(agent, label=label) for label, (agent, _) in own.items()), (RoomSpec(set=room),),
+            dataclasses.replace(agent, label=label) for label, (agent, _) in own.items()), (RoomSpec(room),),
             runs=1, primitives=budget, eval_every=step, eval_episodes=episodes)
         keys = {run.agent.label: run.key for run in grid.make_runs(grid.make_places())}
         missing = tuple(agent for agent in grid.agents
@@ -258,7 +258,7 @@ def collect_cells(study: Study, lines: Sequence[CanonRun]) -> Cells:
                 continue
     cells: dict[tuple[str, str], dict[str, CanonRun]] = {}
     for line in lines:
-        if "/test[" in line.room and line.candidate == chosen.get(line.agent, 0):
+        if "/test#" in line.room and line.candidate == chosen.get(line.agent, 0):
             cells.setdefault((line.kind, line.agent), {})[line.room] = line
     return cells
 

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.presets import ladder_room
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.files import read_toml
+from hrl_escape.sets.room_spec import RoomSpec
 from hrl_escape.settings import read_record
 
 __all__ = ["ALGORITHMS", "FACTORS", "MOST_FACTORS", "Factor", "get_factors", "make_factorial_grid",
@@ -108,7 +108,7 @@ def make_factorial_grid(algorithm: str, rooms: int = 5, runs: int = 5, primitive
         description=f"What makes {algorithm} worsen with meta-actions: eleven factors at two levels.",
         agents=tuple(_make_agent(algorithm, row, schedule)
                      for row in make_screening_design(len(FACTORS[algorithm])).tolist()),
-        rooms=tuple(RoomSpec(config=config, seed=number) for number in range(first, first + rooms)),
+        rooms=tuple(RoomSpec(config=config, instance=number) for number in range(first, first + rooms)),
         runs=runs,
         first_seed=first,
         primitives=primitives,

@@ -15,7 +15,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.pictures import palette
@@ -171,7 +171,7 @@ def count_fewest(room: RoomInstance) -> int:
 
 def _play_room(preset: str, room: RoomInstance, agent: str, seed: int, primitives: int, episodes: int) -> PlayedRun:
     spec = AgentSpec.parse(agent)
-    env, recorder = make_env(spec, room, "features")
+    env, recorder = make_agent_env(spec, room, "features")
     try:
         if spec.is_reference:
             last = evaluate(make_reference(agent, env, recorder), env, episodes)

@@ -18,7 +18,7 @@ from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.launching.local import LocalLauncher
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.pictures import palette
-from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
+from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 from studies.baseline import BaselineRun, collect_baselines
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.generalisation.findings import advise, tell_best, tell_puzzle_depths, tell_room_numbers

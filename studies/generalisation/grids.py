@@ -13,9 +13,9 @@ from hrl_escape.env.config import Between, RoomConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.files import read_toml
-from hrl_escape.ladder.benchmark import Benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.rung import derive_seed
+from hrl_escape.sets.benchmark import Benchmark
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.rung import derive_seed
 from studies.ladder.calibration import CHANCE, KNOWN
 from studies.running import GridArgs
 

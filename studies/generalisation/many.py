@@ -15,8 +15,8 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.launching.local import get_fork_server
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
 from studies.baseline import BaselineRun
 from studies.generalisation.grids import AT_ONCE, TRAINED, TRANSFER, make_depth_sets
 from studies.unseen import (
@@ -107,7 +107,7 @@ def run_course(benchmark: str, course: str, agent: str, seed: int, primitives: i
 
 def name_rooms(benchmark: str, rung: str, half: Literal["train", "test"], count: int) -> str:
     """The first rooms of a rung's half, in a line."""
-    return f"{benchmark}/{rung}/{half}[:{count}]"
+    return f"{benchmark}/{rung}/{half}#0..{count}"
 
 
 def run_reference(benchmark: str, rung: str, agent: str, tested: int) -> BaselineRun:

@@ -25,9 +25,9 @@ from hrl_escape.comparison.references.registry import SEARCH_BASELINES
 from hrl_escape.comparison.reporting.figures import SPARE
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.env.pictures import palette
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.room_sets import TOWER_HORIZON
 from hrl_escape.names import count_nouns, join_words
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON
 from studies.baseline import BaselineRun, compute_run_efficiency
 from studies.figures import FIGURE_STYLE
 from studies.ladder.baselines import (
@@ -89,7 +89,7 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
     over = group_runs(alone.get("Over options", ()))
     return Page({
         "PASSED_ESCAPES": PASSED_ESCAPES, "PASSED_EFFICIENCY": PASSED_EFFICIENCY, "MOST_TO_PASS": MOST_TO_PASS,
-        "TOWER_HORIZON": TOWER_HORIZON,
+        "SEQUENCE_HORIZON": SEQUENCE_HORIZON,
         "beyond": tell_beyond_searching(over, rungs), "visible": tell_visible(over, rungs),
         "advice": tell_bar(over, rungs), "blank": tell_blank(over, rungs),
         "lines": lines, "rungs": {line.rung for line in lines}, "mastery": _find_mastery(lines, rungs),

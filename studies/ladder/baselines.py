@@ -23,7 +23,7 @@ from hrl_escape.comparison.protocols import (
     make_tower_grid,
 )
 from hrl_escape.files import read_toml
-from hrl_escape.ladder.benchmark import Benchmark
+from hrl_escape.sets.benchmark import Benchmark
 from studies.baseline import BaselineRun, collect_baselines
 from studies.running import NO_TRAINING, GridArgs
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from hrl_escape.ladder.benchmark import compute_root, compute_task_overlap
-from hrl_escape.ladder.instance_set import InstanceSet, derive_task
-from hrl_escape.ladder.keys import LATEST_LAYOUTS, RoomKeys, SeenLayouts, compute_keys
-from hrl_escape.ladder.manifest import ROLES, Manifest, RungRecord
-from hrl_escape.ladder.rung import HELD_OUT, Rung, choose_seeds, derive_seed, is_held_out
+from hrl_escape.sets.benchmark import compute_root, compute_task_overlap
+from hrl_escape.sets.instance_set import InstanceSet, derive_task
+from hrl_escape.sets.keys import LATEST_LAYOUTS, RoomKeys, SeenLayouts, compute_keys
+from hrl_escape.sets.manifest import ROLES, Manifest, RungRecord
+from hrl_escape.sets.rung import HELD_OUT, Rung, choose_seeds, derive_seed, is_held_out
 
 LEAST_TASKS = 20
 """Different tasks without which a set of unseen tasks says little."""

@@ -18,8 +18,8 @@ from hrl_escape.comparison.launching.local import get_fork_server
 from hrl_escape.comparison.protocols import compute_learned_share
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.names import join_words
+from hrl_escape.sets.benchmark import load_benchmark
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
 from studies.running import StudyArgs

@@ -17,13 +17,13 @@ from hrl_escape.agents.old_specs import convert_label
 from hrl_escape.agents.spec import ORACLE, AgentSpec
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError, UnknownNameError
-from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.sets.instance_set import InstanceSet
 from studies.buttons.analysis import FirstEscape, find_first_escape
 from studies.page import make_table
 from studies.parts.answers import (
@@ -172,7 +172,7 @@ def make_config(room: Mapping[str, Any], buttons: int, rule: str) -> RoomConfig:
 def _search(reference: str, config: RoomConfig, seed: int, budget: int) -> int | None:
     """Primitives to the first escape of a reference, which may ask how the room was drawn."""
     spec = AgentSpec.parse(convert_label(reference))  # study.toml is registered with names of version 0.3
-    env, recorder = make_env(spec, InstanceSet(reference, config, [seed]), "features")
+    env, recorder = make_agent_env(spec, InstanceSet(reference, config, [seed]), "features")
     try:
         return train(make_reference(spec.name, env, recorder), env, primitives=budget, seed=seed, eval_episodes=0,
                      probe=FirstEscape(), progress=False, observed=False).first_escape

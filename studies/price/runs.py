@@ -25,9 +25,9 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.statistics import compute_efficiency
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.goals import GoalsEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known
+from hrl_escape.sets.goals import GoalsEnv
 from hrl_escape.settings import replace_settings
 from hrl_escape.version import __version__, find_versions
 from studies.flat import find_until

@@ -22,9 +22,10 @@ from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.comparison.verdict import count_things, spell_number
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.manifest import AxisRecord, load_references
+from hrl_escape.ladder.references import load_references
 from hrl_escape.names import join_words
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.manifest import AxisRecord
 from studies.baseline import BaselineRun
 from studies.figures import FIGURE_STYLE
 from studies.ladder.baselines import BaselineArgs, collect_lines, list_missing, run_baselines

@@ -21,11 +21,11 @@ from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.comparison import run_grid
 from hrl_escape.comparison.grid import Grid, SolvedRule
 from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.files import read_toml
+from hrl_escape.sets.room_spec import RoomSpec
 from studies.running import refuse_failures
 from studies.scaling.results import RoomKind, ScalingRun, collect_scaling_runs
 
@@ -93,7 +93,7 @@ class Round:
 
     @cached_property
     def _specs(self) -> tuple[RoomSpec, ...]:
-        return tuple(RoomSpec(config=make_room(task).to_dict(), seed=self.seed) for task in self.tasks)
+        return tuple(RoomSpec(config=make_room(task).to_dict(), instance=self.seed) for task in self.tasks)
 
     @cached_property
     def rooms(self) -> dict[RoomKind, RoomInstance]:

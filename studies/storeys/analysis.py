@@ -13,12 +13,12 @@ from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate_trials
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.comparison.statistics import compute_efficiency
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.room_sets import Tower, repeat_floor
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.room_sequence import RoomSequence, repeat_set
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
 from studies.running import StudyArgs as Args
@@ -54,15 +54,15 @@ class FloorRun:
 LINES = (FloorRun,)
 
 
-def play_towers(agent: str, tower: Tower, repeats: bool, towers: int) -> list[FloorRun]:
+def play_towers(agent: str, tower: RoomSequence, repeats: bool, towers: int) -> list[FloorRun]:
     """Play an episode in each of the first towers; without `repeats` nothing is carried from floor to floor."""
-    spec, floors = AgentSpec.parse(agent), len(tower.floors)
+    spec, floors = AgentSpec.parse(agent), len(tower.sets)
     order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(towers)}
-    env, recorder = make_env(spec, Tower(tower.floors, repeats), "objects", order)
+    env, recorder = make_agent_env(spec, RoomSequence(tower.sets, repeats), "objects", order)
     found = evaluate_trials(make_reference(spec.name, env, recorder), env, towers, floors)
     env.close()
     runs = []
-    for number, (rooms, own) in enumerate(zip(tower.floors, found, strict=True), 1):
+    for number, (rooms, own) in enumerate(zip(tower.sets, found, strict=True), 1):
         fewest = [count_fewest(rooms[index]) for index in range(towers)]
         values = np.minimum(compute_efficiency(own.escaped, own.lengths, fewest), 1.0)
         runs.append(FloorRun(agent, repeats, number, tuple(np.round(values, 4).tolist())))
@@ -73,11 +73,11 @@ def measure(study: Study, args: Args, store: Store) -> None:
     """Play what is missing."""
     data = study.data
     benchmark, rung = data["rung"].split("/")
-    tower = repeat_floor(load_benchmark(benchmark)[rung].test, data["floors"])
+    tower = repeat_set(load_benchmark(benchmark)[rung].test, data["floors"])
     known = {run.place for run in store.load()}
     for agent, repeats in ((data["searcher"], True), (data["ceiling"], False), (data["ceiling"], True)):
         if (agent, repeats, data["floors"]) not in known:
-            store.add(play_towers(agent, tower, repeats, min(data["towers"], len(tower.floors[0]))))
+            store.add(play_towers(agent, tower, repeats, min(data["towers"], len(tower.sets[0]))))
 
 
 def _gain(first: np.ndarray, last: np.ndarray) -> tuple[float, float, float]:

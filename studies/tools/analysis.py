@@ -17,8 +17,8 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.room_sets import parse_room_set
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.sets.grammar import find_set
 from hrl_escape.text import Score, ToldEnv, ToolsAgent, make_model, verify_games
 from studies.figures import FIGURE_STYLE
 from studies.page import make_table
@@ -100,7 +100,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     """Play what is missing, and replay every recording; games in other rooms than the study's do not count."""
     console, known = Console(stderr=True, highlight=False), {run.place for run in store.load()}
     rooms = {(rung, number): room for rung in study.data["rungs"] for number, room in enumerate(
-        parse_room_set(f"ladder-1/{rung}/test[:{args.rooms or study.data['rooms']}]"))}
+        find_set(f"ladder-1/{rung}/test#0..{args.rooms or study.data['rooms']}"))}
     for caller in study.data["callers"]:
         name, told = caller["manager"], caller["told"]
         if args.managers and name not in args.managers:

@@ -13,8 +13,8 @@ from hrl_escape.agents.recommended import RECOMMENDED
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.cli import main
 from hrl_escape.commands.compare import CompareArgs
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.presets import get_grid
+from hrl_escape.sets.room_spec import RoomSpec
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
@@ -31,21 +31,21 @@ def test_flags_change_the_preset_and_nothing_else():
     grid = CompareArgs("quickstart", runs=3, primitives=500, eval_episodes=2).make_grid()
     assert (grid.runs, grid.primitives, grid.eval_episodes) == (3, 500, 2)
     assert grid.agents == get_grid("quickstart").agents and grid.name == "quickstart"
-    other = CompareArgs("ladder", agents=("dqn", "smdp-dqn@keras-rl-2019"), rooms=("clutter#2",)).make_grid()
+    other = CompareArgs("ladder", agents=("dqn", "smdp-dqn@keras-rl-2019"), room=("clutter#2",)).make_grid()
     assert other.agents == (AgentSpec("dqn"), AgentSpec("smdp-dqn", recipe="paper"))
-    assert other.rooms == (RoomSpec("clutter", seed=2),) and other.name == "ladder"
+    assert other.rooms == (RoomSpec("clutter#2"),) and other.name == "ladder"
     assert CompareArgs(agents=("dqn",)).make_grid().name == "comparison"
 
 
 def test_sets_of_rooms_take_the_place_of_rooms():
-    grid = CompareArgs(train_rooms=("clutter#0..3",), test_rooms=("clutter#4..5",)).make_grid()
+    grid = CompareArgs(train_rooms=("clutter#0..4",), test_rooms=("clutter#4..6",)).make_grid()
     (place,) = grid.make_places()
     assert not grid.rooms and place.split is not None
     assert (list(place.split.train.seeds), list(place.split.test.seeds)) == ([0, 1, 2, 3], [4, 5])
 
 
 def test_work_is_told_before_made_in_parts_and_reported_from_the_folder(capsys, tmp_path: Path):
-    words = ("compare", "--agents", "random-options", "oracle", "--rooms", "paper-two-button", "--runs", "1",
+    words = ("compare", "--agents", "random-options", "oracle", "--room", "paper-two-button", "--runs", "1",
              "--primitives", "40", "--eval-episodes", "1", "--workers", "1", "--out", tmp_path)
     code, out, _ = call(capsys, *words, "--dry-run")
     assert code == 0 and "2 runs, 2 to be made" in out and not list(tmp_path.iterdir()), "nothing was run"
@@ -61,7 +61,7 @@ def test_work_is_told_before_made_in_parts_and_reported_from_the_folder(capsys, 
     "arguments",
     [
         CompareArgs(),
-        CompareArgs("ladder", agents=("dqn", "smdp-dqn"), rooms=("clutter#2",), runs=3, out=Path("/tmp/a b"), ray=True),
+        CompareArgs("ladder", agents=("dqn", "smdp-dqn"), room=("clutter#2",), runs=3, out=Path("/tmp/a b"), ray=True),
         CompareArgs("my grid.toml", primitives=77, eval_every=7, workers=2, observation="state"),
     ],
 )
@@ -99,7 +99,7 @@ def test_compare_prints_verdict_table_and_report(capsys: pytest.CaptureFixture[s
         (["quickstrat"], "did you mean 'quickstart'"),
         (["nowhere.toml"], "nowhere.toml: no such grid"),
         (["--agents", "dqqn"], "did you mean 'dqn'"),
-        (["--rooms", "cluter"], "did you mean 'clutter'"),
+        (["--room", "cluter"], "did you mean 'clutter'"),
         (["--runs", "0"], "grid.runs = 0 is not possible"),
         (["--agents", "dqn", "dqn"], "same agent label twice"),
         (["--out", "/dev/null/out"], "cannot write /dev/null/out"),
@@ -159,9 +159,9 @@ def test_train_prints_the_curve_keeps_the_run_and_goes_on(capsys: pytest.Capture
 def test_train_refuses_a_folder_with_another_room_or_other_settings(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     arguments = ["train", "random-options", "--primitives", 100, "--eval-episodes", 1, "--out", tmp_path]
     assert call(capsys, *arguments)[0] == 0
-    code, _, err = call(capsys, *arguments, "--preset", "clutter")
+    code, _, err = call(capsys, *arguments, "--room", "clutter")
     assert code == 2 and "holds a run that differs in environment.arguments.instance" in err
-    code, _, err = call(capsys, *arguments, "--training-seed", 1)
+    code, _, err = call(capsys, *arguments, "--seed", 1)
     assert code == 2 and "seed: 0 there, 1 now" in err
 
 

@@ -208,5 +208,5 @@ def test_mistakes_are_one_line_each(capsys, tmp_path, monkeypatch):
     assert_refused(capsys, ["data", "show", "freight-play-10m-v1"], "hrl-escape data make freight-play-10m-v1")
     assert_refused(capsys, ["data", "make"], "at least one data set")
     assert_refused(capsys, ["data", "make", "pair-play-v1", "--primitives", "0"], "--primitives")
-    assert_refused(capsys, ["data", "make", "mine", "--rooms", "paper-two-button#0"], "with both --rooms and --played")
+    assert_refused(capsys, ["data", "make", "mine", "--room", "paper-two-button"], "with both --room and --played")
     assert list(tmp_path.iterdir()) == []

@@ -28,7 +28,7 @@ def write_room(folder: Path, name: str) -> str:
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_rooms_name_is_shown_as_it_stands(folder: Path, name: str, capfd):
-    code = main(["room", "--config", write_room(folder, name)])
+    code = main(["room", "--room", write_room(folder, name)])
     said = capfd.readouterr()
     assert (code, said.err) == (0, "") or code == 2 and len(said.err.splitlines()) == 1
     assert all(line.isprintable() for line in (said.out + said.err).splitlines())
@@ -39,7 +39,7 @@ def test_a_rooms_name_is_shown_as_it_stands(folder: Path, name: str, capfd):
 @pytest.mark.in_turn_for("../../up")
 @pytest.mark.parametrize("name", ["../../up", "x" * 300])
 def test_train_keeps_its_default_folder_below_runs(folder: Path, name: str, capfd):
-    code = main(["train", "random", "--primitives", "5", "--eval-episodes", "0", "--config", write_room(folder, name)])
+    code = main(["train", "random", "--primitives", "5", "--eval-episodes", "0", "--room", write_room(folder, name)])
     said = capfd.readouterr()
     assert code == 0, said.err
     assert len(list((folder / "runs").iterdir())) == 1
@@ -51,8 +51,8 @@ def test_train_keeps_its_default_folder_below_runs(folder: Path, name: str, capf
 @pytest.mark.parametrize("name", ["[/bold]", "../../up"])
 def test_solve_and_record_show_names_as_they_stand(folder: Path, name: str, capfd):
     room = write_room(folder, name)
-    assert main(["solve", "--config", room, "--draw", "[map]/way.svg"]) == 0
+    assert main(["solve", "--room", room, "--draw", "[map]/way.svg"]) == 0
     said = capfd.readouterr().out
     assert name in said and "[map]" in said
-    assert main(["record", "--config", room, "--out", "[page]/way.html"]) == 0
+    assert main(["record", "--room", room, "--out", "[page]/way.html"]) == 0
     assert "[page]" in capfd.readouterr().out

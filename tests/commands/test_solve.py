@@ -22,14 +22,14 @@ def run(capsys, *arguments: str) -> tuple[int, str, str]:
 
 
 def test_it_prints_the_plan_part_by_part_and_runs_it(capsys):
-    code, out, _ = run(capsys, "--preset", "paper-one-button")
+    code, out, _ = run(capsys, "--room", "paper-one-button")
     assert code == 0
     assert "press-button-1" in out and "9 strafe-left" in out
     assert "escaped after 9 primitives, return 91, every state as predicted" in out
 
 
 def test_json_tells_what_a_program_needs(capsys):
-    code, out, _ = run(capsys, "--preset", "clutter", "--seed", "2", "--goal", "button-2", "--json")
+    code, out, _ = run(capsys, "--room", "clutter#2", "--goal", "button-2", "--json")
     report = json.loads(out)
     assert code == 0 and report["reached"] and not report["escaped"]
     assert report["plan"]["cost"] == report["primitives"] == len(report["plan"]["primitives"])
@@ -40,13 +40,13 @@ def test_json_tells_what_a_program_needs(capsys):
     ("corridor", "RRTConnect"), ("BITstar", "BITstar"), ("auto", "joint search"),
 ])
 def test_another_planner_is_chosen_by_name(capsys, planner, found_by):
-    code, out, _ = run(capsys, "--preset", "paper-two-button", "--planner", planner, "--json")
+    code, out, _ = run(capsys, "--room", "paper-two-button", "--planner", planner, "--json")
     report = json.loads(out)
     assert code == 0 and report["escaped"] and report["plan"]["planner"] == found_by
 
 
 def test_noise_is_met_by_looking_as_it_goes(capsys):
-    code, out, _ = run(capsys, "--preset", "paper-two-button", "--set", "dynamics.noise=0.1", "dynamics.slip=0.1",
+    code, out, _ = run(capsys, "--room", "paper-two-button", "--set", "dynamics.noise=0.1", "dynamics.slip=0.1",
                        "--json")
     report = json.loads(out)
     assert code == 0 and report["escaped"] and "plan" not in report
@@ -56,7 +56,7 @@ def test_noise_is_met_by_looking_as_it_goes(capsys):
 @pytest.mark.in_turn
 def test_pictures_and_pddl_are_written(capsys, tmp_path):
     files = [tmp_path / name for name in ("map.svg", "way.gif")]
-    code, out, _ = run(capsys, "--preset", "paper-one-button", "--draw", str(files[0]), str(files[1]),
+    code, out, _ = run(capsys, "--room", "paper-one-button", "--draw", str(files[0]), str(files[1]),
                        "--camera", "overhead", "--pddl", str(tmp_path / "pddl"))
     assert code == 0 and all(file.stat().st_size > 1000 for file in files)
     with Image.open(files[1]) as video:
@@ -67,7 +67,7 @@ def test_pictures_and_pddl_are_written(capsys, tmp_path):
 
 def test_a_page_shows_the_motion_with_lights_as_they_are_before_it(tmp_path):
     page = tmp_path / "way.html"
-    assert main(["solve", "--preset", "paper-one-button", "--goal", "button-1", "--draw", str(page)]) == 0
+    assert main(["solve", "--room", "paper-one-button", "--goal", "button-1", "--draw", str(page)]) == 0
     planner = RoomPlanner(generate(get_preset("paper-one-button"), 0))
     start = planner.rules.make_state(planner.instance.starts[0])
     motion = make_trajectory(planner.plan(start, "button-1"))
@@ -82,7 +82,7 @@ def test_a_page_shows_the_motion_with_lights_as_they_are_before_it(tmp_path):
         (("--planner", "RRTConect"), "RRTConnect"),
         (("--draw", "plan.doc"), ".svg"),
         (("--camera", "side"), "overhead"),
-        (("--budget", "1", "--preset", "clutter"), "budget exhausted"),
+        (("--budget", "1", "--room", "clutter"), "budget exhausted"),
     ],
 )
 def test_a_mistake_is_one_clear_line(capsys, arguments, message):
@@ -91,5 +91,5 @@ def test_a_mistake_is_one_clear_line(capsys, arguments, message):
 
 
 def test_it_says_by_exit_code_that_the_goal_was_not_reached(capsys):
-    code, out, _ = run(capsys, "--preset", "paper-two-button", "--set", "horizon=5")
+    code, out, _ = run(capsys, "--room", "paper-two-button", "--set", "horizon=5")
     assert code == 1 and "not reached after 5 primitives" in out

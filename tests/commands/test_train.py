@@ -52,7 +52,7 @@ def test_ctrl_c_saves_the_run_and_the_same_command_goes_on_with_it(tmp_path):
 
 
 def test_parts_of_a_spec_train_what_settings_train(capsys, tmp_path):
-    shared = ["--preset", "paper-one-button", "--primitives", "60", "--eval-episodes", "1"]
+    shared = ["--room", "paper-one-button", "--primitives", "60", "--eval-episodes", "1"]
     options = ["smdp-ppo+memory", "--settings", "network=objects"]
     said = call(capsys, "train", "smdp-ppo+objects+memory", *shared, "--out", tmp_path / "run")[1]
     assert "smdp-ppo+objects+memory, seed 0: " in said
@@ -95,7 +95,7 @@ def heed_ctrl_c():
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-SHORT = ["train", "random-options", "--preset", "four-button-chain", "--primitives", "50", "--eval-episodes", "0"]
+SHORT = ["train", "random-options", "--room", "four-button-chain", "--primitives", "50", "--eval-episodes", "0"]
 
 
 @pytest.mark.in_turn_for(
@@ -103,8 +103,8 @@ SHORT = ["train", "random-options", "--preset", "four-button-chain", "--primitiv
     "changes2-seed: 0 there, 1 now")
 @pytest.mark.parametrize(("changes", "field"), [
     (["--flavour", "press-with-ancestors"], "flavour: 'press' there, 'press-with-ancestors' now"),
-    (["--seed", "1"], "environment.arguments.instance"),
-    (["--training-seed", "1"], "seed: 0 there, 1 now"),
+    (["--room", "four-button-chain#1"], "environment.arguments.instance"),
+    (["--seed", "1"], "seed: 0 there, 1 now"),
     (["--observation", "state"], "environment.arguments.observation: 'features' there, 'state' now"),
 ])
 def test_a_folder_that_holds_another_run_is_refused_and_the_default_folder_is_another(
@@ -136,7 +136,7 @@ def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(cap
     (["smdp-q-learning", "--primitives", "0"], "primitives = 0 is not possible"),
     (["smdp-q-learning", "--eval-every", "0"], "eval_every = 0 is not possible"),
     (["smdp-iql", "--data", "pair-play-v1", "--primitives", "0"], "primitives = 0 is not possible"),
-    (["smdp-iql", "--data", "pair-play-v1", "--preset", "clutter"], "--preset does not go with --data"),
+    (["smdp-iql", "--data", "pair-play-v1", "--room", "clutter"], "--room does not go with --data"),
     (["q-learning", "--flavour", "press"],
      "--flavour is for agents that choose among options, such as smdp-q-learning"),
     (["hamq+planned", "--flavour", "press-markov"], "--flavour is for agents that choose among options"),
@@ -149,7 +149,7 @@ def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch,
 
 @pytest.mark.parametrize("agent", ["ppo", "smdp-ppo"])
 def test_a_batch_trains_in_many_rooms_at_once(capsys, tmp_path, agent):
-    code, out, _ = call(capsys, "train", agent, "--batch", "8", "--preset", "paper-one-button", "--primitives", "200",
+    code, out, _ = call(capsys, "train", agent, "--batch", "8", "--room", "paper-one-button", "--primitives", "200",
                         "--eval-episodes", "0", "--settings", "stream_rollout=4", "rollout=32", "epochs=1", "--out",
                         tmp_path / "run", "--json")
     report = json.loads(out)
@@ -171,7 +171,7 @@ def test_what_a_batch_cannot_do_is_refused(capsys, tmp_path, monkeypatch):
 def test_compiled_copies_learn_the_same(capsys, tmp_path, agent):
     learned = []
     for more in ([], ["--compile"]):
-        code, out, _ = call(capsys, "train", agent, "--batch", "8", "--preset", "paper-one-button", "--primitives",
+        code, out, _ = call(capsys, "train", agent, "--batch", "8", "--room", "paper-one-button", "--primitives",
                             "2000", "--eval-episodes", "0", "--out", tmp_path / f"run{len(more)}", "--json", *more)
         assert code == 0
         learned.append([{name: value for name, value in segment.items() if "second" not in name}
@@ -181,7 +181,7 @@ def test_compiled_copies_learn_the_same(capsys, tmp_path, agent):
 
 def test_a_batch_trains_task_hierarchies_and_agents_with_a_memory(capsys, tmp_path):
     for number, arguments in enumerate((["maxq-q+learned"], ["smdp-dqn+objects+memory"])):
-        code, out, _ = call(capsys, "train", *arguments, "--batch", "4", "--preset", "paper-one-button",
+        code, out, _ = call(capsys, "train", *arguments, "--batch", "4", "--room", "paper-one-button",
                             "--primitives", "60", "--eval-episodes", "1", "--out", tmp_path / str(number), "--json")
         report = json.loads(out)
         assert code == 0 and report["primitives"] >= 60 and len(report["evaluations"]) >= 2

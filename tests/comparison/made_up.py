@@ -10,11 +10,12 @@ from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.launching.local import Failure
-from hrl_escape.comparison.places import RoomSpec, RunPlace
 from hrl_escape.comparison.runs import RunResult
 from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.sets.places import RunPlace
+from hrl_escape.sets.room_spec import RoomSpec
 
 ROOM = generate(get_preset("paper-two-button"), 0)
 OTHER_ROOM = generate(get_preset("paper-one-button"), 0)

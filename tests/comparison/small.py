@@ -11,11 +11,11 @@ from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.comparison import WHOLE, Comparison, Shard, run_grid
 from hrl_escape.comparison.grid import Grid, GridRun
 from hrl_escape.comparison.launching.local import Launcher
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.runs import get_training_folder
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.sets.room_spec import RoomSpec
 
 SCHEMATIC = RoomConfig(
     name="small",

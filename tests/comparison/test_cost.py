@@ -13,7 +13,7 @@ from hrl_escape.cli import main
 from hrl_escape.comparison import cost
 from hrl_escape.comparison.cost import count_buttons, describe_cost, estimate_hours, estimate_rate, load_rates
 from hrl_escape.comparison.grid import Grid
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
 
 RATES = {"smdp-dqn": {2: 1.0, 4: 3.0}, "dqn": {3: 0.5}}
 

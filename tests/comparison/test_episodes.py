@@ -13,7 +13,7 @@ from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.recording import record_episode
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.env.pictures.moving_map import make_frames
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.primitives import make_action_table
@@ -26,7 +26,7 @@ from tests.comparison.small import SCHEMATIC
 
 def record(name: str, seed: int = 3):
     instance = generate(SCHEMATIC, 0)
-    env, recorder = make_env(AgentSpec(name), instance, "features")
+    env, recorder = make_agent_env(AgentSpec(name), instance, "features")
     agent = make_agent(name, env.observation_space, env.action_space, 0)
     return instance, env, recorder, record_episode(agent, env, seed).to_json()
 
@@ -120,7 +120,7 @@ def test_pushed_props_move():
 def test_recording_changes_nothing():
     instance = dataclasses.replace(generate(SCHEMATIC, 0))
     plain = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=instance, observation="features")
-    recorded, _ = make_env(AgentSpec("random"), instance, "features")
+    recorded, _ = make_agent_env(AgentSpec("random"), instance, "features")
     first, second = (env.reset(seed=5)[0] for env in (plain, recorded))
     assert np.array_equal(first, second)
     for action in (0, 2, 4, 1):
@@ -131,7 +131,7 @@ def test_progress_is_the_share_of_the_goals_ancestors_lit_at_best():
     """A chain of four: two are lit, then the last is pressed too early, and progress stays at a half."""
     room = generate(get_preset("four-button-chain"), 0)
     assert room.puzzle.goal_targets and len(room.targets) == 4
-    env, _ = make_env(AgentSpec("random-options", options=OptionsView(include_primitives=False)), room, "features")
+    env, _ = make_agent_env(AgentSpec("random-options", options=OptionsView(include_primitives=False)), room, "features")
     env.reset(seed=0)
     parents = {child: parent for parent, child in room.puzzle.edges}
     order = [next(target for target in range(4) if target not in parents)]
@@ -145,7 +145,7 @@ def test_progress_is_the_share_of_the_goals_ancestors_lit_at_best():
 def test_progress_in_a_board_that_must_go_dark_counts_lights_that_are_off():
     lights = LightsOutConfig(rows=4, columns=4, task=4)  # from 1001 in all rows to all off, by six presses
     room = generate(dataclasses.replace(get_preset("lights-out"), puzzle=lights), 0)
-    env, _ = make_env(AgentSpec("random-options", options=OptionsView(include_primitives=False)), room, "features")
+    env, _ = make_agent_env(AgentSpec("random-options", options=OptionsView(include_primitives=False)), room, "features")
     assert env.reset(seed=0)[1]["progress"] == 0.5
     assert env.step(0)[4]["progress"] == 9 / 16, "two lights go off and one goes on"
     assert env.step(0)[4]["progress"] == 9 / 16, "back again, and the best so far counts"

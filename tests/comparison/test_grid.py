@@ -10,11 +10,12 @@ import pytest
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.grid import Grid, load_grid
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.presets import GRIDS, get_grid
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError, FileReadError, GridError, UnknownNameError
+from hrl_escape.sets import make_room
+from hrl_escape.sets.room_spec import RoomSpec
 from tests.comparison.small import SMALL, change
 
 
@@ -28,8 +29,8 @@ def make_runs(grid: Grid):
 def test_short_texts_name_recipe_and_instance():
     assert AgentSpec.parse("smdp-dqn@keras-rl-2019") == AgentSpec("smdp-dqn", recipe="keras-rl-2019")
     assert AgentSpec.parse("smdp-dqn@keras-rl-2019").label == "smdp-dqn@keras-rl-2019"
-    assert RoomSpec.parse("clutter#3") == RoomSpec("clutter", seed=3)
-    assert RoomSpec.parse("some/room.json") == RoomSpec(file="some/room.json")
+    assert RoomSpec.parse("clutter#3") == RoomSpec("clutter#3")
+    assert RoomSpec.parse("some/room.json") == RoomSpec("some/room.json")
 
 
 def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
@@ -38,7 +39,8 @@ def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
         format = 2
         primitives = 500
         runs = 3
-        rooms = ["clutter#2", { preset = "larg-2019", arguments = { size = 3 } }, { file = "room.json" }]
+        rooms = ["clutter#2", "larg-2019(size=3)", "room.json", "ladder-1/pair/test#3",
+                 { room = "clutter", set = { horizon = 50 } }, { config = { horizon = 60 }, instance = 4 }]
         [[agents]]
         name = "dqn"
         [[agents]]
@@ -53,9 +55,28 @@ def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
                                                        options=OptionsView(include_primitives=True)))
     assert [agent.label for agent in grid.agents] == ["dqn", "far"]
     instances = [room.make_instance() for room in grid.rooms]
-    assert [(i.name, i.seed) for i in instances] == [("clutter", 2), ("larg-2019", 0), ("paper-one-button", 0)]
-    assert len(instances[1].targets) == 3
+    assert [(i.name, i.seed) for i in instances] == [
+        ("clutter", 2), ("larg-2019", 0), ("paper-one-button", 0), ("pair", make_room("ladder-1/pair/test#3").seed),
+        ("clutter", 0), ("custom", 4)]
+    assert len(instances[1].targets) == 3 and [i.horizon for i in instances[4:]] == [50, 60]
+    assert [place.name for place in grid.make_places()][:4] == [
+        "clutter#2", "larg-2019(size=3)", "paper-one-button", "ladder-1/pair/test#3"]
     assert grid.agents[1].resolve_settings()["gamma"] == 0.999
+
+
+@pytest.mark.parametrize(("room", "text"), [
+    ('{ preset = "clutter", seed = 3 }', "clutter#3"), ('{ set = "ladder-1/pair/test[3]" }', "ladder-1/pair/test#3"),
+    ('{ file = "room.json" }', "room.json"),
+    ('{ preset = "larg-2019", arguments = { size = 4 }, seed = 2 }', r"larg-2019\(size=4\)#2"),
+    ('"ladder-1/pair/test[3]"', "ladder-1/pair/test#3")])
+def test_a_room_of_a_grid_of_version_0_3_is_refused_with_its_new_form(tmp_path: Path, room: str, text: str):
+    (tmp_path / "old.toml").write_text(f"format = 2\nrooms = [{room}]")
+    with pytest.raises(GridError, match=f"write '?{text}"):
+        load_grid(tmp_path / "old.toml")
+
+
+def test_rooms_of_a_grid_are_texts_in_python_too():
+    assert Grid(rooms=("clutter#3",)) == Grid(rooms=(RoomSpec("clutter#3"),))
 
 
 @pytest.mark.in_turn_for("ladder")
@@ -130,7 +151,7 @@ def test_options_say_nothing_about_a_flat_agent():
         ({"agents": [AgentSpec("dqn", settings={"gama": 1})]}, "did you mean 'gamma'"),
         ({"agents": [AgentSpec("dqn", settings={"gamma": 2})]}, r"gamma = 2 is not possible.*from 0 to 1"),
         ({"rooms": ["cluter"]}, "did you mean 'clutter'"),
-        ({"rooms": ["clutter#x"]}, "after # comes the number"),
+        ({"rooms": ["clutter#x"]}, "after # write the number"),
         ({"runs": 0}, "grid.runs = 0 is not possible"),
         ({"primitives": "many"}, "grid.primitives = 'many' is not possible: a whole number"),
     ],
@@ -156,7 +177,7 @@ def test_an_unknown_agent_is_refused_where_it_is_named(name: str, message: str):
     [
         ("runs = ", "mine.toml: .*TOML"),
         ("run = 3", "mine.toml: unknown grid field .run.; did you mean .runs."),
-        ('rooms = [{ preset = "clutter", file = "x.json" }]', "one of preset, config, file or set"),
+        ('rooms = [{ room = "clutter", config = { horizon = 50 } }]', "a room is a text such as 'clutter#3'"),
         ('agents = [{ nam = "dqn" }]', "unknown agent field .nam.; did you mean .name."),
     ],
 )

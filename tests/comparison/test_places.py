@@ -12,9 +12,8 @@ from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.reporting.report import write_markdown, write_report
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.env.config import Between
 from hrl_escape.env.puzzles.base import Panels
@@ -22,7 +21,8 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GridError, UnknownNameError
-from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.places import RunPlace
 from tests.comparison.small import SCHEMATIC, run_quietly
 
 VARIED = dataclasses.replace(SCHEMATIC, horizon=60,
@@ -35,8 +35,8 @@ def finished(tmp_path_factory) -> Comparison:
     folder = tmp_path_factory.mktemp("split")
     InstanceSet("ten", VARIED, range(10)).save(folder / "ten.json")
     agents = ("random-options", "smdp-dqn+objects+memory", "oracle")
-    grid = Grid("split", agents=tuple(map(AgentSpec.parse, agents)), train_rooms=(f"{folder}/ten.json[:4]",),
-                test_rooms=(f"{folder}/ten.json[4:7]",), runs=1, primitives=150, eval_every=150, eval_episodes=4,
+    grid = Grid("split", agents=tuple(map(AgentSpec.parse, agents)), train_rooms=(f"{folder}/ten.json#0..4",),
+                test_rooms=(f"{folder}/ten.json#4..7",), runs=1, primitives=150, eval_every=150, eval_episodes=4,
                 observation="objects")
     return run_quietly(grid, folder / "out", LocalLauncher(1))
 
@@ -101,10 +101,10 @@ def test_overlaps_of_rooms_and_tasks_are_counted():
 
 
 @pytest.mark.parametrize(("fields", "words"), [
-    ({"train_rooms": ("clutter#0..3",)}, "one set of test_rooms"),
-    ({"train_rooms": ("clutter#0..3",) * 3, "test_rooms": ("clutter#4",) * 2}, "3 train_rooms"),
-    ({"rooms": ["clutter"], "train_rooms": ["clutter#0..3"], "test_rooms": ["clutter#4"]}, "not both"),
-    ({"train_rooms": ["clutter#0..3"], "test_rooms": ["clutter#4"], "until_solved": {"score": 0.9}}, "until_solved"),
+    ({"train_rooms": ("clutter#0..4",)}, "one set of test_rooms"),
+    ({"train_rooms": ("clutter#0..4",) * 3, "test_rooms": ("clutter#4",) * 2}, "3 train_rooms"),
+    ({"rooms": ["clutter"], "train_rooms": ["clutter#0..4"], "test_rooms": ["clutter#4"]}, "not both"),
+    ({"train_rooms": ["clutter#0..4"], "test_rooms": ["clutter#4"], "until_solved": {"score": 0.9}}, "until_solved"),
 ])
 def test_sets_that_do_not_go_together_are_refused(fields, words):
     with pytest.raises(GridError, match=words):
@@ -112,13 +112,13 @@ def test_sets_that_do_not_go_together_are_refused(fields, words):
 
 
 @pytest.mark.parametrize(("test", "fields", "words"), [
-    ("four-button-chain#0..1", {}, "set observation to objects, not features"),
-    ("four-button-chain#0..1", {"observation": "objects"}, r"set network to objects, in short dqn\+objects"),
+    ("four-button-chain#0..2", {}, "set observation to objects, not features"),
+    ("four-button-chain#0..2", {"observation": "objects"}, r"set network to objects, in short dqn\+objects"),
     ("four-button-chain#0", {"observation": "objects", "agents": (AgentSpec("q-learning"),)}, r"such as dqn\+objects"),
-    ("ladder-1/reach/test[0]", {"observation": "objects"}, "has 0 joints and that of .* 3"),
+    ("ladder-1/reach/test#0", {"observation": "objects"}, "has 0 joints and that of .* 3"),
 ])
 def test_sets_of_different_schematics_ask_for_what_both_can_show(test, fields, words):
-    grid = Grid(train_rooms=("paper-two-button#0..1",), test_rooms=(test,), **{"agents": (AgentSpec("dqn"),), **fields})
+    grid = Grid(train_rooms=("paper-two-button#0..2",), test_rooms=(test,), **{"agents": (AgentSpec("dqn"),), **fields})
     with pytest.raises(GridError, match=words):
         grid.make_runs(grid.make_places())
 
@@ -137,7 +137,7 @@ def test_traits_of_agents_are_read_from_short_texts():
 
 def test_an_episode_s_room_hangs_on_its_seed_alone():
     rooms = InstanceSet("rooms", VARIED, range(4))
-    env, recorder = make_env(AgentSpec.parse("smdp-dqn+memory"), rooms, "objects", {"11": 2, "12": 0})
+    env, recorder = make_agent_env(AgentSpec.parse("smdp-dqn+memory"), rooms, "objects", {"11": 2, "12": 0})
     seen = []
     for seed in (11, 12, 11, 13, 13):
         env.reset(seed=seed)

@@ -9,7 +9,8 @@ import pytest
 
 from benchmarks.references import choose_levels
 from hrl_escape.comparison.reporting.figures import AxisScore, draw_radar, list_references, make_profiles
-from hrl_escape.ladder.manifest import AxisRecord, RungReferences
+from hrl_escape.ladder.references import RungReferences
+from hrl_escape.sets.manifest import AxisRecord
 
 AXES = (AxisRecord("depth", ("depth-1", "depth-2")), AxisRecord("noise", ("noise-1", "noise-2")),
         AxisRecord("arm", ("arm-1",)))

@@ -18,7 +18,7 @@ from hrl_escape.comparison.protocols import (
 )
 from hrl_escape.comparison.runs import execute_run, load_run_result
 from hrl_escape.errors import GridError
-from hrl_escape.ladder.benchmark import list_benchmarks, load_benchmark
+from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
 
 RUNGS = [(name, rung.name) for name in list_benchmarks() for rung in load_benchmark(name)]
 LEARNERS = {"per-instance": "smdp-q-learning"}

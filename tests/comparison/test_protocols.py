@@ -7,7 +7,6 @@ import pytest
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.comparison.protocols import (
     LadderSettings,
     Protocol,
@@ -15,10 +14,11 @@ from hrl_escape.comparison.protocols import (
     list_standings,
     make_protocol_grid,
 )
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ConfigError, GridError, UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.room_spec import RoomSpec
 from studies.ladder.calibration import find_miscalibration, find_steps
 from tests.comparison.made_up import compare
 
@@ -49,7 +49,7 @@ def test_per_instance_shows_features_unless_an_agent_reads_objects():
 def test_factored_r_max_plans_over_what_the_largest_lattice_shows():
     spec = AgentSpec.parse("smdp-factored-r-max")
     grid = make_protocol_grid(BENCH, "lattice", "per-instance", (spec,), LadderSettings(rooms=1))
-    env, _ = make_env(spec, grid.rooms[0].make_instance(), grid.observation)
+    env, _ = make_agent_env(spec, grid.rooms[0].make_instance(), grid.observation)
     result = train(spec.name, env, primitives=60, seed=0, eval_every=60, eval_episodes=1, progress=False)
     assert result.decisions > 2, "it planned, where rows of objects have more bits than it plans over"
     env.close()

@@ -11,7 +11,7 @@ from hrl_escape.agents.spec import ORACLE, SWEEP, SWEEP_RANDOM, AgentSpec
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
@@ -23,7 +23,7 @@ CHAIN = generate(get_preset("four-button-chain"), 0)
 
 
 def play(name: str, instance: RoomInstance, episodes: int = 2) -> tuple[Evaluation, dict]:
-    env, recorder = make_env(AgentSpec(name), instance, "features")
+    env, recorder = make_agent_env(AgentSpec(name), instance, "features")
     reference = make_reference(name, env, recorder)
     found = evaluate(reference, env, episodes)
     episode = record_episode(reference, env).to_json()
@@ -41,7 +41,7 @@ def test_index_order_presses_every_button_by_number_then_leaves_and_begins_again
 
 def test_a_shuffled_round_presses_every_button_once_in_an_order_of_the_episode_s_own():
     room = generate(get_preset("ten-button"), 0)
-    env, recorder = make_env(AgentSpec(SWEEP_RANDOM), room, "features")
+    env, recorder = make_agent_env(AgentSpec(SWEEP_RANDOM), room, "features")
     reference = make_reference(SWEEP_RANDOM, env, recorder)
     buttons, orders = [f"meta-{number:02}" for number in range(1, 11)], []
     for seed in (0, 1, 0):
@@ -59,7 +59,7 @@ def test_a_shuffled_round_presses_every_button_once_in_an_order_of_the_episode_s
 def test_the_planner_is_as_efficient_as_the_best_known_in_every_episode(name: str, tmp_path: Path):
     instance = generate(get_preset(name), 0)
     found, _ = play(ORACLE, instance, episodes=1)
-    env, recorder = make_env(AgentSpec(ORACLE), instance, "features")
+    env, recorder = make_agent_env(AgentSpec(ORACLE), instance, "features")
     env.reset(seed=0)
     from hrl_escape.comparison.score_range import compute_score_range
 

@@ -16,7 +16,7 @@ from gymnasium.wrappers import TransformReward
 
 from hrl_escape.agents import Agent, train
 from hrl_escape.agents.spec import SWEEP, AgentSpec, OptionsView
-from hrl_escape.comparison.runs import execute_run, make_env
+from hrl_escape.comparison.runs import execute_run, make_agent_env
 from hrl_escape.comparison.score_range import CEILING, PLANNER, compute_score_range
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
@@ -57,7 +57,7 @@ def test_options_alone_reach_what_their_best_sequence_earns(tmp_path):
     """All sequences of three of the three options, run in the environment; primitives between them could do better."""
     room = generate(get_preset("paper-two-button"), 0)
     only = AgentSpec("smdp-dqn", options=OptionsView(include_primitives=False))
-    env, recorder = make_env(only, room, "state")
+    env, recorder = make_agent_env(only, room, "state")
     earned = []
     for sequence in itertools.product(range(3), repeat=3):
         env.reset(seed=0)

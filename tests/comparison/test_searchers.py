@@ -29,7 +29,7 @@ from hrl_escape.comparison.references.bayes import (
     measure_ways,
 )
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
@@ -39,16 +39,16 @@ from hrl_escape.env.puzzles.graphs import GraphConfig, GraphKind, mask_parents, 
 from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.settings import Between
 
 LADDER = load_benchmark("ladder-1")
 
 
 def play(name: str, room: RoomInstance, episodes: int = 1) -> tuple[np.ndarray, list[str]]:
-    env, recorder = make_env(AgentSpec(name), room, "features")
+    env, recorder = make_agent_env(AgentSpec(name), room, "features")
     reference = make_reference(name, env, recorder)
     found = evaluate(reference, env, episodes)
     decisions = [decision[0] for decision in record_episode(reference, env, 0).decisions]
@@ -218,7 +218,7 @@ def test_who_must_find_out_what_a_mistake_does_pays_what_was_foretold(monkeypatc
 
 def pay(name: str, room: RoomInstance) -> float:
     """Primitives of an episode, and a hundred more if it fails."""
-    env, recorder = make_env(AgentSpec(name), room, "features")
+    env, recorder = make_agent_env(AgentSpec(name), room, "features")
     found = evaluate(make_reference(name, env, recorder), env, 1)
     env.close()
     return float(found.lengths[0]) + 100.0 * (not found.successes[0])
@@ -372,7 +372,7 @@ def test_two_buttons_touched_at_once_confuse_no_belief():
     marks = dataclasses.replace(config.puzzle.marks, motifs=2)
     rooms = InstanceSet("", dataclasses.replace(config, puzzle=dataclasses.replace(config.puzzle, marks=marks)),
                         [699512341362768345])
-    env, recorder = make_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
+    env, recorder = make_agent_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
     assert evaluate(make_reference(BAYES, env, recorder), env, 1).successes == (True,)
     assert any((after.puzzle & ~before.puzzle).bit_count() > 1 for before, after in itertools.pairwise(recorder.states))
     env.close()
@@ -384,7 +384,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
     config = dataclasses.replace(get_preset("four-button-chain"), puzzle=ButtonsConfig(count=3, on_violation=rule))
     monkeypatch.setattr(bayes, "find_schematic", lambda room: config)  # the room's name is that of another
     room = relabel(generate(config, 5), (1, 0, 2))
-    env, recorder = make_env(AgentSpec(BAYES), room, "features")
+    env, recorder = make_agent_env(AgentSpec(BAYES), room, "features")
     searcher = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
     searcher.act(observation, info["action_mask"] != 0)
@@ -398,7 +398,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
 def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_are_drawn(rung: str, graphs: int):
     """A ceiling is a ceiling only where beliefs are listed: a sample does not plan."""
     rooms = load_benchmark("marks-4")[rung].test[:1]
-    env, recorder = make_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
+    env, recorder = make_agent_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
     searcher: Any = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
     searcher.act(observation, info["action_mask"] != 0)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hrl_escape.comparison.inference import compute_wilson_interval
-from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.runs import RunResult
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ComparisonError
+from hrl_escape.sets.places import RunPlace
 from tests.comparison.made_up import BEST, WORST, compare, make_result
 
 FEWEST = 100

@@ -11,10 +11,10 @@ from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.cli import main
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid, make_tower_grid
-from hrl_escape.comparison.runs import make_env, make_player
+from hrl_escape.comparison.runs import make_agent_env, make_player
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.text import record_game, save_games
 from hrl_escape.text.told_env import find_told_env
 from tests.comparison.small import run_quietly
@@ -26,7 +26,7 @@ UNTRIED = AgentSpec(name="text-agent", label="text", settings={"model": "search-
 def test_it_scores_what_the_searcher_scores_whose_choices_it_makes():
     found = []
     for spec in (AgentSpec("search-random"), UNTRIED, AgentSpec("text-agent", settings={"model": "random"})):
-        env, recorder = make_env(spec, get_room("chain-3"), "features")
+        env, recorder = make_agent_env(spec, get_room("chain-3"), "features")
         found.append(evaluate(make_player(spec, env, recorder), env, episodes=5))
     searcher, text, chance = found
     assert text == searcher != chance and text.success_rate == 1.0
@@ -68,7 +68,7 @@ def test_train_takes_it_and_tells_runs_of_different_callers_apart(tmp_path: Path
     room, keys = get_room("pair"), set()
     for model, told in (("search-random", "names"), ("search-random", "places"), ("random", "names")):
         spec = AgentSpec(name="text-agent", settings={"model": model, "told": told})
-        env, recorder = make_env(spec, room, "features")
+        env, recorder = make_agent_env(spec, room, "features")
         player = make_player(spec, env, recorder)
         result = train(player, env, primitives=60, seed=1, eval_episodes=1, out=tmp_path / "run-{key}", progress=False)
         keys.add(result.folder)

@@ -13,8 +13,8 @@ from hrl_escape.data.materialise import load_data
 from hrl_escape.data.published import read_published
 from hrl_escape.data.record import record, train_medium
 from hrl_escape.data.tape import Tape, load_tape, save_tape
-from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.planning.best_known import find_best_known, list_start_states
+from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.step_info import ENDINGS
 from tests.data.small import make_tape, save_small
 

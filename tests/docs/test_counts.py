@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hrl_escape.comparison import list_pretrained
 from hrl_escape.data.published import read_published
-from hrl_escape.ladder import load_benchmark
+from hrl_escape.sets import load_benchmark
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -36,10 +36,10 @@ from hrl_escape.env.puzzles.traits import Doored
 from hrl_escape.env.sampling.certificate import find_unmet, make_floors
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, PlanningFailed, UnsupportedError
-from hrl_escape.ladder.keys import compute_task_key
 from hrl_escape.options import OptionsEnv
 from hrl_escape.planning import RoomPlanner, find_best_known
 from hrl_escape.planning.lower_bounds import bound_escape
+from hrl_escape.sets.keys import compute_task_key
 from hrl_escape.synthesis.situation import Situations
 
 CONFIG = get_preset("inner-doors")

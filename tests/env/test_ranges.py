@@ -75,8 +75,8 @@ def test_an_instance_with_a_frame_survives_its_file(rooms, tmp_path):
 def test_the_command_line_takes_ranges(capsys):
     counts = set()
     for seed in range(6):
-        assert main(["room", "--preset", "four-button-chain", "--set", "puzzle.count=3..5", "room.width=14..20",
-                     "--seed", str(seed), "--json"]) == 0
+        assert main(["room", "--room", f"four-button-chain#{seed}", "--set", "puzzle.count=3..5",
+                     "room.width=14..20", "--json"]) == 0
         counts.add(len(json.loads(capsys.readouterr().out)["targets"]))
     assert counts == {3, 4, 5}
 

@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.references import measure_rung
 from hrl_escape.cli import main
-from hrl_escape.ladder.benchmark import list_benchmarks, load_benchmark
-from hrl_escape.ladder.manifest import load_references
+from hrl_escape.ladder.references import load_references
+from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
 
 MEASURED = [name for name in list_benchmarks() if load_references(name)]
 

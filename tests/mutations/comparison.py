@@ -31,7 +31,7 @@ MUTATIONS = [
         "comparison/references/registry.py",
         "last.infer_motif() if isinstance(last, BayesPlanner) and not is_first else None",
         "None",
-        "ladder/test_sequence.py::test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_nothing_repeats",
+        "sets/test_sequence.py::test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_nothing_repeats",
     ),
     Mutation(
         "the ceiling does not know where buttons may hang",

@@ -379,7 +379,7 @@ MUTATIONS = [
         "env/puzzles/buttons.py",
         "np.lexsort((rng.random(len(depths)), np.array(depths)))",
         "np.lexsort((np.arange(len(depths)), np.array(depths)))",
-        "ladder/test_leaks.py::test_nothing_tells_of_the_graph_before_the_first_press",
+        "sets/test_leaks.py::test_nothing_tells_of_the_graph_before_the_first_press",
     ),
     Mutation(
         "sections come in their geometric order",

@@ -232,7 +232,7 @@ MUTATIONS = [
         "options/meta_actions.py",
         "return goals + [dataclasses.replace(grip, target=i) for i in range(own, every) for grip in grips.values()]",
         "return goals",
-        "ladder/test_instance_set.py",
+        "sets/test_instance_set.py",
     ),
     Mutation(
         "a tracked option does not see where its steps lead",

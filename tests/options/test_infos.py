@@ -20,10 +20,10 @@ from torchrl.envs.libs.gym import GymWrapper, default_info_dict_reader
 from hrl_escape.agents import train
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import PRESETS, make_env_name
-from hrl_escape.ladder.sequence import SequenceEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.planning.route import PlanningSummary
+from hrl_escape.sets.sequence import SequenceEnv
 from tests.covering import thin
 from tests.env.test_ranges import VARIED
 
@@ -131,7 +131,7 @@ def test_training_counts_the_planner_calls_of_all_levels_and_floors():
 
     env = SequenceEnv(make(), then=[make()])
     result = train("random", env, decisions=12, primitives=10_000, eval_episodes=0)
-    totals = [floor.planning_total for floor in env.floors]
+    totals = [floor.planning_total for floor in env.parts]
     assert result.planner_calls == sum(total.planner_calls for total in totals)
     assert all(total.planner_calls for total in totals)
     assert result.planner_seconds == pytest.approx(sum(total.planner_seconds for total in totals))
@@ -146,7 +146,7 @@ def test_training_sets_the_discount_of_options_on_every_floor_to_its_agents():
 
     env, settings = SequenceEnv(make(), then=[make()]), {"gamma": 0.9, "epsilon_start": 1.0}
     result = train("smdp-q-learning", env, primitives=200, settings=settings, eval_episodes=0)
-    assert [floor.gamma for floor in env.floors] == [0.9, 0.9] and result.agent.gamma == 0.9
+    assert [floor.gamma for floor in env.parts] == [0.9, 0.9] and result.agent.gamma == 0.9
     _, info = env.reset(seed=0)
     info = env.step(int(np.argmax(info["action_mask"])))[4]
     assert info["duration"] > 1 and info["discount"] == 0.9 ** info["duration"]

@@ -15,9 +15,9 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.options.memory import MEMORY_WORDS, DecisionMemory
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.sets.instance_set import InstanceSet
 
 WORDS = OBJECT_WORDS + MEMORY_WORDS
 QUICK = RobotConfig(body_radius=0.4, turn_step_deg=30)

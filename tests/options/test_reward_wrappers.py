@@ -9,9 +9,9 @@ from hrl_escape import OptionsEnv, train
 from hrl_escape.agents.agent import make_transition, set_option_discount
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.errors import StepContractError
-from hrl_escape.ladder.goals import GoalsEnv
 from hrl_escape.options import ScriptedOption
 from hrl_escape.options.options_env import make_options_env
+from hrl_escape.sets.goals import GoalsEnv
 
 GAMMA = 0.9
 WRAPPERS = {

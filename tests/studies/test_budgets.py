@@ -23,7 +23,7 @@ RUNGS = ("lattice-5", "lattice")
 
 
 def make_run(agent: str, rung: str, room: int, efficiency: float, primitives: int) -> BaselineRun:
-    return BaselineRun("per-instance", rung, f"ladder-1/{rung}/test[{room}]", agent, 0, primitives, efficiency, None,
+    return BaselineRun("per-instance", rung, f"ladder-1/{rung}/test#{room}", agent, 0, primitives, efficiency, None,
                        float(efficiency > 0), 5, float(efficiency > 0), 900, "key")
 
 
@@ -87,7 +87,7 @@ def test_a_real_run_is_kept_and_not_made_twice(tmp_path: Path):
     measure(STUDY, args, store)
     lines = store.load()
     assert [(line.rooms, line.seed, line.primitives, line.episodes) for line in lines] == [
-        (f"ladder-1/doormat/test[{room}]", 0, 600, 5) for room in range(2)]
+        (f"ladder-1/doormat/test#{room}", 0, 600, 5) for room in range(2)]
     assert all(line.first_escape is not None for line in lines), "a room with one button"
     text = store.path.read_text()
     measure(STUDY, args, store)

@@ -14,7 +14,7 @@ import pytest
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.env.sampling.generation import generate
 from studies.buttons.analysis import (
     Args,
@@ -153,7 +153,7 @@ def test_a_run_ends_with_its_first_escape():
     run = run_once(SEARCHER, room, 3, 4, 2_000)
     assert run.width == 15.0
     room = generate(room, 4)
-    env, recorder = make_env(AgentSpec.parse(SEARCHER), room, "features")
+    env, recorder = make_agent_env(AgentSpec.parse(SEARCHER), room, "features")
     longer = train(make_reference(SEARCHER, env, recorder), env, primitives=2_000, seed=4, eval_episodes=0)
     first = next(episode for episode in longer.episodes if episode.success)
     assert run.first_escape == longer.first_escape == first.primitives

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
 from studies.baseline import BaselineRun
 from studies.generalisation.grids import (
     AT_ONCE,
@@ -113,7 +113,7 @@ def test_learners_from_many_rooms_at_once_stand_in_the_place_of_those_from_one(t
 def test_many_rooms_at_once_teach_what_helps_in_unseen_ones():
     short, longer = (run_many("ladder-1", "chain-3", MEMORY, 16, 0, primitives, 8) for primitives in (2_000, 200_000))
     assert longer.efficiency > short.efficiency + 0.1 and longer.escapes == 1.0
-    assert longer.rooms == "ladder-1/chain-3/train[:16] > ladder-1/chain-3/test[:8]"
+    assert longer.rooms == "ladder-1/chain-3/train#0..16 > ladder-1/chain-3/test#0..8"
     assert longer.agent == MEMORY + AT_ONCE
 
 
@@ -124,7 +124,7 @@ def test_what_many_rooms_at_once_teach_helps_in_deeper_ones():
     assert all(after.efficiency > before.efficiency + 0.1 for before, after in zip(short, longer, strict=True))
     across = run_course("ladder-1", "pair", MEMORY, 0, 100_000, 16, 4)
     assert [line.rung for line in across] == list(TRANSFER) and across[0].efficiency > 0.5
-    assert across[-1].rooms == "ladder-1/pair/train[:16] > ladder-1/lattice/test[:4]" and across[-1].efficiency > 0.1
+    assert across[-1].rooms == "ladder-1/pair/train#0..16 > ladder-1/lattice/test#0..4" and across[-1].efficiency > 0.1
     (name,) = CEILING
     assert run_reference("ladder-1", "pair", name, 4).efficiency > across[0].efficiency - 0.2
     for agent in (FLAT, VECTORS):
@@ -139,7 +139,7 @@ def make_transfers(means: dict[tuple[str, str], float], searcher: float = 0.6) -
              for rung in TRANSFER for number, agent in enumerate(SEARCH_BASELINES)]
     return known + [
         dataclasses.replace(LINE, protocol="transfer", rung=target, agent=MEMORY + AT_ONCE, seed=seed, primitives=1_000,
-                            rooms=f"ladder-1/{source}/train[:8] > ladder-1/{target}/test[:4]",
+                            rooms=f"ladder-1/{source}/train#0..8 > ladder-1/{target}/test#0..4",
                             efficiency=means.get((source, target), 0.5) + 0.01 * rng.normal())
         for source in TRANSFER for target in TRANSFER for seed in range(10)]
 

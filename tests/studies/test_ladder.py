@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.comparison.protocols import TOWER, compute_ladder_score
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
 from studies.__main__ import main
 from studies.baseline import BaselineRun
 from studies.ladder.analysis import describe
@@ -23,7 +23,7 @@ from tests.studies.pages import load, save
 
 RUNGS_OF_TWO = ("doormat", "pair")
 RUNGS = ("low", "middle", "high")
-LINE = BaselineRun("per-instance", "low", "x/low/test[0]", "dqn", 0, 1000, 0.8, None, 1.0, 5, 1.0, 70, "abc")
+LINE = BaselineRun("per-instance", "low", "x/low/test#0", "dqn", 0, 1000, 0.8, None, 1.0, 5, 1.0, 70, "abc")
 
 
 def tell(lines: list[BaselineRun], rungs: Sequence[str], noisy: Sequence[str] = ()) -> str:
@@ -62,7 +62,7 @@ def test_few_runs_lead_to_no_conclusion(efficiency: float, runs: int, sentence: 
 def make_cells(curves: dict[str, list[float]], primitives: int = 0) -> list[BaselineRun]:
     """Ten rooms of each rung, whose efficiencies differ a little."""
     return [dataclasses.replace(LINE, rung=rung, agent=agent, efficiency=round(value + 0.001 * number, 3),
-                                                rooms=f"x/{rung}/test[{number}]", primitives=primitives)
+                                                rooms=f"x/{rung}/test#{number}", primitives=primitives)
             for agent, curve in curves.items() for rung, value in zip(RUNGS, curve, strict=True)
             for number in range(10)]
 
@@ -121,7 +121,7 @@ def test_the_rungs_that_come_with_the_package_are_calibrated_by_their_published_
 def test_runs_in_one_room_are_one_room_to_the_tests():
     """Four rooms with ten seeds each: 40 runs that differ as their rooms do say no more than these four do."""
     luck = (0.2, 0.25, 0.3, -0.35)
-    lines = [dataclasses.replace(LINE, rung=rung, agent=agent, rooms=f"x/{rung}/test[{number}]", seed=seed,
+    lines = [dataclasses.replace(LINE, rung=rung, agent=agent, rooms=f"x/{rung}/test#{number}", seed=seed,
                                  primitives=0, efficiency=0.5 + (1 if agent in better else -1) * gain / 2)
              for rung, better in (("low", (CHANCE, IN_ORDER)), ("middle", (IN_ORDER,)))
              for agent in (CHANCE, IN_ORDER, ROUND) for number, gain in enumerate(luck) for seed in range(10)]
@@ -191,14 +191,14 @@ def test_the_page_says_what_an_agent_with_three_parents_is_told():
 
 
 def test_a_tower_has_a_section_of_its_own_and_counts_in_no_rung():
-    rooms = "x/low/train[:64] and 2 floors above > x/low/test[:3] and 2 floors above"
+    rooms = "x/low/train#0..64 and 2 more > x/low/test#0..3 and 2 more"
     runs = [dataclasses.replace(LINE, protocol=TOWER, rung=TOWER, rooms=rooms, agent=agent, seed=seed, episodes=3,
                                 primitives=0, efficiency=value, escapes=climbed)
             for agent, value, climbed in ((CHANCE, 0.125, 1 / 3), (KNOWN, 1.0, 1.0)) for seed in range(2)]
     lines = make_cells(SOUND)
     page = tell([*lines, *runs], RUNGS)
     assert f"| `{KNOWN}` | 2 | 0 | 1.00 | 100% |\n| `{CHANCE}` | 2 | 0 | 0.12 | 33% |" in page
-    assert "one episode of 20,000 primitives: x/low/test[:3] and 2 floors above." in page
+    assert "one episode of 20,000 primitives: x/low/test#0..3 and 2 more." in page
     assert f"--protocol tower --agents {KNOWN} {CHANCE} --runs 2 --rooms 3\n" in page
     trained = [dataclasses.replace(run, agent="dqn", primitives=budget) for run in runs[:1] for budget in (500, 900)]
     assert "--runs 2 --rooms 3 --primitives 900\n" in (text := tell([*lines, *runs, *trained], RUNGS))
@@ -216,7 +216,7 @@ def test_a_tower_s_grids_have_the_rungs_as_floors():
     assert [(place.rung, place.kind, len(grid.agents)) for place, grid in grids] == [
         (TOWER, kind, count) for kind, most in (("references", 3), ("learners", 2)) for count in range(1, most + 1)]
     (place,) = grids[-1][1].make_places()
-    assert [floor.name for floor in place.split.test.floors] == [f"ladder-1/{rung}/test[:2]" for rung in RUNGS_OF_TWO]
+    assert [floor.name for floor in place.split.test.sets] == [f"ladder-1/{rung}/test#0..2" for rung in RUNGS_OF_TWO]
 
 
 def test_baselines_run_join_what_is_there_and_need_no_runs_for_the_page(tmp_path: Path, capsys):
@@ -242,7 +242,7 @@ def test_baselines_run_join_what_is_there_and_need_no_runs_for_the_page(tmp_path
 ])
 def test_learners_are_held_against_the_best_searcher(learner: float, nearest: float, finding: str):
     def make(agent: str, efficiency: float, primitives: int) -> list[BaselineRun]:
-        return [dataclasses.replace(LINE, rung=rung, rooms=f"x/{rung}/test[{room}]", agent=agent, primitives=primitives,
+        return [dataclasses.replace(LINE, rung=rung, rooms=f"x/{rung}/test#{room}", agent=agent, primitives=primitives,
                                     efficiency=efficiency + 0.01 * ((3 * room + primitives // 500) % 10))
                 for rung in RUNGS[:2] for room in range(10)]
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hrl_escape.errors import ComparisonError, UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.manifest import AxisRecord
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.manifest import AxisRecord
 from studies.baseline import BaselineRun
 from studies.profiles.analysis import tell_falls
 from studies.running import run_study

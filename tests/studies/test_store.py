@@ -16,7 +16,7 @@ from studies.learned.dial import DialLine
 from studies.store import Store
 from tests.forks import run_fork
 
-LINE = BaselineRun("per-instance", "low", "x/low/test[0]", "dqn", 0, 1000, 0.8, None, 1.0, 5, 1.0, 70, "abc")
+LINE = BaselineRun("per-instance", "low", "x/low/test#0", "dqn", 0, 1000, 0.8, None, 1.0, 5, 1.0, 70, "abc")
 DIAL = DialLine("room", "planned", 0, 0.5, 0, 0.25)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hrl_escape.errors import ComparisonError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.room_sets import repeat_floor
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.room_sequence import repeat_set
 from studies.storeys.analysis import FloorRun, play_towers, tell
 from studies.study import find_study
 from tests.studies.pages import tell as write_page
@@ -54,7 +54,7 @@ def test_a_floor_that_was_not_played_is_missed():
 
 
 def test_what_was_found_out_below_pays_above_and_only_where_it_is_carried():
-    tower = repeat_floor(load_benchmark("marks-3")["storeys"].test, 2)
+    tower = repeat_set(load_benchmark("marks-3")["storeys"].test, 2)
     carried, forgotten = (play_towers(DATA["ceiling"], tower, repeats, 6) for repeats in (True, False))
     assert carried[0].efficiencies == forgotten[0].efficiencies, "nothing is known on the first floor"
     assert np.mean(carried[1].efficiencies) > np.mean(forgotten[1].efficiencies) + 0.05

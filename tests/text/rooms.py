@@ -11,8 +11,8 @@ from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.ladder.room_sets import parse_room_set
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.sets import make_room
 from hrl_escape.text import RoomSession, ToldEnv, ToolsAgent, make_model
 
 RUNGS = ("doormat", "pair", "chain-3", "doors", "lattice-5", "drift", "code", "freight", "clutter", "switchboard",
@@ -21,7 +21,7 @@ RUNGS = ("doormat", "pair", "chain-3", "doors", "lattice-5", "drift", "code", "f
 
 @lru_cache
 def get_room(rung: str, number: int = 0) -> RoomInstance:
-    return parse_room_set(f"ladder-1/{rung}/test[{number}]")[0]
+    return make_room(f"ladder-1/{rung}/test#{number}")
 
 
 def make_env(room: RoomInstance, **options: Any) -> tuple[OptionsEnv, StateRecorder]:

@@ -21,14 +21,14 @@ import hrl_escape.text.told_env as told_env
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.graphs import find_ancestors
-from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.sets import find_set
 from hrl_escape.text import RoomSession
 
 THING = re.compile(r'"button-(\d+)"(?: at \((-?[\d.]+), (-?[\d.]+)\))?, off')
 
 
 def list_rooms(rung: str, count: int) -> list[RoomInstance]:
-    return list(parse_room_set(f"ladder-1/{rung}/train[:{count}]"))
+    return list(find_set(f"ladder-1/{rung}/train#0..{count}"))
 
 
 def say_before_the_first_press(room: RoomInstance, told: Any) -> str:

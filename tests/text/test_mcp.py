@@ -47,7 +47,7 @@ def test_the_command_serves_a_rung_on_standard_input_and_records_the_game(tmp_pa
     import anyio
     from mcp import Client, StdioServerParameters, stdio_client
 
-    words = ["mcp", "--rung", "pair", "--room", "test#3", "--told", "names", "--record", str(tmp_path / "game.jsonl")]
+    words = ["mcp", "--room", "ladder-1/pair/test#3", "--told", "names", "--record", str(tmp_path / "game.jsonl")]
 
     async def talk() -> None:
         server = StdioServerParameters(command=sys.executable, args=["-m", "hrl_escape.cli", *words])
@@ -79,12 +79,12 @@ def test_without_the_extra_one_line_names_it(capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.parametrize(("words", "problem"), [
-    (["--rung", "lattices"], "lattices"), (["--rung", "pair", "--room", "3"], "test#3"),
-    (["--rung", "pair", "--room", "test#1000"], "100 rooms"), (["--rung", "pair", "--load", "x"], "leave out")])
+    (["--room", "ladder-1/lattices/test#0"], "lattices"), (["--room", "ladder-1/pair"], "ladder-1/pair/test#0"),
+    (["--room", "ladder-1/pair/test#1000"], "100 rooms"), (["--room", "ladder-1/pair/test"], "one room is needed")])
 def test_an_impossible_room_is_one_line(words: list[str], problem: str):
     from hrl_escape.commands.mcp import McpArgs
     from hrl_escape.errors import EscapeError
 
     given = dict(zip((word.removeprefix("--") for word in words[::2]), words[1::2], strict=True))
     with pytest.raises(EscapeError, match=problem):
-        McpArgs(**{name: Path(value) if name == "load" else value for name, value in given.items()}).make_instance()
+        McpArgs(**given).make_instance()

@@ -21,11 +21,11 @@ from hrl_escape.env.puzzles.mini_grid import MiniGridConfig
 from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import ConfigError, ResetNeededError, UnknownNameError, UnsupportedError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.sequence import SequenceEnv
 from hrl_escape.options.option import FunctionOption
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.sequence import SequenceEnv
 from hrl_escape.text import RoomSession, ToldEnv, ToolCall, make_model, record_game, replay_game
 from hrl_escape.text.words import tell_changes
 from tests.text.rooms import get_room, make_env, make_session, play_manager

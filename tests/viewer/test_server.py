@@ -63,7 +63,7 @@ def test_a_port_in_use_gives_one_message_and_exit_code_2(capfd, command):
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        assert main([*command, "--no-open", "--port", str(port), "--preset", "paper-one-button"]) == 2
+        assert main([*command, "--no-open", "--port", str(port), "--room", "paper-one-button"]) == 2
     said = capfd.readouterr().err.strip()
     assert f"127.0.0.1:{port}" in said and "--port 0" in said and len(said.splitlines()) == 1
 
@@ -80,7 +80,7 @@ def test_without_the_extra_one_message_names_it_and_rooms_do_without():
             "from hrl_escape.cli import main\n"
             "print([main(line.split()) for line in sys.argv[1:]])")
     lines = ["play --no-open", "watch --no-open", "record",
-             "room --preset paper-one-button"]
+             "room --room paper-one-button"]
     done = run_fork(code, *lines, timeout=600)
     assert done.stdout.splitlines()[-1] == "[2, 2, 2, 0]", done.stderr
     hint = "pip install -c constraints.txt '.[viewer]' in a checkout of hrl-escape"

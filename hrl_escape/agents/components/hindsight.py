@@ -61,7 +61,7 @@ class HindsightReplay(Stateful):
             raise AgentSettingsError(
                 "hindsight_goals", goals, "0 here, for the environment has no goals. One that has shows a Dict of "
                 "observation, achieved_goal and desired_goal, and has the methods compute_reward and "
-                "compute_terminated, as those of Gymnasium-Robotics and hrl_escape.ladder.GoalsEnv")
+                "compute_terminated, as those of Gymnasium-Robotics and hrl_escape.sets.GoalsEnv")
         self._rule, self._goals, self._n_step = rule, goals, n_step
         self._encoder, self._settings, self._rng = encoder, settings, rng
         self._episode: list[_Decision] = []

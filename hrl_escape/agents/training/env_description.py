@@ -49,7 +49,6 @@ PARTS_GROUP = "hrl_escape.parts"
 MEMORY_WRAPPER = "hrl_escape.options.memory:DecisionMemory"
 
 OWN = frozenset({
-    "hrl_escape.comparison.places:RoomSchedule",
     "hrl_escape.env.config:DynamicsConfig",
     "hrl_escape.env.config:ExitConfig",
     "hrl_escape.env.config:ObstaclesConfig",
@@ -61,19 +60,26 @@ OWN = frozenset({
     "hrl_escape.env.escape_room:EscapeRoomEnv",
     "hrl_escape.env.instance:RoomInstance",
     "hrl_escape.env.rewards:RewardConfig",
-    "hrl_escape.ladder.common_spaces:CommonSpacesEnv",
-    "hrl_escape.ladder.goals:GoalsEnv",
-    "hrl_escape.ladder.instance_set:InstanceSetEnv",
-    "hrl_escape.ladder.sequence:SequenceEnv",
     "hrl_escape.options.domain:OptionDomain",
     "hrl_escape.options.domain:RoomDomain",
     "hrl_escape.options.masked_observation:MaskedObservation",
     MEMORY_WRAPPER,
     "hrl_escape.options.options_env:OptionsEnv",
+    "hrl_escape.sets.common_spaces:CommonSpacesEnv",
+    "hrl_escape.sets.goals:GoalsEnv",
+    "hrl_escape.sets.instance_set:InstanceSetEnv",
+    "hrl_escape.sets.room_schedule:RoomSchedule",
+    "hrl_escape.sets.sequence:SequenceEnv",
     "hrl_escape.synthesis.hierarchy_env:HierarchyEnv",
     "hrl_escape.text.told_env:ToldEnv",
 })
 """Parts of this package, each imported when it is asked for."""
+
+MOVED = {
+    "hrl_escape.comparison.places:RoomSchedule": "hrl_escape.sets.room_schedule:RoomSchedule",
+    "hrl_escape.ladder.instance_set:InstanceSetEnv": "hrl_escape.sets.instance_set:InstanceSetEnv",
+}
+"""Names of parts in the frozen runs of trained agents that come with the package, whose hashes cover them."""
 
 _COMPUTING = (
     standard.AddRenderObservation, standard.AddWhiteNoise, standard.AtariPreprocessing, standard.Autoreset,
@@ -374,6 +380,7 @@ def name_part(part: Any) -> str:
 
 def find_part(name: Any) -> Callable[[], Any] | None:
     """Loader of the part of a name; None where the name is not known. Nothing is imported to answer."""
+    name = MOVED.get(name, name) if isinstance(name, str) else name
     return next((load for known, load in _list_parts() if known == name), None)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,6 +12,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.commands.room_choice import refuse_rooms
 from hrl_escape.data.catalogue import FOLDER, RUNGS, TAPE_KINDS, find_tape, list_specs, parse_spec
 from hrl_escape.data.published import compare_published, read_published, refuse_other
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, VerificationError
@@ -119,10 +121,15 @@ class MakeArgs:
     """Folder of the tapes; `train --data NAME` looks into `data`."""
     primitives: int | None = None
     """Another number of primitives than the name says, for a trial."""
-    rooms: str | None = None
-    """With --played: the rooms, such as paper-two-button#0 or ladder-1/pair/train[:4]."""
+    room: str | None = None
+    """With --played: the rooms that were played, such as paper-two-button or ladder-1/pair/train#0..4."""
     played: tuple[Path, ...] = ()
     """Episodes saved by `hrl-escape play`, to make a data set of."""
+
+    @classmethod
+    def check_words(cls, command: Sequence[str], words: Sequence[str]) -> None:
+        """Refuse --rooms, the name of --room in 0.3."""
+        refuse_rooms(words)
 
 
 def run_make(args: MakeArgs) -> None:
@@ -136,17 +143,17 @@ def run_make(args: MakeArgs) -> None:
     Examples:
         hrl-escape data make pair-play-1m-v1
         hrl-escape data make lattice-play-v1 lattice-expert-v1 --out data
-        hrl-escape data make mine --rooms paper-two-button#0 --played episodes/*.json
+        hrl-escape data make mine --room paper-two-button --played episodes/*.json
     """
     from hrl_escape.data.record import make_played_tape, record  # loads torch
     from hrl_escape.data.tape import load_tape, save_tape
 
     console = Console(soft_wrap=True, highlight=False)
-    if args.played or args.rooms:
-        if len(args.names) != 1 or not (args.played and args.rooms):
-            raise ConfigError("names", args.names, "one name, with both --rooms and --played")
+    if args.played or args.room:
+        if len(args.names) != 1 or not (args.played and args.room):
+            raise ConfigError("names", args.names, "one name, with both --room and --played")
         name = make_file_name(args.names[0])
-        tape = make_played_tape(name, args.rooms, args.played)
+        tape = make_played_tape(name, args.room, args.played)
         save_tape(args.out / f"{name}.npz", tape)
         console.print(f"{tape}; wrote {args.out / f'{name}.npz'}", markup=False)
         return

@@ -49,9 +49,9 @@ from hrl_escape.comparison.reporting.report import write_report
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import FileReadError
 from hrl_escape.figures import save_figure
-from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
-from hrl_escape.ladder.manifest import load_references
+from hrl_escape.ladder.references import load_references
 from hrl_escape.names import join_words, make_file_name
+from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 
 FROM = {"word": "from"}
 """Word on the command line of a field whose name Python reserves."""

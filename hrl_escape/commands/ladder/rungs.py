@@ -14,9 +14,10 @@ from rich.table import Table
 from hrl_escape.commands.room_choice import refuse_options
 from hrl_escape.env.presets import describe_schematic
 from hrl_escape.errors import ConfigError
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.manifest import ROLES, RungReferences, list_changes, load_references
-from hrl_escape.ladder.rung import Rung
+from hrl_escape.ladder.references import RungReferences, load_references
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.manifest import ROLES, list_changes
+from hrl_escape.sets.rung import Rung
 
 
 @dataclasses.dataclass(frozen=True)

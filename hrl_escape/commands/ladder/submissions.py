@@ -79,7 +79,7 @@ def run_submit(args: SubmitArgs) -> None:
         describe_score,
         pack_submission,
     )
-    from hrl_escape.ladder.benchmark import load_benchmark
+    from hrl_escape.sets.benchmark import load_benchmark
 
     console, card = Console(soft_wrap=True, highlight=False), Card.from_dict(read_toml(args.card, "card of an agent"))
     rung = load_benchmark(args.benchmark)[args.rung]

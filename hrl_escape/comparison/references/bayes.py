@@ -239,7 +239,7 @@ def find_schematic(instance: RoomInstance) -> RoomConfig:
 
 def _list_schematics(name: str) -> Iterator[RoomConfig]:
     from hrl_escape.env.presets import get_preset
-    from hrl_escape.ladder.benchmark import list_benchmarks, load_benchmark
+    from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
 
     if name in PRESETS:
         yield get_preset(name)

@@ -42,7 +42,7 @@ from hrl_escape.comparison.references.by_lights import (
     Sweep,
     SweepRandom,
 )
-from hrl_escape.ladder.sequence import SequenceEnv
+from hrl_escape.sets.sequence import SequenceEnv
 
 _RULES: dict[str, type[Reference]] = {
     SWEEP: Sweep, SWEEP_RANDOM: SweepRandom, SEARCH_RANDOM: SearchRandom, SEARCH_NEAREST: SearchNearest,
@@ -67,7 +67,7 @@ class Climber(FixedPolicy):
     def __init__(self, name: str, tower: SequenceEnv) -> None:
         self._tower = tower
         self._players = {id(floor.unwrapped): make_reference(name, floor, find_recorder(floor))
-                         for floor in tower.floors}
+                         for floor in tower.parts}
         self._last: FixedPolicy | None = None
 
     def act(self, observation: object, action_mask: NDArray[np.bool_]) -> int:
@@ -82,7 +82,7 @@ class Climber(FixedPolicy):
         """The present floor's; where floors have one rule, it is told what the floor below has taught of it."""
         player, last = self._players[id(self._tower.unwrapped)], self._last
         if self._tower.paired and player is not last and isinstance(player, BayesPlanner):
-            is_first = self._tower.unwrapped is self._tower.floors[0].unwrapped
+            is_first = self._tower.unwrapped is self._tower.parts[0].unwrapped
             player.expect(last.infer_motif() if isinstance(last, BayesPlanner) and not is_first else None)
         self._last = player
         return player
@@ -94,6 +94,6 @@ def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> Fi
     Its environment has options for all but `oracle`. The recorder is around the flat room; of a tower those on its
     floors count.
     """
-    if isinstance(env, SequenceEnv) and len(env.floors) > 1:
+    if isinstance(env, SequenceEnv) and len(env.parts) > 1:
         return Climber(name, env)
     return _RULES[name](env, recorder)

@@ -19,7 +19,8 @@ from hrl_escape.comparison.summary import PROFILE, Summary, summarise
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.pictures.maps import make_map
 from hrl_escape.figures import STYLE, save_figure
-from hrl_escape.ladder.manifest import AxisRecord, RungReferences
+from hrl_escape.ladder.references import RungReferences
+from hrl_escape.sets.manifest import AxisRecord
 
 GREYS = ("#8b8f98", "#5a5e67", "#b3b7bd")
 """Greys, for agents that learn nothing."""

@@ -30,7 +30,6 @@ from hrl_escape.agents.registry import DEFAULT_RECIPE
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.inference import Estimate, Pair, is_better
-from hrl_escape.comparison.places import RunPlace
 from hrl_escape.comparison.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
 from hrl_escape.comparison.runs import RunResult, get_room_file, get_training_folder, read_episodes
 from hrl_escape.comparison.statistics import compute_iqm, compute_score
@@ -41,6 +40,7 @@ from hrl_escape.env.pictures.moving_map import PLAYER, PLAYER_COLOURS, describe_
 from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.files import write_text
 from hrl_escape.names import tell_seconds
+from hrl_escape.sets.places import RunPlace
 from hrl_escape.templates import embed_json, render_template
 
 MEASURES = ("efficiency", "mean_progress", "success_rate", "mean_length")
@@ -244,7 +244,7 @@ def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
     run = next(run for run, _ in comparison.runs if (run.agent.label, run.place_id, run.seed)
                == (replay["agent"], place.id, replay["seed"]))
     arguments = shlex.join([str(get_training_folder(comparison.out, run)),
-                            "--load", str(get_room_file(comparison.out, place.instance.id))])
+                            "--room", str(get_room_file(comparison.out, place.instance.id))])
     flavour = run.agent.options.flavour
     arguments += f" --flavour {flavour}" if run.agent.chooses_options and flavour != "press" else ""
     return [f"hrl-escape watch {arguments}", f"hrl-escape record {arguments} --out escape.html"]

@@ -30,20 +30,20 @@ from hrl_escape.agents.training.run import refusing_damage
 from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
-from hrl_escape.comparison.places import RoomSchedule
 from hrl_escape.comparison.pretrained import list_pretrained, unpack_pretrained
-from hrl_escape.comparison.runs import make_env, make_player
+from hrl_escape.comparison.runs import make_agent_env, make_player
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import FileReadError, RunMismatchError, UnknownNameError, UnsupportedError
-from hrl_escape.ladder.instance_set import InstanceSetEnv
 from hrl_escape.options.meta_actions import PlannedOption, list_goals, make_meta_options
 from hrl_escape.options.option import Option
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, Goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
+from hrl_escape.sets.instance_set import InstanceSetEnv
+from hrl_escape.sets.room_schedule import RoomSchedule
 from hrl_escape.text.told_env import ToldEnv
 
 
@@ -171,7 +171,7 @@ def open_driver(agent: str | AgentSpec | type[Agent], instance: RoomInstance, *,
         recorder, plan = _make_room(instance, observation), EscapePlan(get_planner(instance))
         env = OptionsEnv(recorder, options=lambda _: make_legs(plan), include_primitives=False)
         return _make_driver("the oracle", PlannerAgent(env, plan), env, "press", plan=plan)
-    env, recorder = make_env(spec, instance, observation)
+    env, recorder = make_agent_env(spec, instance, observation)
     if spec.is_reference:
         words = f"{name}, {spec.resolve_settings()['model']}" if name == TEXT_AGENT else name
         return _make_driver(words, make_player(spec, env, recorder), env, flavour)
@@ -223,7 +223,7 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
     if (repr(env.observation_space), repr(env.action_space)) != spaces:
         env.close()
         raise RunMismatchError(f"{folder} was trained with the spaces {spaces[0]} and {spaces[1]}, which room "
-                               f"{instance.id} does not have: leave out --load to use the run's own room")
+                               f"{instance.id} does not have: leave out --room to use the run's own room")
     return _make_driver(f"{name}, as trained", load_agent(folder, env), env, flavour)
 
 

@@ -19,8 +19,8 @@ from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.graphs import find_ancestors
 from hrl_escape.errors import UnsupportedSpaceError
-from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.sets.benchmark import load_benchmark
 from tests.agents.puzzle_envs import PuzzleEnv, learn_puzzle, make_button_env
 from tests.agents.running import interact, learn
 

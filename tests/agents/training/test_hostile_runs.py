@@ -88,7 +88,7 @@ def craft(described, chance: random.Random):
         env["wrappers"].append(wrapper)
     else:
         floor = {"class": env["class"], "arguments": env["arguments"], "wrappers": [{"class": name, "arguments": {}}]}
-        env["wrappers"].append({"class": "hrl_escape.ladder.sequence:SequenceEnv", "arguments": {"then": [floor]}})
+        env["wrappers"].append({"class": "hrl_escape.sets.sequence:SequenceEnv", "arguments": {"then": [floor]}})
     return described
 
 

@@ -8,11 +8,11 @@ import pytest
 from hrl_escape.cli import main
 from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
-from hrl_escape.ladder.manifest import AxisRecord
-from hrl_escape.ladder.room_sets import TOWER_HORIZON
+from hrl_escape.sets.benchmark import Benchmark, load_benchmark
+from hrl_escape.sets.manifest import AxisRecord
+from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON
 from tests.command_line import call_script
-from tests.ladder.small import make_config, make_manifest
+from tests.sets.small import make_config, make_manifest
 
 
 def call(capsys, *arguments: str):
@@ -230,9 +230,9 @@ def test_a_tower_is_climbed_by_the_planner_and_not_by_chance(capsys, tmp_path, a
     out = call(capsys, "report", str(tmp_path), *options[:4])[1]
     assert "2.00 of 2" in out and "Ladder score over tower:" in out
     (place,) = read_comparison(tmp_path / "tower" / "tower").places
-    assert [len(floor) for floor in place.split.train.floors] == [trained, trained]
+    assert [len(floor) for floor in place.split.train.sets] == [trained, trained]
     assert len(place.split.test) == 2 * rooms
-    assert place.split.room_overlap == 0 and place.instance.horizon == TOWER_HORIZON
+    assert place.split.room_overlap == 0 and place.instance.horizon == SEQUENCE_HORIZON
     command = (tmp_path / "tower" / "tower" / "summary.md").read_text()
     assert (f"hrl-escape ladder run {' '.join(agents)} --rung one five --workers 1 --runs 1 --primitives 10 "
             f"--rooms {rooms} --train-sizes {trained} --protocol tower") in command

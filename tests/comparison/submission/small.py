@@ -9,9 +9,9 @@ from pathlib import Path
 from hrl_escape.agents.spec import OptionsView
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.submission import Card, RoomView, make_view_env
-from hrl_escape.ladder.benchmark import Benchmark
-from hrl_escape.ladder.rung import Rung
-from tests.ladder.small import make_manifest
+from hrl_escape.sets.benchmark import Benchmark
+from hrl_escape.sets.rung import Rung
+from tests.sets.small import make_manifest
 
 ROUND = 7
 

@@ -14,7 +14,7 @@ from benchmarks.pretrained import LEARNED, READ, READ_RUNGS
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.comparison.pretrained import list_pretrained, load_pretrained
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.viewer.watch.drivers import ORACLE, find_driver, open_driver
 from studies.store import read_rows
 from tests.covering import thin

@@ -32,8 +32,8 @@ from hrl_escape.comparison.submission import (
 )
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.errors import ConfigError, EscapeError, TrustError, UnsupportedError, VerificationError
-from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.planning.best_known import find_best_known
+from hrl_escape.sets.benchmark import load_benchmark
 from tests.agents.training.test_hostile_runs import Watch
 from tests.agents.training.test_hostile_runs import craft as craft_description
 from tests.comparison.submission.small import get_rung, make_bench, make_card, make_program, train_once

@@ -23,7 +23,7 @@ from hrl_escape.env.puzzles.marks import MARK_WORDS, MOST_SYMBOLS, MarksConfig, 
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ConfigError, UnsupportedError
-from hrl_escape.ladder.keys import compute_task_key
+from hrl_escape.sets.keys import compute_task_key
 
 
 def make_with(marks, kind="chain", count=4):

@@ -14,13 +14,13 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
 from hrl_escape.env.puzzles.taxi import Ride
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.options.batched.aims import NO_STATE, check_goals, find_possible, make_aims
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, GripGoal, is_reached, make_goal
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.sets.benchmark import load_benchmark
 from tests.options.batched.test_batched_kinds import replay
 
 ROOMS = {

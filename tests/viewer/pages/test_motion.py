@@ -52,7 +52,7 @@ def test_a_trajectory_of_another_robot_is_refused_by_the_names_of_its_joints(two
 
 
 def test_the_command_writes_a_plan_as_motion(tmp_path: Path, capfd):
-    assert main(["solve", "--preset", "paper-one-button", "--draw", str(tmp_path / "way.html")]) == 0
+    assert main(["solve", "--room", "paper-one-button", "--draw", str(tmp_path / "way.html")]) == 0
     assert "<title>paper-one-button: " in (tmp_path / "way.html").read_text()
-    assert main(["solve", "--preset", "push-block", "--draw", str(tmp_path / "way.html")]) == 2
+    assert main(["solve", "--room", "push-block", "--draw", str(tmp_path / "way.html")]) == 2
     assert "hrl-escape record" in capfd.readouterr().err

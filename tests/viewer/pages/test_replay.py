@@ -79,7 +79,7 @@ def test_a_page_lets_its_own_scripts_run_and_asks_nobody(two_buttons):
 @pytest.mark.in_turn
 def test_the_command_writes_page_and_animation(tmp_path: Path, capfd):
     outs = [str(tmp_path / name) for name in ("a.html", "a.gif")]
-    assert main(["record", "--preset", "paper-one-button", "--out", *outs]) == 0
+    assert main(["record", "--room", "paper-one-button", "--out", *outs]) == 0
     assert "escaped after" in capfd.readouterr().out
     assert (tmp_path / "a.html").stat().st_size > 500_000
     with Image.open(tmp_path / "a.gif") as animation:
@@ -92,7 +92,7 @@ def test_the_command_writes_page_and_animation(tmp_path: Path, capfd):
     (["none.json"], "no such recorded episode"),
 ])
 def test_what_cannot_be_recorded_gives_one_message(arguments, message: str, capfd):
-    assert main(["record", *arguments, "--preset", "paper-one-button"]) == 2
+    assert main(["record", *arguments, "--room", "paper-one-button"]) == 2
     said = capfd.readouterr().err.strip()
     assert message in said and len(said.splitlines()) == 1
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
 from tests.viewer.browser import Browser
 
 FACTS = "document.querySelector('#facts')?.dataset"

@@ -85,8 +85,8 @@ def test_a_saved_episode_replays_to_the_same_state_and_can_be_undone(two_buttons
     again.undo()
     assert again.state == episode.moves[-1].steps[0].before
     assert PlayArgs(hidden=True).make_episode(saved).instance == saved.instance
-    with pytest.raises(UnsupportedError, match="--preset chooses what to play, and --replay"):
-        PlayArgs(preset="clutter").make_episode(saved)
+    with pytest.raises(UnsupportedError, match="--room chooses what to play, and --replay"):
+        PlayArgs(room="clutter").make_episode(saved)
 
 
 def test_the_next_room_is_the_schematics_next_instance():

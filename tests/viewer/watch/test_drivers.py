@@ -51,5 +51,5 @@ def test_a_label_opens_the_agent_in_the_environment_that_it_needs(one_button):
 
 
 def test_a_run_of_another_room_is_refused_with_the_way_out(run: Path, clutter):
-    with pytest.raises(RunMismatchError, match="leave out --load"):
+    with pytest.raises(RunMismatchError, match="leave out --room"):
         open_driver(str(run), clutter)

@@ -18,9 +18,9 @@ from hrl_escape.agents.algorithms.offline.iql import IQL, compute_expectile
 from hrl_escape.agents.algorithms.offline.sharsa import Sharsa
 from hrl_escape.agents.components.offline import list_best
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.options.best_with_options import find_best_with_options
 from hrl_escape.planning.best_known import compute_escape_return, list_start_states
+from hrl_escape.sets.benchmark import load_benchmark
 from tests.agents.algorithms.offline.coverage import cover_room, make_decisions
 from tests.agents.small_envs import make_random_smdp, solve
 

@@ -14,10 +14,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from hrl_escape.errors import UnknownNameError, VerificationError
-from hrl_escape.ladder.keys import RoomKeys, SeenLayouts, compute_keys
-from hrl_escape.ladder.manifest import Manifest, list_benchmarks, load_manifest
-from hrl_escape.ladder.rung import Rung
 from hrl_escape.names import count_nouns
+from hrl_escape.sets.keys import RoomKeys, SeenLayouts, compute_keys
+from hrl_escape.sets.manifest import Manifest, list_benchmarks, load_manifest
+from hrl_escape.sets.rung import Rung
 
 
 def _join(left: str, right: str) -> str:

@@ -14,7 +14,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_env as make_view
+from hrl_escape.comparison.runs import make_agent_env as make_view
 from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
@@ -22,12 +22,13 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.errors import ConfigError, UnsupportedError
-from hrl_escape.ladder.common_spaces import CommonSpacesEnv, join_spaces
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.room_sets import TOWER_HORIZON, Tower, load_rooms, parse_rooms, repeat_floor
-from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
 from hrl_escape.options.memory import MEMORY_WORDS, DecisionMemory
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.sets.common_spaces import CommonSpacesEnv, join_spaces
+from hrl_escape.sets.grammar import find_sets
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON, RoomSequence, load_rooms, repeat_set
+from hrl_escape.sets.sequence import SequenceEnv, compute_room_seed
 
 CONFIG = RoomConfig(
     room=ShapeConfig(width=8, depth=8), robot=RobotConfig(body_radius=0.4, turn_step_deg=30), horizon=120,
@@ -121,7 +122,7 @@ def test_no_trial_is_refused():
 # --- towers ------------------------------------------------------------------------------
 
 TOP = InstanceSet("one", dataclasses.replace(CONFIG, puzzle=dataclasses.replace(CONFIG.puzzle, count=1)), [6, 7])
-FLOORS = Tower([ROOMS, TOP]).floors
+FLOORS = RoomSequence([ROOMS, TOP]).sets
 
 
 def make_tower(*floors: InstanceSet) -> SequenceEnv:
@@ -147,7 +148,7 @@ class Script(FixedPolicy):
 def test_an_escape_leads_to_the_next_floor_where_the_primitives_below_count():
     env = make_tower(*FLOORS)
     _, begun = env.reset(seed=5)
-    assert begun["trial"] == 0 and env.unwrapped.instance.horizon == TOWER_HORIZON
+    assert begun["trial"] == 0 and env.unwrapped.instance.horizon == SEQUENCE_HORIZON
     script, spent = Script(env, WAY), 0
     for number in range(5):
         assert env.unwrapped.get_state().primitives == spent
@@ -172,8 +173,8 @@ def test_the_rooms_of_a_tower_follow_from_the_episode_s_seed_alone():
     first = climb(3)
     assert climb(3) == first == climb(3, "button-2", "exit"), "whatever the way below"
     assert len({climb(seed) for seed in range(8)}) == len(TOP)
-    alone = make_tower(*FLOORS).floors[1]
-    alone.reset(seed=compute_floor_seed(3, 1))
+    alone = make_tower(*FLOORS).parts[1]
+    alone.reset(seed=compute_room_seed(3, 1))
     state = alone.unwrapped.get_state()
     assert (alone.unwrapped.instance.id, (state.x, state.y)) == first and state.primitives == 0
 
@@ -194,7 +195,7 @@ def test_a_floor_without_escape_ends_the_episode_at_the_tower_s_horizon():
 
 def info_of(env: SequenceEnv) -> int:
     """Floor that the robot is on."""
-    return [floor.unwrapped for floor in env.floors].index(env.unwrapped)
+    return [floor.unwrapped for floor in env.parts].index(env.unwrapped)
 
 
 def test_every_floor_counts_as_an_episode_and_one_not_come_to_as_a_failure():
@@ -248,14 +249,14 @@ def find_motif(room):
 
 
 def test_floors_that_repeat_have_one_motif_and_other_rooms():
-    tower = repeat_floor(SAME, 3)
-    assert tower.paired and len({len(floor) for floor in tower.floors}) == 1 and len(tower.floors[0]) > 30
-    seeds = np.array([floor.seeds for floor in tower.floors])
+    tower = repeat_set(SAME, 3)
+    assert tower.paired and len({len(floor) for floor in tower.sets}) == 1 and len(tower.sets[0]) > 30
+    seeds = np.array([floor.seeds for floor in tower.sets])
     assert all(len(set(rooms)) == 3 for rooms in seeds.T.tolist())
-    assert [find_motif(room) for room in tower.floors[1]] == [find_motif(room) for room in tower.floors[0]]
-    assert len({find_motif(room) for room in tower.floors[0]}) > 3
+    assert [find_motif(room) for room in tower.sets[1]] == [find_motif(room) for room in tower.sets[0]]
+    assert len({find_motif(room) for room in tower.sets[0]}) > 3
     assert load_rooms(json.loads(json.dumps(tower.describe()["content"]))).describe() == tower.describe()
-    first, *above = (floor.make_env(options=True, observation="objects") for floor in tower.floors)
+    first, *above = (floor.make_env(options=True, observation="objects") for floor in tower.sets)
     env = make_described_env(json.loads(json.dumps(describe_env(SequenceEnv(first, then=above, paired=True)))))
     for seed in range(3):  # without a schedule, as in training
         env.reset(seed=seed)
@@ -270,10 +271,10 @@ def test_floors_that_repeat_have_one_motif_and_other_rooms():
 
 
 def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_nothing_repeats():
-    spec, tower = AgentSpec.parse("bayes"), repeat_floor(SAME, 2)
+    spec, tower = AgentSpec.parse("bayes"), repeat_set(SAME, 2)
     presses = {}
     for paired in (True, False):
-        env, recorder = make_view(spec, Tower(tower.floors, paired), "objects", {str(n): n for n in range(12)})
+        env, recorder = make_view(spec, RoomSequence(tower.sets, paired), "objects", {str(n): n for n in range(12)})
         player = make_reference("bayes", env, recorder)
         counts = np.zeros(2)
         for seed in range(12):
@@ -289,8 +290,8 @@ def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_not
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    ("marks-2/words/test[:8] x 2", "whose marks have motifs"), ("marks-2/motifs/test[:8] x 1", "two or more floors"),
-    ("marks-2/motifs/test[:2] x 5", "as many rooms of a motif")])
+    ("marks-2/words/test#0..8 x 2", "whose marks have motifs"), ("marks-2/motifs/test#0..8 x 1", "two or more floors"),
+    ("marks-2/motifs/test#0..2 x 5", "as many rooms of a motif")])
 def test_sets_that_cannot_repeat_are_refused(text, words):
     with pytest.raises(ConfigError, match=words):
-        parse_rooms(text)
+        find_sets(text)

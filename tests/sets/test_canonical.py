@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hrl_escape.ladder.keys import compute_canonical_form
+from hrl_escape.sets.keys import compute_canonical_form
 
 
 def relabel(colours, edges, label):

@@ -13,12 +13,12 @@ from hrl_escape.agents.training.env_description import describe_env, make_descri
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ConfigError, UnknownNameError
-from hrl_escape.ladder import InstanceSet
-from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.options.meta_actions import list_goals
 from hrl_escape.options.options_env import OptionsEnv
-from tests.ladder.small import make_manifest
+from hrl_escape.sets import InstanceSet
+from hrl_escape.sets.benchmark import Benchmark, load_benchmark
+from tests.sets.small import make_manifest
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import hashlib
 
-from hrl_escape.ladder.benchmark import compute_root
+from hrl_escape.sets.benchmark import compute_root
 
 
 def make_leaves(count):

@@ -13,7 +13,7 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, SectionsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.marks import MARK_WORDS, MarksConfig, compute_depths
-from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.sets.instance_set import InstanceSet
 
 COUNT, LEVELS, NO_SECTIONS = 4, 4, SectionsConfig()
 

@@ -21,9 +21,9 @@ from typing import NamedTuple
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, EscapeError, GenerationError
-from hrl_escape.ladder.instance_set import InstanceSet, LazySeeds, derive_task
-from hrl_escape.ladder.keys import LayoutKey, RoomKeys, SeenLayouts, compute_keys
-from hrl_escape.ladder.manifest import ROLES, RungRecord
+from hrl_escape.sets.instance_set import InstanceSet, LazySeeds, derive_task
+from hrl_escape.sets.keys import LayoutKey, RoomKeys, SeenLayouts, compute_keys
+from hrl_escape.sets.manifest import ROLES, RungRecord
 
 _ROUND = re.compile(r"(?:drand\W+)?quicknet\W+(?:round\W+)?(\d+)\W+(?:randomness\W+)?(?:0x)?([0-9a-f]{64})", re.ASCII)
 

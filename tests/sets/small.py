@@ -8,7 +8,7 @@ from hrl_escape.env.config import Between, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
-from hrl_escape.ladder.manifest import Manifest, RungRecord, SetRecord
+from hrl_escape.sets.manifest import Manifest, RungRecord, SetRecord
 from studies.ladder.freezing import freeze_manifest
 
 

@@ -9,8 +9,8 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.ladder.benchmark import load_benchmark
-from hrl_escape.ladder.keys import compute_keys, compute_task_key
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.keys import compute_keys, compute_task_key
 
 
 def move(room, distance):

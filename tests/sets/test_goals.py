@@ -12,9 +12,9 @@ from hrl_escape.env.config import Between
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.lights_out import list_flips
 from hrl_escape.errors import ConfigError, UnsupportedError
-from hrl_escape.ladder import GoalsEnv
 from hrl_escape.options import OptionsEnv
 from hrl_escape.planning import RoomPlanner
+from hrl_escape.sets import GoalsEnv
 
 assert hrl_escape  # registers the environments
 
@@ -136,7 +136,7 @@ def test_learners_over_options_are_paid_for_the_goal_and_not_for_the_room():
     assert any(step[4]["duration"] > 1 for step in steps)
 
 
-@pytest.mark.slow  # ten seconds: pytest -m slow tests/ladder/test_goals.py
+@pytest.mark.slow  # ten seconds: pytest -m slow tests/sets/test_goals.py
 def test_hindsight_replay_of_stable_baselines3_learns_from_the_view():
     sb3 = pytest.importorskip("stable_baselines3")
     env = GoalsEnv(OptionsEnv(gymnasium.make("hrl_escape/FourButtonChain-v1"), include_primitives=False))

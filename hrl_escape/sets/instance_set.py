@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from inspect import signature
 from pathlib import Path
@@ -21,13 +22,13 @@ from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, describe_damage
 from hrl_escape.figures import Pictured
 from hrl_escape.files import read_json, write_json
-from hrl_escape.ladder.keys import compute_task_key
+from hrl_escape.sets.keys import compute_task_key
 
 if TYPE_CHECKING:
     from hrl_escape.env.vector_env import EscapeRoomVectorEnv
     from hrl_escape.options.batched.env import BatchedOptionsEnv
 
-LADDER_ID, LADDER_ENTRY = "hrl_escape/Ladder-v1", "hrl_escape.ladder.room_sets:make_ladder_env"
+LADDER_ID, LADDER_ENTRY = "hrl_escape/Ladder-v1", "hrl_escape.sets.environments:make_ladder_env"
 CHOOSING_ROOMS = ("config", "instance", "instance_seed", "instances", "resample_instance")
 """Arguments of `EscapeRoomEnv` that a set gives itself."""
 
@@ -93,10 +94,9 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
     def __getitem__(self, index: int | slice) -> RoomInstance | InstanceSet:
         if isinstance(index, slice):
             chosen = range(*index.indices(len(self)))
-            step = f":{chosen.step}" if chosen.step != 1 else ""
-            rooms = self._choose(f"{self.name}[{chosen.start}:{chosen.stop}{step}]", chosen)
+            rooms = self._choose(_name_slice(self.name, chosen), chosen)
             if self.place is not None and "slice" not in self.place and chosen.step == 1 and len(chosen):
-                rooms.place = {**self.place, "slice": f"{chosen.start}:{chosen.stop}"}
+                rooms.place = {**self.place, "slice": f"{chosen.start}..{chosen.stop}"}
             return rooms
         seed = self.seeds[index]
         if seed not in self._rooms:
@@ -164,17 +164,11 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
             UnknownNameError: `EscapeRoomEnv` or `OptionsEnv` takes no such argument; those of the latter belong into
                 `options`.
         """
-        _check_names("EscapeRoomEnv (OptionsEnv's go into options={...})", arguments, EscapeRoomEnv, CHOOSING_ROOMS)
+        check_names("EscapeRoomEnv (OptionsEnv's go into options={...})", arguments, EscapeRoomEnv, CHOOSING_ROOMS)
         env = InstanceSetEnv(self, **arguments)
         if self.place is not None:
             env.spec = EnvSpec(LADDER_ID, entry_point=LADDER_ENTRY, kwargs={**self.place, **arguments})
-        if not isinstance(options, Mapping) and not options:
-            return env
-        from hrl_escape.options.options_env import OptionsEnv
-
-        table = options if isinstance(options, Mapping) else {}
-        _check_names("OptionsEnv", table, OptionsEnv, ("env",))
-        return OptionsEnv(env, **table)
+        return add_options(env, options)
 
     def make_vec(self, num_envs: int, options: bool | Mapping[str, Any] = False, **arguments: Any
                  ) -> EscapeRoomVectorEnv | BatchedOptionsEnv:
@@ -222,11 +216,40 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
             raise FileReadError(f"{path}: this is no set of rooms ({describe_damage(error)})") from error
 
 
-def _check_names(words: str, given: Iterable[str], maker: Callable[..., Any], left_out: tuple[str, ...]) -> None:
+def _name_slice(name: str, chosen: range) -> str:
+    """Name of rooms in a row, as the grammar of `sets.grammar` has it; a part of a part is named after the whole."""
+    if chosen.step != 1:
+        return f"{name}[{chosen.start}:{chosen.stop}:{chosen.step}]"
+    part = re.fullmatch(r"(.+)#(\d+)(?:\.\.\d+)?", name, re.DOTALL)
+    base, first = (part[1], int(part[2])) if part else (name, 0)
+    return f"{base}#{first + chosen.start}..{first + chosen.stop}"
+
+
+def check_names(words: str, given: Iterable[str], maker: Callable[..., Any], left_out: tuple[str, ...]) -> None:
+    """Refuse an argument that a maker does not take.
+
+    Raises:
+        UnknownNameError: the message names the closest.
+    """
     known = [name for name in signature(maker).parameters if name not in left_out]
     for name in given:
         if name not in known:
             raise UnknownNameError(f"argument of {words}", name, known)
+
+
+def add_options(env: gymnasium.Env, options: bool | Mapping[str, Any]) -> gymnasium.Env:
+    """Wrap an environment in an `OptionsEnv` if that is asked for; a table gives its arguments.
+
+    Raises:
+        UnknownNameError: `OptionsEnv` takes no such argument.
+    """
+    if not isinstance(options, Mapping) and not options:
+        return env
+    from hrl_escape.options.options_env import OptionsEnv
+
+    table = options if isinstance(options, Mapping) else {}
+    check_names("OptionsEnv", table, OptionsEnv, ("env",))
+    return OptionsEnv(env, **table)
 
 
 class InstanceSetEnv(EscapeRoomEnv):

@@ -8,10 +8,10 @@ import pytest
 
 from hrl_escape.agents.making import make_agent
 from hrl_escape.errors import ActionError, UnsupportedError
-from hrl_escape.ladder.common_spaces import CommonSpacesEnv, join_spaces
-from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.options.memory import DecisionMemory
-from tests.ladder.small import make_config
+from hrl_escape.sets.common_spaces import CommonSpacesEnv, join_spaces
+from hrl_escape.sets.instance_set import InstanceSet
+from tests.sets.small import make_config
 
 FEW, MANY = (InstanceSet(name, make_config(count, "chain"), range(3)) for name, count in (("few", 2), ("many", 4)))
 

@@ -15,15 +15,15 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError, VerificationError
-from hrl_escape.ladder.benchmark import Benchmark, certify_rung, find_overlaps, list_benchmarks, load_benchmark
-from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.keys import RoomKeys, compute_keys, compute_task_key
-from hrl_escape.ladder.manifest import Manifest, RungRecord, SetRecord
-from hrl_escape.ladder.rung import Rung, choose_seeds, derive_hidden_seed, is_held_out, read_beacon
+from hrl_escape.sets.benchmark import Benchmark, certify_rung, find_overlaps, list_benchmarks, load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.keys import RoomKeys, compute_keys, compute_task_key
+from hrl_escape.sets.manifest import Manifest, RungRecord, SetRecord
+from hrl_escape.sets.rung import Rung, choose_seeds, derive_hidden_seed, is_held_out, read_beacon
 from studies.ladder.freezing import freeze_manifest
 from tests.command_line import run_here
 from tests.covering import thin
-from tests.ladder.small import make_manifest
+from tests.sets.small import make_manifest
 
 
 def change(rung: str, **fields) -> Benchmark:
@@ -256,7 +256,7 @@ def test_axes_are_series_of_rungs_of_their_benchmark_each_in_one():
 
 
 SCRIPT = """
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import load_benchmark
 from studies.ladder.freezing import freeze_manifest
 for name in ("pair", "lattice", "clutter", "reach", "doors", "freight"):
     rung = load_benchmark("ladder-1")[name]

@@ -11,11 +11,11 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import VerificationError
-from hrl_escape.ladder.benchmark import Benchmark, certify_rung, find_overlaps, load_benchmark
-from hrl_escape.ladder.keys import LATEST_LAYOUTS, SeenLayouts, compute_keys, list_points
-from hrl_escape.ladder.manifest import Manifest, RungRecord, SetRecord
+from hrl_escape.sets.benchmark import Benchmark, certify_rung, find_overlaps, load_benchmark
+from hrl_escape.sets.keys import LATEST_LAYOUTS, SeenLayouts, compute_keys, list_points
+from hrl_escape.sets.manifest import Manifest, RungRecord, SetRecord
 from studies.ladder.freezing import freeze_manifest
-from tests.ladder.small import make_config, make_manifest
+from tests.sets.small import make_config, make_manifest
 
 
 def turn(room: RoomInstance, quarters: int, is_mirrored: bool) -> RoomInstance:

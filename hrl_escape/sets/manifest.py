@@ -15,13 +15,13 @@ from typing import Annotated, Any
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.files import read_json, write_json
-from hrl_escape.ladder.keys import LATEST_LAYOUTS
-from hrl_escape.settings import Range, Settings, read_record
+from hrl_escape.sets.keys import LATEST_LAYOUTS
+from hrl_escape.settings import Range, Settings
 
 ROLES = ("train", "valid", "test", "test_task")
 """Sets of a rung: to learn on, to choose by, unseen layouts, and unseen layouts with unseen tasks."""
 
-_DATA = Path(str(files("hrl_escape.ladder") / "data"))
+_DATA = Path(str(files("hrl_escape.sets") / "data"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,23 +135,3 @@ def load_manifest(name: str | Path) -> Manifest:
 @functools.cache
 def _load_own(name: str) -> Manifest:
     return Manifest.from_dict(read_json(_DATA / f"{name}.json", "manifest"))
-
-
-@dataclasses.dataclass(frozen=True)
-class RungReferences:
-    """Mean efficiencies in the test rooms of a rung."""
-
-    chance: float  # of random choices among the options
-    searcher: float  # of the best searcher that learns nothing
-    by: str  # its name
-    oracle: float  # of the planner, which knows the graph; below 1 only where presses fail by chance
-    ceiling: float | None = None  # of `bayes`, which knows how rooms are drawn; None where graphs cannot be listed
-    told: float | None = None  # bits of the hidden graph that marks and places tell; None where graphs cannot be listed
-    hidden: float | None = None  # bits of the hidden graph
-
-
-def load_references(benchmark: str) -> dict[str, RungReferences]:
-    """References of a benchmark that comes with the package, by rung; empty where they were not measured."""
-    entry = _DATA / "references" / f"{benchmark}.json"
-    table = read_json(entry, "references") if entry.is_file() else {}
-    return {rung: read_record(RungReferences, own, rung) for rung, own in table.items()}

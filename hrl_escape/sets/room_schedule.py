@@ -1,0 +1,29 @@
+"""Schedule of rooms: evaluation episodes go round a set in order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+from gymnasium.utils import RecordConstructorArgs
+
+
+class RoomSchedule(gymnasium.Wrapper, RecordConstructorArgs):
+    """Chooses the room of an episode by its seed, so that evaluations go round a set.
+
+    Args:
+        env: an `InstanceSetEnv`.
+        rooms: episode seed -> number of the room in the set. Other seeds draw a room.
+    """
+
+    def __init__(self, env: gymnasium.Env, rooms: Mapping[str, int]) -> None:
+        RecordConstructorArgs.__init__(self, rooms=dict(rooms))
+        super().__init__(env)
+        self._rooms = {int(seed): number for seed, number in rooms.items()}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode in the room of its seed."""
+        if seed in self._rooms:
+            options = {"instance_index": self._rooms[seed], **(options or {})}
+        return self.env.reset(seed=seed, options=options)
