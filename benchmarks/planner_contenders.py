@@ -30,7 +30,7 @@ from hrl_escape.errors import GenerationError
 from hrl_escape.files import write_text
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.areas import compute_goal_area
-from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, describe_goal, is_reached
+from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, is_reached, name_goal
 from hrl_escape.planning.motion.limits import MotionLimits, compute_duration, compute_rest_to_rest
 from hrl_escape.planning.paths.navigator import PathResult
 from hrl_escape.planning.paths.planners import list_planners
@@ -259,7 +259,7 @@ def _measure_query(query: Query, contender: str) -> QueryResult:
     _, again = ask(one, query.goal)
     ask(other, query.other)
     _, new = ask(other, query.goal)
-    goal = describe_goal(query.goal, instance)
+    goal = name_goal(query.goal, instance)
     if isinstance(result, PathResult):
         lines = np.hypot(*np.diff(result.path, axis=0).T).tolist()
         seconds = sum(compute_rest_to_rest(line, LIMITS.speed, LIMITS.acceleration, LIMITS.jerk) for line in lines)

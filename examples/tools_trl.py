@@ -35,7 +35,7 @@ class EscapeRoom:
         """Carry out an option to its end, such as driving to a button and pressing it.
 
         Args:
-            option: Name of the option, such as `press button-1`, or `leave` for the way out.
+            option: Name of the option, such as `press-button-1`, or `go-to-exit` for the way out.
 
         Returns:
             What happened, what it cost and what can be done next.
@@ -75,6 +75,6 @@ class EscapeRoom:
 if __name__ == "__main__":
     room = EscapeRoom()
     print(room.reset(seed=0))
-    for option in ("press button-1", "press button-2", "leave"):
+    for option in ("press-button-1", "press-button-2", "go-to-exit"):
         print(room.run_option(option))
     print(f"reward {room.get_reward():.2f}")

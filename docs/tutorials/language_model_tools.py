@@ -15,7 +15,7 @@ session.env.instance
 # says what would have been valid.
 
 print([tool["name"] for tool in session.tools()])
-print(session.call("run_option", {"option": "press button-1"}).text)
+print(session.call("run_option", {"option": "press-button-1"}).text)
 print(session.call("open_door").text)
 
 # A caller is any function from transcript and tools to a call. Here a scripted manager goes on, which reads nothing but

@@ -34,7 +34,7 @@ TRAITS: dict[str, AgentTrait] = {
     "memory": AgentTrait("a memory of the episode in these rows", options={"memory": True}),
     "gru": AgentTrait("a recurrent network", {"memory": "gru"}),
     "no-primitives": AgentTrait("options only, without primitives", options={"include_primitives": False}),
-    "markov": AgentTrait("options that are functions of the state", options={"flavour": "press-markov"}),
+    "markov": AgentTrait("options that are functions of the state", options={"option_set": "press-reactive"}),
     "patient": AgentTrait("longer exploration and a larger replay memory, for dqn",
                      {"learning_rate": 1e-3, "epsilon_end": 0.1, "epsilon_steps": 30_000, "replay_capacity": 100_000}),
     "three-parents": AgentTrait("up to three parents a button, for agents that learn structure", {"max_parents": 3}),

@@ -27,9 +27,9 @@ class AgentChoice:
     """Settings to change, as name=value; `hrl-escape train AGENT --list-settings` shows them."""
     options_only: bool = False
     """Let an smdp- agent choose among options only, as +no-primitives does."""
-    flavour: Literal["press", "press-with-ancestors", "press-markov"] | None = None
-    """Meta-actions: press one button, by default, or press first those that must be on before it, or press one by a
-    function of the state, as +markov does."""
+    option_set: str | None = None
+    """Named option set: press (one button, by default), press-with-ancestors (first those that must be on before it),
+    press-reactive (one button by a function of the state, as +markov does); see `hrl-escape list option-sets`."""
     memory: bool = False
     """Show an smdp- agent what it has tried in this episode, beside each object, as +memory does."""
     leaves: Literal["planned", "learned"] | None = None
@@ -48,14 +48,14 @@ class AgentChoice:
         spec = AgentSpec.parse(agent)
         for name, given, in_label, default in (
             ("recipe", self.recipe, spec.recipe, DEFAULT_RECIPE),
-            ("flavour", self.flavour, spec.options.flavour, "press"),
+            ("option_set", self.option_set, spec.options.option_set, "press"),
             ("leaves", self.leaves, spec.leaves, None),
         ):
             if in_label != default and given not in (None, DEFAULT_RECIPE, in_label):
                 raise ConfigError(name, given, f"{in_label}, as in {agent}, or left out")
         options = dataclasses.replace(
             spec.options, include_primitives=spec.options.include_primitives and not self.options_only,
-            flavour=self.flavour or spec.options.flavour, memory=spec.options.memory or self.memory)
+            option_set=self.option_set or spec.options.option_set, memory=spec.options.memory or self.memory)
         settings = spec.settings | dict(split_assignment(text, "--settings", "gamma=0.95") for text in self.settings)
         recipe = self.recipe if spec.recipe == DEFAULT_RECIPE else spec.recipe
         return AgentSpec(spec.name, spec.label if "+" in agent else "", recipe, settings, options,

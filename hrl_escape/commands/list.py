@@ -42,11 +42,14 @@ from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
 from hrl_escape.names import join_words
+from hrl_escape.options.option_sets import option_sets
 
 Kind = Literal["recommended", "presets", "environments", "puzzles", "observations", "cameras", "primitives",
-               "agents", "traits", "recipes", "batched", "hierarchical", "offline", "references", "comparisons"]
+               "option-sets", "agents", "traits", "recipes", "batched", "hierarchical", "offline", "references",
+               "comparisons"]
 
-TITLES = {"recommended": "recommended: which agent to begin with",
+TITLES = {"option-sets": "option sets: see --option-set of `hrl-escape train`",
+          "recommended": "recommended: which agent to begin with",
           "traits": "traits: words behind an agent's name, as in smdp-ppo+objects+memory",
           "recipes": "recipes: those of agents that have more than one, as in smdp-dqn@paper",
           "batched": "batched: agents that learn in many rooms at once, see --batch of `hrl-escape train`",
@@ -55,8 +58,8 @@ TITLES = {"recommended": "recommended: which agent to begin with",
           "offline": "offline: agents that learn from a data set, `hrl-escape train smdp-iql --data pair-play-v1`",
           "references": "references: they learn nothing, and a learner has to beat the best of them"}
 
-SLOW = ("recipes", "batched")
-"""Kinds that import every algorithm, which takes seconds: listed where they are asked for."""
+SLOW = ("recipes", "batched", "option-sets")
+"""Kinds that import every algorithm or the planners, which takes seconds: listed where they are asked for."""
 
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
               "macros": "macro-actions", "tree": "cells", "simulator": "simulator", "goal_space": "goals",
@@ -69,7 +72,7 @@ class ListArgs:
     """Options of `hrl-escape list`."""
 
     kinds: Annotated[tuple[Kind, ...], tyro.conf.Positional] = ()
-    """Kinds of names to list; by default all but recipes and batched, which take the import of every algorithm."""
+    """Kinds of names to list; by default all but recipes, batched and option-sets, which import much."""
     json: bool = False
     """Print JSON instead of tables."""
 
@@ -84,6 +87,7 @@ def run(args: ListArgs) -> None:
         "observations": lambda: {observation.name: observation.doc for observation in list_observations()},
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
+        "option-sets": _describe_option_sets,
         "agents": lambda: {name: _summarise(_parse_agent(name)) for name in (*list_agents(), *list_given_agents())},
         "traits": lambda: {f"+{name}": trait.about for name, trait in TRAITS.items()},
         "recipes": _describe_recipes,
@@ -110,6 +114,10 @@ def _describe_recipes() -> dict[str, str]:
     """Recipes of every agent with several, the default first."""
     found = {name: list(list_recipes(name)) for name in (*list_agents(), *list_given_agents(), *list_offline_agents())}
     return {name: join_words(recipes, "or") for name, recipes in found.items() if len(recipes) > 1}
+
+
+def _describe_option_sets() -> dict[str, str]:
+    return {name: _get_sentence(inspect.getdoc(make) or "") for name, make in option_sets.load_all().items()}
 
 
 def _describe_environments() -> dict[str, str]:

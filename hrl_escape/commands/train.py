@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from hrl_escape.agents.streams import Streams
 
 SHOWN_EVALUATIONS, PRIMITIVES = 12, 20_000
-OF_OPTIONS = ("options_only", "flavour", "memory")
+OF_OPTIONS = ("options_only", "option_set", "memory")
 OF_ROOMS = (*(field.name for field in dataclasses.fields(RoomChoice)), "batch", "device", "compile", "leaves",
             *OF_OPTIONS)
 
@@ -114,8 +114,8 @@ class TrainArgs(AgentChoice, RoomChoice):
 
         gamma = spec.resolve_settings()["gamma"]
         options = BatchedOptionsEnv(self.batch, instance=instance, observation=observation, discount=gamma,
-                                    include_primitives=spec.options.include_primitives, flavour=spec.options.flavour,
-                                    device=self.device, compile=self.compile)
+                                    include_primitives=spec.options.include_primitives,
+                                    option_set=spec.options.option_set, device=self.device, compile=self.compile)
         return MemoryStreams(options) if spec.options.memory else options
 
 

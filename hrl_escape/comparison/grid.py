@@ -27,6 +27,7 @@ from hrl_escape.errors import EscapeError, GridError
 from hrl_escape.files import read_json, read_text, read_toml
 from hrl_escape.ladder.room_sets import parse_rooms
 from hrl_escape.names import make_file_name
+from hrl_escape.options.option_sets import DEFAULT_SET, check_option_set
 from hrl_escape.settings import Range, Settings, replace_settings
 from hrl_escape.synthesis.kinds import find_kind, list_privileges
 from hrl_escape.text.settings import TOOLS, ToolsSettings
@@ -43,14 +44,18 @@ class OptionsView(Settings):
     _section = "options"
     include_primitives: bool = True
     """Include the primitives among the choices."""
-    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
-    """Meta-actions: press one button, press its ancestors first, or press one by a function of the state."""
+    option_set: str = DEFAULT_SET
+    """Named option set: press one button, press its ancestors first, or another; `hrl-escape list option-sets`."""
     interruptible: bool = False
     """Options return to the agent after every primitive."""
     max_duration: Annotated[int, Range(1, LARGEST)] | None = None
     """Primitives after which an option is stopped."""
     memory: bool = False
     """Append an episode's failures and successes to the rows of the observation `objects`; see `DecisionMemory`."""
+
+    def check(self) -> None:
+        """Refuse an unknown option set."""
+        check_option_set(self.option_set)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import time
 import zlib
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from typing_extensions import Self
@@ -19,6 +19,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import philox
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.options.option import Option, OptionAction
+from hrl_escape.options.option_sets import DEFAULT_SET, check_option_set
 from hrl_escape.settings import Range, Settings
 
 FAILURE, STOP, _MISSING = range(3)
@@ -42,14 +43,18 @@ class OptionDegradation(Settings):
     """Probability that an option is masked for ever."""
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0
     """Seed of all draws."""
-    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
-    """Flavour of the meta-actions."""
+    option_set: str = DEFAULT_SET
+    """Name of the option set that is degraded."""
+
+    def check(self) -> None:
+        """Refuse an unknown option set."""
+        check_option_set(self.option_set)
 
     def __call__(self, instance: RoomInstance) -> tuple[Option, ...]:
         """Make the room's meta-actions and degrade each."""
         from hrl_escape.options.meta_actions import make_meta_options  # loads the planners
 
-        return tuple(self.degrade(option) for option in make_meta_options(instance, self.flavour))
+        return tuple(self.degrade(option) for option in make_meta_options(instance, self.option_set))
 
     def degrade(self, option: Option) -> Option:
         """Degrade one option of any kind."""

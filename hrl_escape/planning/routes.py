@@ -34,9 +34,9 @@ from hrl_escape.planning.goals import (
     PoseGoal,
     PressGoal,
     check_goal,
-    describe_goal,
     is_reached,
     list_grips,
+    name_goal,
 )
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.plan import make_planned_room
@@ -286,7 +286,7 @@ class Routes:
                      ) -> PlanningFailed:
         """Make the `PlanningFailed` of a goal (None: the escape) that could not be planned from a state."""
         pose = (state.x, state.y, self.rules.get_heading(state))
-        name = "escape" if goal is None else describe_goal(goal, self.instance)
+        name = "the escape" if goal is None else name_goal(goal, self.instance)
         return PlanningFailed(reason, name, pose, **details)
 
     def _search_round_props(self, state: RoomState, goal: Goal, clock: Clock, settings: SearchSettings

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import FixedPolicy
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError
+from hrl_escape.planning.goals import LEAVE
 from hrl_escape.registry import Registry
 from hrl_escape.text.recordings import RecordedModel
 from hrl_escape.text.settings import ToolsSettings
 from hrl_escape.text.told_env import ToolCall, Turn, find_told_env
-from hrl_escape.text.words import LEAVE
 
 Model: TypeAlias = Callable[[Sequence[Turn], Sequence[Mapping[str, Any]]], ToolCall]
 """Anything that reads a transcript and the tools' schemas and says which tool to call. If it has an attribute `rng`, an
@@ -39,6 +39,7 @@ _ON, _OUT = (re.compile(rf'("[^"]*"(?:(?:, | and )"[^"]*")*) {word}') for word i
 _HERE = re.compile(r"You are at \((-?[\d.]+), (-?[\d.]+)\)")
 _THING = re.compile(r'"([^"]*)"(?: at \((-?[\d.]+), (-?[\d.]+)\))?, (on|off)')
 _QUOTED = re.compile(r'"([^"]*)"')
+_ACT = re.compile(r"(?:press|grip|release|use|push-(?:east|north|west|south))-(.*)")
 
 
 class UniformManager:
@@ -79,7 +80,7 @@ class UntriedManager(UniformManager):
                 _note(turn, options, tried, lit)
             before = turn.text if turn.call is None or turn.call.name != "look" else before
         fresh = [option for option in presses if option not in tried] or presses
-        dark = [option for option in fresh if option.partition(" ")[2] not in lit]
+        dark = [option for option in fresh if _get_thing(option) not in lit]
         return self._pick(dark or fresh, transcript)
 
     def _pick(self, presses: list[str], transcript: Sequence[Turn]) -> str:
@@ -95,7 +96,7 @@ class NearestManager(UntriedManager):
                      if (found := _HERE.findall(turn.text))), None)
         if here is None:
             return super()._pick(presses, transcript)
-        return min(presses, key=lambda press: math.dist(here, places.get(press.partition(" ")[2], (math.inf, 0.0))))
+        return min(presses, key=lambda press: math.dist(here, places.get(_get_thing(press), (math.inf, 0.0))))
 
 
 class PDDLPlanner(UniformManager):
@@ -145,6 +146,12 @@ def _run(option: str) -> ToolCall:
     return ToolCall("run_option", {"option": option})
 
 
+def _get_thing(option: str) -> str:
+    """Name of the thing that an option presses, grips, releases, uses or pushes one cell; else empty."""
+    found = _ACT.fullmatch(option)
+    return found[1] if found else ""
+
+
 def _read_legal(text: str, options: Sequence[str]) -> list[str]:
     """Options that can start after an answer."""
     for words, wanted in (("Not now: ", False), ("Now only: ", True)):
@@ -170,7 +177,7 @@ def _note(turn: Turn, options: Sequence[str], tried: set[str], lit: set[str]) ->
     assert turn.call is not None
     noted, changed = set[str](), "came on" in turn.text or "went out" in turn.text
     for names, said in _PRESSED.findall(turn.text):
-        for press in (f"press {name}" for name in _QUOTED.findall(names)):
+        for press in (f"press-{name}" for name in _QUOTED.findall(names)):
             if press in options:
                 noted.add(press)
                 tried.add(press) if said == "nothing changed" else tried.clear()

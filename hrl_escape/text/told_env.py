@@ -25,10 +25,10 @@ from hrl_escape.errors import ResetNeededError, UnknownNameError, UnsupportedErr
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import compute_expected_escape, find_best_known
-from hrl_escape.planning.goals import make_goal
+from hrl_escape.planning.goals import find_new_name, make_goal, name_goal
 from hrl_escape.planning.symbolic.pddl import clean_name, export_pddl
 from hrl_escape.text.settings import TOLD_LEVELS, Level
-from hrl_escape.text.words import clean, phrase_options, place, tell_changes, tell_goal, tell_room
+from hrl_escape.text.words import clean, number_options, place, tell_changes, tell_room
 
 MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200
 """Looks that are free between two moves; most repeats of a primitive; characters of a wrong value that are kept."""
@@ -138,7 +138,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         instance = self.instance
         if seed is not None or instance.id != self._room_id:
             self.transcript, self.seed = [], seed
-        self._names = phrase_options(self.env.options, instance)
+        self._names = number_options(self.env.options)
         first = self.env.primitive_count
         self._actions = {name: first + number for name, number in self._names.items()}
         self._primitives = {clean(name): number for number, name in enumerate(self.env.action_names[:first])}
@@ -235,7 +235,9 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         named, choices = ("option", self._actions) if call.name == "run_option" else ("primitive", self._primitives)
         choice, times = given[named], given.get("times", 1)
         if not isinstance(choice, str) or choice not in choices:
-            return f"There is no such {named}. There are {join_words(map(_show, choices))}."
+            new = find_new_name(choice, list(choices)) if isinstance(choice, str) else None
+            meant = f" Did you mean {_show(new)}?" if new else ""
+            return f"There is no such {named}.{meant} There are {join_words(map(_show, choices))}."
         if type(times) is not int or not 1 <= times <= MOST_TIMES:
             return f'"times" is a whole number from 1 to {MOST_TIMES}.'
         self.action = choices[choice]
@@ -316,7 +318,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
     def _describe_model(self) -> list[str]:
         """The symbolic model, and the option of every operator that is not named like it."""
         instance = self.instance
-        goals = {op.name: tell_goal(make_goal(op, instance), instance)
+        goals = {op.name: name_goal(make_goal(op, instance), instance)
                  for op in instance.symbolic_model.operators}
         unlike = [f"{clean_name(op)}: {_show(clean(option))}" for op, option in goals.items()
                   if clean_name(op) != clean_name(option)]
@@ -400,7 +402,7 @@ class RoomSession:
 
         session = RoomSession(OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1")))
         print(session.reset(seed=0))
-        print(session.call("run_option", {"option": "press button-1"}).text)
+        print(session.call("run_option", {"option": "press-button-1"}).text)
 
     Args:
         env: options over a room, a flat room, or a `ToldEnv`, whose level then holds.

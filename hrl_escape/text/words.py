@@ -19,11 +19,8 @@ from hrl_escape.env.puzzles.traits import Barring, Depicted, Marked, get_trait
 from hrl_escape.names import join_words
 from hrl_escape.options.meta_actions import AbsentOption
 from hrl_escape.options.option import Option
-from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal, PushGoal
 from hrl_escape.planning.props import get_prop_poses
 
-LEAVE = "leave"
-"""Name of the option that drives out through the exit."""
 LONGEST, LONGEST_SENTENCE = 60, 400
 """Characters of a name and of a puzzle's sentence, whatever a file says."""
 
@@ -40,28 +37,15 @@ def quote(name: str) -> str:
     return f'"{clean(name)}"'
 
 
-def phrase_options(options: Sequence[Option], instance: RoomInstance) -> dict[str, int]:
-    """Name in plain English -> number of the option; options of targets that the room lacks are left out."""
+def number_options(options: Sequence[Option]) -> dict[str, int]:
+    """Name, cleaned, to number of the option; options of targets that the room lacks are left out."""
     named: dict[str, int] = {}
     for number, option in enumerate(options):
         if isinstance(option, AbsentOption):
             continue
-        name = clean(tell_goal(getattr(option, "goal", None), instance) or option.name)
+        name = clean(option.name)
         named[f"{name} ({number})" if name in named else name] = number
     return named
-
-
-def tell_goal(goal: Any, instance: RoomInstance) -> str:
-    """Words for reaching a goal, such as `press button-1`; empty for a mere place, and for no goal."""
-    if isinstance(goal, ExitGoal):
-        return LEAVE
-    if isinstance(goal, PressGoal):
-        return f"press {instance.targets[goal.target].name}"
-    if isinstance(goal, GripGoal):
-        return f"{goal.action} {instance.targets[goal.target].name}"
-    if isinstance(goal, PushGoal):
-        return f"push {instance.props[goal.prop].prop.name} onto {instance.props[goal.destination].prop.name}"
-    return ""
 
 
 def place(x: float, y: float) -> str:

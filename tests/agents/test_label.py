@@ -59,7 +59,7 @@ def test_train_takes_labels_where_the_environment_agrees():
 @pytest.mark.parametrize(("label", "needed"), [
     ("smdp-r-max+no-primitives", "OptionsEnv(env, include_primitives=False)"),
     ("smdp-dqn+memory", "DecisionMemory(OptionsEnv(env))"),
-    ("smdp-dqn+markov", "OptionsEnv(env, flavour='press-markov')"),
+    ("smdp-dqn+markov", "OptionsEnv(env, option_set='press-reactive')"),
     ("maxq-q+planned", "HierarchyEnv(env, leaves='planned')"),
 ])
 def test_train_refuses_an_environment_that_disagrees(label, needed):

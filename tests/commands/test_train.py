@@ -97,10 +97,10 @@ SHORT = ["train", "smdp-random", "--preset", "four-button-chain", "--primitives"
 
 
 @pytest.mark.in_turn_for(
-    "changes0-flavour: 'press' there, 'press-with-ancestors' now", "changes1-environment.arguments.instance",
+    "changes0-option_set: 'press' there, 'press-with-ancestors' now", "changes1-environment.arguments.instance",
     "changes2-seed: 0 there, 1 now")
 @pytest.mark.parametrize(("changes", "field"), [
-    (["--flavour", "press-with-ancestors"], "flavour: 'press' there, 'press-with-ancestors' now"),
+    (["--option-set", "press-with-ancestors"], "option_set: 'press' there, 'press-with-ancestors' now"),
     (["--seed", "1"], "environment.arguments.instance"),
     (["--training-seed", "1"], "seed: 0 there, 1 now"),
     (["--observation", "state"], "environment.arguments.observation: 'features' there, 'state' now"),
@@ -137,7 +137,8 @@ def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(cap
     (["smdp-iql", "--data", "pair-play-v1", "--primitives", "0"], "primitives = 0 is not possible"),
     (["smdp-iql", "--data", "pair-play-v1", "--preset", "clutter"], "--preset does not go with --data"),
     (["q-learning", "--memory"], "--memory is for agents that choose options, such as smdp-q-learning"),
-    (["hamq", "--leaves", "planned", "--flavour", "press-markov"], "--flavour is for agents that choose options"),
+    (["hamq", "--leaves", "planned", "--option-set", "press-reactive"],
+     "--option-set is for agents that choose options"),
 ])
 def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)

@@ -73,14 +73,14 @@ def relabel(room: RoomInstance, order: tuple[int, ...], rule: ViolationRule = "i
 def test_a_searcher_never_tries_again_what_failed_under_the_same_lights(name: str):
     room = relabel(generate(get_preset("four-button-chain"), 1), (2, 0, 3, 1))
     _, decisions = play(name, room)
-    order, number, failed = ["meta-03", "meta-01", "meta-04", "meta-02"], 0, set()
+    order, number, failed = ["press-button-3", "press-button-1", "press-button-4", "press-button-2"], 0, set()
     for decision in decisions[:-1]:
         assert decision not in failed | set(order[:number]), "neither what is lit nor what failed since the last light"
         if decision == order[number]:
             number, failed = number + 1, set()
         else:
             failed.add(decision)
-    assert number == 4 and decisions[-1] == "meta-exit"
+    assert number == 4 and decisions[-1] == "go-to-exit"
 
 
 @pytest.mark.in_turn
@@ -94,7 +94,7 @@ def test_the_nearest_first_needs_less_than_a_random_order_and_that_less_than_rou
 @pytest.mark.parametrize("order", [(2, 0, 3, 1), (0, 1, 2, 3), (3, 2, 1, 0), (1, 3, 0, 2)])
 def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice(order: tuple[int, ...]):
     _, decisions = play(RETRACE, relabel(generate(get_preset("four-button-chain"), 1), order, "reset"))
-    names = [f"meta-{number:02}" for number in range(1, 5)]
+    names = [f"press-button-{number}" for number in range(1, 5)]
     lit, best, failed = 0, 0, set()
     for decision in decisions[:-1]:
         pressed = names.index(decision)
@@ -106,7 +106,7 @@ def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice(ord
             assert (lit, pressed) not in failed
             failed.add((lit, pressed))
             lit = 0
-    assert lit == 4 and decisions[-1] == "meta-exit"
+    assert lit == 4 and decisions[-1] == "go-to-exit"
 
 
 @pytest.mark.in_turn_for("code")
@@ -250,7 +250,7 @@ def foretell(room: RoomInstance, puzzle: Any) -> float:
     planner, count = RoomPlanner(room), len(room.targets)
     graph, ways = BeliefGraph(make_family(puzzle, count)), measure_ways(RoomPlanner(room))
     costs, start, root = graph.solve(ways), planner.rules.make_state(room.starts[0]), np.array([graph.root])
-    return min(planner.plan(start, f"button-{button + 1}").cost
+    return min(planner.plan(start, f"press-button-{button + 1}").cost
                + graph.compute_costs_after(costs, root, button, ways)[0, count * count + button]
                for button in range(count))
 

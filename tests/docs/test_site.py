@@ -107,7 +107,7 @@ TUTORIALS = {
     "own_environment": r"fetch: 11 primitives, reached.* smdp-q-learning: mean return (?:19|2\d)\.\d after .* "
                        r"q-learning: mean return -200.0 .* smdp-random: mean return -?1?\d\.\d",
     "planned_options": r"plan: (\d+) primitives, return \d+ .*by options: escaped True, return \d+ with noise .* True",
-    "smdp_q_learning": r"episode 0: return .*greedy: return 64 by meta-01, then meta-02, then meta-exit",
+    "smdp_q_learning": r"episode 0: return .*greedy: return 64 by press-button-1, then press-button-2, then go-to-exit",
     "maxq_taxi": r"optimum of the graph 7.93, of all policies 7.93 maxq-q: mean return (7\.[5-9]|8\.[0-3])",
     "goals": r"primitive 11: on\(button-1\) primitive 21: touch\(button-2\) .* primitive 34: exit "
              r"left to go: \[3. 0.\] left to go: \[2. 0.\] option-keyboard: first escape after \d+ primitives",

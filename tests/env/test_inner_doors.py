@@ -149,7 +149,7 @@ def test_options_behind_shut_doors_are_masked_and_ancestors_open_the_way():
     env = OptionsEnv(EscapeRoomEnv(instance=room), include_primitives=False)
     _, info = env.reset(seed=0)
     assert info["action_mask"].tolist() == [not way for way in room.ways]
-    env = OptionsEnv(EscapeRoomEnv(instance=room), flavour="press-with-ancestors", include_primitives=False)
+    env = OptionsEnv(EscapeRoomEnv(instance=room), option_set="press-with-ancestors", include_primitives=False)
     _, info = env.reset(seed=0)
     assert info["action_mask"][behind]
     _, _, _, _, info = env.step(behind)
@@ -161,8 +161,8 @@ def test_a_goal_behind_a_shut_door_is_no_plan_and_one_behind_an_open_door_is():
     behind = next(target for target in range(5) if room.ways[target])
     opened = sum(1 << get_puzzle(room).doors[door] for door in room.ways[behind])
     with pytest.raises(PlanningFailed):
-        planner.plan(begin(room), f"button-{behind + 1}")
-    assert planner.plan(begin(room)._replace(puzzle=opened), f"button-{behind + 1}").cost > 0
+        planner.plan(begin(room), f"press-button-{behind + 1}")
+    assert planner.plan(begin(room)._replace(puzzle=opened), f"press-button-{behind + 1}").cost > 0
 
 
 def test_large_puzzles_are_ordered_by_pairs_of_operators():

@@ -162,7 +162,7 @@ def test_options_of_absent_buttons_are_masked_and_cost_one_primitive(rooms):
     for number, room in enumerate(rooms):
         env = OptionsEnv(EscapeRoomEnv(instance=room), include_primitives=False)
         mask = env.reset(seed=number)[1]["action_mask"]
-        assert env.action_names == batched.action_names == (*(f"meta-{n:02d}" for n in range(1, 6)), "meta-exit")
+        assert env.action_names == batched.action_names == (*(f"press-button-{n}" for n in range(1, 6)), "go-to-exit")
         assert mask.tolist() == [1] * len(room.targets) + [0] * (6 - len(room.targets))
         assert np.array_equal(batched.action_mask[number].numpy(), mask)
         if len(room.targets) < 5:

@@ -12,7 +12,7 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.options_env import OptionsEnv
 
-BEST = 9  # primitives of meta-01 in the paper's rooms
+BEST = 9  # primitives of press-button-1 in the paper's rooms
 
 
 def run_often(degradation: OptionDegradation, episodes: int = 200) -> list[dict]:
@@ -76,7 +76,7 @@ def test_draws_follow_the_seed_and_the_state_only():
 
 def test_degraded_options_keep_the_contract():
     env = EscapeRoomEnv("paper-two-button")
-    degradation = OptionDegradation(failure=0.2, early_stop=0.1, detour=3, flavour="press-with-ancestors")
+    degradation = OptionDegradation(failure=0.2, early_stop=0.1, detour=3, option_set="press-with-ancestors")
     for option in degradation(env.instance):
         check_option(option, env)
 

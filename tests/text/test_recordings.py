@@ -30,7 +30,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     games = [record_game(play_manager(name, get_room(rung), seed, told)[1])
              for name, rung, seed, told in (("untried", "pair", 1, "names"), ("untried-nearest", "drift", 2, "places"),
                                             ("uniform", "freight", 4, "model"))]
-    session = make_session(get_room("code"), seed=5, include_primitives=True, flavour="press-with-ancestors")
+    session = make_session(get_room("code"), seed=5, include_primitives=True, option_set="press-with-ancestors")
     for call in (("fly", [1, {"x": "\ud800"}]), ("look", {}), ("move", {"primitive": "forward", "times": 3}),
                  ("run_option", {"option": "press digit-1"})):
         session.call(*call)
@@ -42,7 +42,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.in_turn
 def test_games_replay_to_the_same_bytes(file: Path, tmp_path: Path):
     games = verify_games(file)
-    assert games == load_games(file) and len(games) == 4 and games[3].options == {"flavour": "press-with-ancestors"}
+    assert games == load_games(file) and len(games) == 4 and games[3].options == {"option_set": "press-with-ancestors"}
     save_games(tmp_path / "again.jsonl", games)
     assert (tmp_path / "again.jsonl").read_bytes() == file.read_bytes()
     assert [game.score.escaped for game in games[:2]] == [True, True]
@@ -100,9 +100,9 @@ def test_a_recorded_model_plays_the_game_again_and_no_other(file: Path):
 
 def test_a_script_scores_the_same_through_either_door():
     room = get_room("pair", 3)
-    names = "press button-2", "press button-1", "press button-2"
+    names = "press-button-2", "press-button-1", "press-button-2"
     calls = [ToolCall("run_option", {"option": name}) for name in names]
-    calls += [ToolCall("fly", {}), ToolCall("look", {}), ToolCall("run_option", {"option": "leave"})]
+    calls += [ToolCall("fly", {}), ToolCall("look", {}), ToolCall("run_option", {"option": "go-to-exit"})]
     session = make_session(room, "names", include_primitives=False)
     for call in calls:
         session.call(*call)

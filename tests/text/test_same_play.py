@@ -58,7 +58,7 @@ def test_the_log_holds_the_transitions_that_an_agent_gets():
     session = RoomSession(make_env(room)[0])
     session.reset(seed=1)
     observation, info = env.reset(seed=1)
-    for name in ("press button-2", "press button-2", "leave", "press button-5"):
+    for name in ("press-button-2", "press-button-2", "go-to-exit", "press-button-5"):
         action = session.env._actions[name]
         step = env.step(action)
         session.call("run_option", {"option": name})

@@ -244,8 +244,8 @@ def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
                == (replay["agent"], place.id, replay["seed"]))
     arguments = shlex.join([str(get_training_folder(comparison.out, run)),
                             "--load", str(get_room_file(comparison.out, place.instance.id))])
-    flavour = run.agent.options.flavour
-    arguments += f" --flavour {flavour}" if run.agent.chooses_options and flavour != "press" else ""
+    option_set = run.agent.options.option_set
+    arguments += f" --option-set {option_set}" if run.agent.chooses_options and option_set != "press" else ""
     return [f"hrl-escape watch {arguments}", f"hrl-escape record {arguments} --out escape.html"]
 
 
@@ -257,7 +257,7 @@ def describe_kind(spec: AgentSpec) -> str:
         actions = "primitives only"
     else:
         actions = "options and primitives" if spec.options.include_primitives else "options only"
-        actions += ", with ancestors" if spec.options.flavour == "press-with-ancestors" else ""
+        actions += ", with ancestors" if spec.options.option_set == "press-with-ancestors" else ""
     chance = "reference, " if spec.is_reference else "" if spec.learns else "chance, "
     return chance + actions + (f", recipe {spec.recipe}" if spec.recipe != "corrected" else "")
 

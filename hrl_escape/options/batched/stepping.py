@@ -110,7 +110,7 @@ class StepSettings(NamedTuple):
 
     observation: BatchObservation  # what agents see
     primitives: int  # primitives that are actions
-    options: int  # options that are actions, the exit's last
+    options: tuple[str, ...]  # names of the options that are actions, the exit's last
     gamma: float  # discount per primitive
     fail_after: int  # primitives without progress after which an option fails
     max_duration: int  # primitives after which it is ended
@@ -132,8 +132,7 @@ def find_startable(layout: Layout, tables: Tables, aims: Aims, state: TensorStat
     can = can_start(layout, tables, aims, state, settings.has_ancestors)
     if not settings.degradation.missing:
         return can
-    names = name_options(settings.options)
-    return can & torch.tensor([not settings.degradation.lacks(name) for name in names], device=can.device)
+    return can & torch.tensor([not settings.degradation.lacks(name) for name in settings.options], device=can.device)
 
 
 def make_view(layout: Layout, tables: Tables, aims: Aims, state: TensorState, settings: StepSettings,
@@ -167,7 +166,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     can = find_startable(layout, tables, fields.aims, state, settings)
     fails = is_new & ~torch.gather(can, 1, option.unsqueeze(1)).squeeze(1)
     if settings.degradation.failure:
-        drawn = _draw_uniform(settings.degradation, name_options(settings.options), option, FAILURE, state)
+        drawn = _draw_uniform(settings.degradation, settings.options, option, FAILURE, state)
         fails = fails | (is_new & (drawn < settings.degradation.failure))
 
     planned = _read_aligned(running.plan, running.plan_left)
@@ -203,8 +202,8 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     is_done = is_there & (running.order_left == 0)
     if settings.degradation.early_stop:
         # an option asks after each primitive of its own; one of several parts, after each part
-        drawn = _draw_uniform(settings.degradation, name_options(settings.options), option, STOP, after)
-        has_parts = settings.has_ancestors & (option < settings.options - 1)
+        drawn = _draw_uniform(settings.degradation, settings.options, option, STOP, after)
+        has_parts = settings.has_ancestors & (option < len(settings.options) - 1)
         is_done = is_done | ((drawn < settings.degradation.early_stop) & (is_wasting | is_there | ~has_parts))
 
     has_ended = (terminated | truncated) & ~is_over
@@ -267,7 +266,7 @@ def begin_decisions(settings: StepSettings, running: OpenDecisions, where: Tenso
     option = torch.where(action >= settings.primitives, action, -1)
     goal = action - settings.primitives
     if settings.has_ancestors:
-        goal = torch.where(goal < settings.options - 1, NOT_ASKED, goal)
+        goal = torch.where(goal < len(settings.options) - 1, NOT_ASKED, goal)
     fresh = make_decisions(observation)._replace(action=action, option=option, goal=goal)
     is_new_run = where & ((option < 0) | (option != running.option))
     return OpenDecisions(*(
@@ -289,11 +288,6 @@ def make_decisions(observation: Tensor) -> OpenDecisions:
         cells=word.expand(MEMORY, -1) - 1, costs=number.expand(MEMORY, -1).clone(),
         plan=count.to(torch.int8).expand(PLAN_LENGTH, -1).clone(), plan_left=count,
     )
-
-
-def name_options(count: int) -> tuple[str, ...]:
-    """Names of a number of batched options, in the order of their actions."""
-    return (*(f"meta-{n + 1:02d}" for n in range(count - 1)), "meta-exit")
 
 
 def _draw_uniform(degradation: OptionDegradation, names: Sequence[str], option: Tensor, purpose: int,

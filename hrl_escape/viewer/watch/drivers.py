@@ -40,6 +40,7 @@ from hrl_escape.errors import FileReadError, RunMismatchError, UnknownNameError,
 from hrl_escape.ladder.instance_set import InstanceSetEnv
 from hrl_escape.options.meta_actions import PlannedOption, list_goals, make_meta_options
 from hrl_escape.options.option import Option
+from hrl_escape.options.option_sets import DEFAULT_SET
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, Goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
@@ -131,7 +132,7 @@ class Driver:
     recorder: StateRecorder  # wrapper inside `env`, right around the flat room
     names: tuple[str, ...]  # names of the actions
     primitives: int  # number of primitives among the actions; they come first
-    flavour: str  # flavour of the meta-actions
+    option_set: str  # named option set
     trains: bool = False  # the agent learns while it drives
     plan: EscapePlan | None = None  # the plan that the planner follows; None for other drivers
     told: ToldEnv | None = None  # environment inside `env` with the transcript, where an agent calls tools
@@ -147,7 +148,7 @@ class Driver:
         instance = self.room.instance
         if self.plan is not None:
             return make_legs(self.plan)
-        return make_meta_options(instance, self.flavour, get_planner(instance))
+        return make_meta_options(instance, self.option_set, get_planner(instance))
 
 
 def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: str | None = None,
@@ -169,7 +170,7 @@ def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: 
     if isinstance(agent, str) and names_run(agent):
         return _open_run(Path(agent), instance, trust)
     spec = AgentSpec.parse(check_driver(agent)) if isinstance(agent, str) else agent
-    name, flavour = spec.name, spec.options.flavour
+    name, option_set = spec.name, spec.options.option_set
     observation = observation or spec.default_observation
     if name == PLANNER_NAME:
         recorder, plan = _make_room(instance, observation), EscapePlan(get_planner(instance))
@@ -180,10 +181,10 @@ def open_driver(agent: str | AgentSpec, instance: RoomInstance, *, observation: 
     env, recorder = make_env(spec, instance, observation)
     if spec.is_reference:
         words = f"{name}, {spec.resolve_settings()['model']}" if name == TOOLS else name
-        return _make_driver(words, make_player(spec, env, recorder), env, flavour)
+        return _make_driver(words, make_player(spec, env, recorder), env, option_set)
     learner = make_agent(name, env.observation_space, env.action_space, seed, spec.recipe, read_structure(env),
                          **spec.settings)
-    return _make_driver(f"{spec.label}, learning", learner, env, flavour, trains=True)
+    return _make_driver(f"{spec.label}, learning", learner, env, option_set, trains=True)
 
 
 def find_driver(text: str) -> tuple[str, RoomInstance | None]:
@@ -218,8 +219,8 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
     with refusing_damage(f"{folder}: the description of this run"):
         name, spaces = described["name"], (described["observation_space"], described["action_space"])
         kept = described["environment"]
-        flavour = next((part["arguments"]["flavour"] for part in kept["wrappers"] if "flavour" in part["arguments"]),
-                       "press")
+        option_set = next((part["arguments"]["option_set"] for part in kept["wrappers"]
+                           if "option_set" in part["arguments"]), DEFAULT_SET)
         room = _make_room(instance, (kept["arguments"] or {}).get("observation", "features"))
         kept = {**kept, "arguments": room.unwrapped.describe()}
         room.close()
@@ -231,7 +232,7 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
         env.close()
         raise RunMismatchError(f"{folder} was trained with the spaces {spaces[0]} and {spaces[1]}, which room "
                                f"{instance.id} does not have: leave out --load to use the run's own room")
-    return _make_driver(f"{name}, as trained", load_agent(folder, env), env, flavour)
+    return _make_driver(f"{name}, as trained", load_agent(folder, env), env, option_set)
 
 
 def names_run(text: str) -> bool:
@@ -254,10 +255,10 @@ def _make_room(instance: RoomInstance, observation: str) -> Any:
     return StateRecorder(EscapeRoomEnv(instance=instance, observation=observation))
 
 
-def _make_driver(name: str, agent: Agent, env: gymnasium.Env, flavour: str, trains: bool = False,
+def _make_driver(name: str, agent: Agent, env: gymnasium.Env, option_set: str, trains: bool = False,
                  plan: EscapePlan | None = None) -> Driver:
     room: Any = env.unwrapped
     flat = room.rules.actions.names
     names = env.get_wrapper_attr("action_names") if env.has_wrapper_attr("action_names") else flat
     primitives, told = sum(name in flat for name in names), env if isinstance(env, ToldEnv) else None
-    return Driver(name, agent, env, find_recorder(env), names, primitives, flavour, trains, plan, told)
+    return Driver(name, agent, env, find_recorder(env), names, primitives, option_set, trains, plan, told)

@@ -179,7 +179,7 @@ def test_an_interrupted_press_by_hand_takes_the_primitives_of_one_that_is_not():
 
 @pytest.mark.in_turn
 def test_ancestors_by_hand_are_pressed_first():
-    env = make_env(flavour="press-with-ancestors")
+    env = make_env(option_set="press-with-ancestors")
     orders, state = get_planner(env.room.instances[0]).orders, env.room.get_room_state(0)
     order = max((orders.find_ancestors(state, PressGoal(n)) for n in range(2)), key=len)
     done = decide(env, order[-1].target)

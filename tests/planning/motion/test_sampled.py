@@ -60,10 +60,10 @@ def test_one_seed_gives_one_motion_and_the_planner_of_the_way_can_be_chosen():
     state = make(config)[2]
     found = [sampler.plan(state, PressGoal(1)) for sampler in (first, again, other)]
     assert (found[0].positions == found[1].positions).all() and found[0].duration <= found[2].duration
-    named = make(config)[1].plan(state, "button-2")
+    named = make(config)[1].plan(state, "press-button-2")
     assert (named.positions == found[0].positions).all()
     with pytest.raises(UnknownNameError, match="button-44"):
-        make(config)[1].plan(state, "button-44")
+        make(config)[1].plan(state, "press-button-44")
 
 
 def test_a_sampled_motion_is_tracked_to_the_press():

@@ -74,7 +74,7 @@ def test_faults_are_found():
     """The check is no formality: the way to one target only, and limits halved."""
     plan = make_plan("paper-two-button", 0)
     trajectory = make_trajectory(plan)
-    leg = RoomPlanner(plan.instance).plan(plan.states[0], "button-1")
+    leg = RoomPlanner(plan.instance).plan(plan.states[0], "press-button-1")
     assert any("presses" in fault for fault in list_faults(plan, make_trajectory(leg), LIMITS))
     assert any("of a limit" in fault for fault in list_faults(plan, trajectory, MotionLimits(acceleration=0.5)))
     assert any("of a limit" in fault for fault in list_faults(plan, trajectory, MotionLimits(jerk=5.0)))

@@ -18,7 +18,7 @@ def test_the_page_shows_the_talk(server: Server, two_buttons):
     view.run(episodes=1)
     assert view._talk is not None and driver.told.score().escaped
     shown = view._talk.content
-    assert "press button-" in shown and "The game is over: escaped." in shown and "You drive a robot" in shown
+    assert "press-button-" in shown and "The game is over: escaped." in shown and "You drive a robot" in shown
     assert shown.index("The game is over") < shown.index("You drive a robot"), "the latest is on top"
 
 
