@@ -32,8 +32,8 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
 from hrl_escape.spaces import bound_episodes, keep_space, make_vector_space
 
-_EPISODE = ("_state", "_ended", "_trail", "_stream", "_episode", "_np_random", "_np_random_seed", "action_space",
-            "observation_space")
+_EPISODE = ("_state", "_ended", "events", "_trail", "_stream", "_episode", "_np_random", "_np_random_seed",
+            "action_space", "observation_space")
 """Attributes that a copy of an environment takes over."""
 
 
@@ -97,6 +97,8 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     `reset(options={"instance_seed": n})` moves to another instance of the schematic, `{"instance_index": i}` to a room
     of `instances`; `options={"state": state}` begins in a state given by `get_state`.
 
+    The attribute `events` holds the `Events` of the latest primitive.
+
     ## Version history
     v1: numbers of buttons say nothing of their order (`graph.relabel`). v0: first release.
     """
@@ -146,7 +148,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self._resample, self._trailing = resample_instance, trail
         self._trail: list[tuple[float, float]] = []
         self._state: RoomState | None = None
-        self._ended = False
+        self._ended, self.events = False, QUIET
         self._stream, self._episode = -1, 0
         self.instance_index = None if instances is None else 0
         self.room: Engine | None = None
@@ -244,7 +246,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self._begin_stream(seed)
         number, noise_key = draw_episode(self._stream, self._episode, len(self.instance.starts))
         self._state = self._get_room().reset(self.instance.starts[number], noise_key)
-        self._ended = False
+        self._ended, self.events = False, QUIET
         self._trail = [(self._state.x, self._state.y)]
         if state is not None:
             self.set_state(state)
@@ -280,7 +282,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     def _finish(self, state: RoomState, reward: float, terminated: bool, truncated: bool, events: Events
                 ) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
         """Take over the outcome of a step; returns Gymnasium's five values."""
-        self._state = state
+        self._state, self.events = state, events
         self._ended = terminated or truncated
         if self._trailing:
             self._trail.append((state.x, state.y))
@@ -338,7 +340,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     def set_state(self, state: RoomState) -> None:
         """Continue from a state, as if the episode had come to it; noise included."""
         self._get_room().set_state(state)
-        self._state, self._ended = state, False
+        self._state, self._ended, self.events = state, False, QUIET
 
     def _get_room(self) -> Engine:
         if self.room is None:

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.kinematics import QUIET, RoomState
 from hrl_escape.env.poses import list_touched
+from hrl_escape.env.rewards import Events
 from hrl_escape.errors import OptionError, StepContractError, UnsupportedError
 from hrl_escape.options.option import Option
 from hrl_escape.options.option_sets import DEFAULT_SET, OptionSetSource, check_option_set
@@ -36,6 +37,7 @@ class DomainStep(NamedTuple):
     observation: Any  # of the wrapped environment, after
     rewards: tuple[float, ...]  # one a primitive; one, unless the wrapped environment has options itself
     info: Mapping[str, Any]  # of the wrapped environment, after
+    events: Events = QUIET  # what happened in a room; nothing elsewhere, and above other options
 
 
 @runtime_checkable
@@ -45,6 +47,11 @@ class RoomEnv(Protocol):
     @property
     def instance(self) -> RoomInstance:
         """Instance of the room that the environment is in now."""
+        ...
+
+    @property
+    def events(self) -> Events:
+        """What happened in the latest primitive."""
         ...
 
     def get_state(self) -> RoomState:
@@ -127,6 +134,10 @@ class OptionDomain:
             observation: last observation of the environment.
         """
         return observation
+
+    def get_events(self) -> Events:
+        """Events of the latest step: none here."""
+        return QUIET
 
     def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
         """Primitive of a decision that cannot run: the first legal one, or the one nearest to zero.
@@ -268,6 +279,10 @@ class RoomDomain(OptionDomain):
         """Full state of the room."""
         return self.room.get_state()
 
+    def get_events(self) -> Events:
+        """Events of the latest primitive; none above other options, whose steps are several primitives."""
+        return QUIET if self.lower is not None else self.room.events
+
     def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
         """Turn left; over options without primitives, the first legal one; over velocities, rest."""
         turns = self._discrete is not None and (self.lower is None or self.lower.primitive_count > 0)
@@ -295,8 +310,8 @@ class RoomDomain(OptionDomain):
         for step in steps:
             if self.lower is not None:
                 pressed |= step.info["pressed"]
-            else:
-                pressed[list(list_touched(step.next_state.touching & ~step.state.touching))] = 1
+            elif step.events.pressed:
+                pressed[list(list_touched(step.events.pressed))] = 1
         also_pressed, forced = pressed.copy(), np.zeros_like(pressed)
         also_pressed[list(range(len(names)) if option is None or option.targets is None else option.targets)] = 0
         forced[[names.index(name) for name in unavoidable]] = 1

@@ -270,11 +270,12 @@ class Routes:
         if keep_out is None:
             keep_out = list_obstacles(state, self.instance)[-1]
         for count, primitive in enumerate(primitives, 1):
-            after = self.rules.step(here, primitive).state
+            step = self.rules.step(here, primitive)
+            after = step.state
             if keep_out and meets(here.x, here.y, after.x, after.y, keep_out, self._radius):
                 return None
             poses.append(get_pose(after))
-            pressed |= after.touching & ~here.touching
+            pressed |= step.events.pressed
             if is_reached(goal, here, after, self.rules):
                 others = pressed & ~(1 << goal.target) if isinstance(goal, PressGoal) else pressed
                 also = list_touched(others)

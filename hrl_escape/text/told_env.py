@@ -23,6 +23,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.errors import ResetNeededError, UnknownNameError, UnsupportedError
 from hrl_escape.names import count_nouns, join_words
+from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import compute_expected_escape, find_best_known
 from hrl_escape.planning.goals import find_new_name, make_goal, name_goal
@@ -179,7 +180,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._looks = self._looks + 1 if call.name == "look" and not self._wrong else 0
         if self._looks:
             return self._answer(self._describe_now())
-        self._states, self._parts = [self.state], []
+        self._steps, self._parts = list[DomainStep](), []
         if self._wrong and self.action is None:
             self.action = -1
         return None
@@ -250,19 +251,19 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         """Take note of a step, and answer where it ends the call."""
         transition = make_transition(self._observation, taken, self._mask, step, self.env.gamma)
         self._parts.append(transition)
-        self._states += [part.next_state for part in self.env.last_steps]
+        self._steps += self.env.last_steps
         self._rewards += self.env.last_rewards
         self._observation, self._mask = transition.next_observation, transition.next_action_mask
         self._end = EpisodeEnd.of_step(bool(step[4]["is_success"]), step[2], step[3])
         self.is_over = self._end.is_over
-        said = tell_changes(self.instance, self._states)
+        said = tell_changes(self.instance, self._steps)
         self._left -= 1
         if self._left and not said and not self.is_over:
             return
         self.action = None
         self.log.append(_join(self._parts))
         self._invalid += bool(self._wrong)
-        took = len(self._states) - 1
+        took = len(self._steps)
         lines = [f"Wrong call: {self._wrong}"] if self._wrong else []
         lines.append(f"Took {count_nouns(took, 'primitive')}, {len(self._rewards)} of {self.instance.horizon}.")
         if step[4]["option"]["ended"] == "planning-failed" and not self._wrong:

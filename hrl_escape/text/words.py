@@ -17,6 +17,7 @@ from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.marks import name_mark
 from hrl_escape.env.puzzles.traits import Barring, Depicted, Marked, get_trait
 from hrl_escape.names import join_words
+from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.meta_actions import AbsentOption
 from hrl_escape.options.option import Option
 from hrl_escape.planning.props import get_prop_poses
@@ -86,20 +87,18 @@ def _list_said(puzzle: Puzzle, state: Any) -> list[str]:
     return [clean(said, LONGEST_SENTENCE) for said in puzzle.describe(state)]
 
 
-def tell_changes(instance: RoomInstance, states: Sequence[RoomState]) -> list[str]:
+def tell_changes(instance: RoomInstance, steps: Sequence[DomainStep]) -> list[str]:
     """Sentences on every press and every change of what can be seen, primitive by primitive, in order."""
-    return [said for before, after in zip(states, states[1:], strict=False)
-            for said in _describe_primitive(instance, before, after)]
+    return [said for step in steps for said in _describe_primitive(instance, step)]
 
 
-def _describe_primitive(instance: RoomInstance, before: RoomState, after: RoomState) -> Iterable[str]:
-    pressed = [quote(instance.targets[i].name) for i in list_touched(after.touching & ~before.touching)]
-    if before.puzzle == after.puzzle:
-        return [f"Pressed {join_words(pressed)}: nothing changed."] if pressed else []
-    puzzle, was, now = instance.puzzle, before.puzzle, after.puzzle
+def _describe_primitive(instance: RoomInstance, step: DomainStep) -> Iterable[str]:
+    puzzle, was, now, events = instance.puzzle, step.state.puzzle, step.next_state.puzzle, step.events
     names = [quote(target.name) for target in instance.targets]
-    lit = list(zip(names, puzzle.get_lit(was), puzzle.get_lit(now), strict=True))
-    on, off = ([name for name, old, new in lit if (old, new) == pair] for pair in ((False, True), (True, False)))
+    pressed, on, off = ([names[i] for i in list_touched(bits)]
+                        for bits in (events.pressed, events.turned_on, events.turned_off))
+    if was == now:
+        return [f"Pressed {join_words(pressed)}: nothing changed."] if pressed else []
     changes = ["it " + word if each == pressed else f"{join_words(each)} {word}"
                for each, word in ((on, "came on"), (off, "went out")) if each]
     changes += ["all lights are out"] if len(off) > 1 and not any(puzzle.get_lit(now)) else []
@@ -108,13 +107,11 @@ def _describe_primitive(instance: RoomInstance, before: RoomState, after: RoomSt
                 if sign(was, i) != sign(now, i)]
     changes += [said[0].lower() + said[1:].rstrip(".") for said in _list_said(puzzle, now)
                 if said not in _list_said(puzzle, was)]
-    get_shut = get_trait(puzzle, Barring).get_shut
-    for number in range(len(instance.inner_doors)):
-        shut = get_shut(now) >> number & 1
-        changes += [f"door {number + 1} {'shut' if shut else 'opened'}"] if shut != get_shut(was) >> number & 1 else []
+    for number in list_touched(events.opened | events.closed):
+        changes.append(f"door {number + 1} {'opened' if events.opened >> number & 1 else 'shut'}")
     if puzzle.is_solved(was) != puzzle.is_solved(now):
         changes.append("the exit opened" if puzzle.is_solved(now) else "the exit shut")
-    if puzzle.is_failed(now) and not puzzle.is_failed(was):
+    if events.failed:
         changes.append("the puzzle is failed")
     said = "; ".join(changes) or "nothing changed"
     return [f"Pressed {join_words(pressed)}: {said}." if pressed else f"{said[0].upper()}{said[1:]}."]

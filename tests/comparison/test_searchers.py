@@ -39,6 +39,7 @@ from hrl_escape.comparison.references.registry import (
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import QUIET
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle, SectionsConfig, ViolationRule
@@ -396,6 +397,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
     observation, info = env.reset(seed=0)
     searcher.act(observation, info["action_mask"] != 0)
     recorder.states.append(recorder.states[-1]._replace(puzzle=0b010, touching=0b011))
+    recorder.events.append(QUIET._replace(pressed=0b011, turned_on=0b010))
     searcher.act(observation, info["action_mask"] != 0)
     assert list(searcher.describe_presses().values()) == ["lights with 50%", "lit", "lights with 50%"]
     env.close()

@@ -14,6 +14,7 @@ import pytest
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import QUIET
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import USE, Contacts
 from hrl_escape.env.puzzles.marks import COLOURS, SHAPES, SIZES
@@ -23,6 +24,7 @@ from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import ConfigError, ResetNeededError, UnknownNameError, UnsupportedError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.sequence import SequenceEnv
+from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.option import FunctionOption
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known
@@ -228,7 +230,9 @@ def test_marks_are_told_and_a_failed_puzzle_too():
 def test_a_change_that_nobody_pressed_is_a_sentence_of_its_own():
     room = get_room("pair", 3)
     state = make_session(room).env.state
-    assert tell_changes(room, [state, state._replace(puzzle=1), state]) == [
+    on, off = DomainStep(0, state, state._replace(puzzle=1), None, (), {}), DomainStep(0, state, state, None, (), {})
+    assert tell_changes(room, [on._replace(events=QUIET._replace(turned_on=1)),
+                               off._replace(state=on.next_state, events=QUIET._replace(turned_off=1))]) == [
         '"button-1" came on.', '"button-1" went out.']
 
 

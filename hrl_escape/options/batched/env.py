@@ -282,8 +282,7 @@ class BatchedOptionsEnv:
         self._host_planner = HostPlanner(self.room)
         names = layout.actions.names if include_primitives else ()
         goals = check_goals(self.room.instances[0])
-        option_names = tuple(name_goal(goal, self.room.instances[0]) for goal in goals)
-        self.action_names = (*names, *option_names)
+        self.action_names = (*names, *(name_goal(goal, self.room.instances[0]) for goal in goals))
         self.actions = len(self.action_names)
         about = (name_object(goal, self.room.instances[0]) for goal in goals)
         self.action_space = PointingDiscrete(self.actions, (*(None for _ in names), *about))
@@ -292,7 +291,7 @@ class BatchedOptionsEnv:
         self._arguments = {"options": options, "include_primitives": include_primitives, "discount": self.gamma,
                            "option_set": option_set, "interruptible": interruptible, "max_duration": max_duration,
                            "autoreset": autoreset}
-        self._settings = StepSettings(load_observation(observation), len(names), option_names, self.gamma, fail_after,
+        self._settings = StepSettings(load_observation(observation), len(names), len(goals), self.gamma, fail_after,
                                       max_duration or 2**31 - 1, autoreset, interruptible,
                                       degradation.option_set == "press-with-ancestors", degradation)
         self._view: AgentView | None = None
