@@ -19,16 +19,16 @@ class EscapeRoom:
 
     Args:
         preset: schematic of the rooms.
-        told: names, places or model.
+        reveal: names, places or model.
     """
 
-    def __init__(self, preset: str = "paper-two-button", told: Any = "places") -> None:
-        self._config, self._told = get_preset(preset), told
+    def __init__(self, preset: str = "paper-two-button", reveal: Any = "places") -> None:
+        self._config, self._reveal = get_preset(preset), reveal
         self._session: RoomSession | None = None
 
     def reset(self, seed: int = 0, **example: Any) -> str:
         """Begin a game in the room of this seed; returns the text that begins it."""
-        self._session = RoomSession(EscapeRoomEnv(instance=generate(self._config, seed)), self._told)
+        self._session = RoomSession(EscapeRoomEnv(instance=generate(self._config, seed)), self._reveal)
         return self._session.reset(seed=seed)
 
     def run_option(self, option: str) -> str:

@@ -154,6 +154,14 @@ class FileReadError(EscapeError, OSError):
     """A file is missing, truncated or of another kind than its name says."""
 
 
+class OldFormatError(FileReadError):
+    """A file is of version 0.3; the message names the command that converts it."""
+
+    def __init__(self, path: object, what: str) -> None:
+        super().__init__(f"{path}: this {what} is of version 0.3. `hrl-escape convert {path}` writes it in the form of "
+                         "this version")
+
+
 class PluginError(EscapeError, ImportError):
     """An entry point of an installed package cannot be loaded."""
 
@@ -366,7 +374,7 @@ class ComparisonError(EscapeError, RuntimeError):
 
 
 class VerificationError(EscapeError, ValueError):
-    """Something is not what was published: a root or a set of a benchmark's rooms, or the content of a tape."""
+    """Something is not what was published: a root or a set of a benchmark's rooms, or the content of a recording."""
 
 
 # --- the viewer ------------------------------------------------------------------------

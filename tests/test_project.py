@@ -45,7 +45,7 @@ env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip env.sampling.generatio
 env.bullet.engine env.bullet.physics env.batched.engine env.batched.rules
 env.escape_room env.vector_env env.torchrl_env
 ladder.benchmark ladder.rung ladder.instance_set
-data.tape data.materialise text.told_env
+data.recording data.materialise text.text_env
 """.split()
 
 ALLOWED_IMPORTS = {

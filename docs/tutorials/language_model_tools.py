@@ -7,7 +7,7 @@ measured against the same best known plan.
 from hrl_escape import EscapeRoomEnv
 from hrl_escape.text import RoomSession, ToolCall, make_model, record_game, save_games, verify_games
 
-session = RoomSession(EscapeRoomEnv(config="four-button-chain"), told="places")
+session = RoomSession(EscapeRoomEnv(config="four-button-chain"), reveal="places")
 print(session.reset(seed=0))
 session.env.instance
 

@@ -70,7 +70,8 @@ class TrainArgs(AgentChoice, RoomChoice):
     primitives: int | None = None
     """Primitives to train for; 20,000 by default, with --data as many as the agent's passes over it come to."""
     data: str | None = None
-    """Learn from this data set, or tape, and be tested in its rung's unseen rooms; see `hrl-escape list offline`."""
+    """Learn from this data set, or recording, and be tested in its rung's unseen rooms; see `hrl-escape list
+    offline`."""
     training_seed: int = 0
     """Training seed: fixes the agent and every training episode."""
     list_settings: bool = False
@@ -174,7 +175,7 @@ def _train_offline(args: TrainArgs, spec: AgentSpec, settings: dict[str, Any]) -
     result = train(spec.name, data=data, primitives=args.primitives, seed=args.training_seed, settings=settings,
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
                    callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads)
-    _tell(args, spec, result, data.tape.about["scores"].get("best_known"))
+    _tell(args, spec, result, data.recording.about["scores"].get("best_known"))
 
 
 def _record(env: gymnasium.Env, recorder: StateRecorder, result: TrainResult, source: str) -> None:

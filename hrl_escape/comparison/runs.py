@@ -164,9 +164,9 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
     has_memory = arguments.pop("memory")
     env: gymnasium.Env = OptionsEnv(recorder, trace=agent.needs_trace, **arguments)
     if agent.name == TOOLS:
-        from hrl_escape.text.told_env import ToldEnv
+        from hrl_escape.text.text_env import TextEnv
 
-        env = ToldEnv(env, agent.resolve_settings()["told"])
+        env = TextEnv(env, agent.resolve_settings()["reveal"])
     env = _add_trials(env, trials)
     return DecisionMemory(env) if has_memory else env
 

@@ -28,7 +28,7 @@ from hrl_escape.planning.goals import LEAVE
 from hrl_escape.registry import Registry
 from hrl_escape.text.recordings import RecordedModel
 from hrl_escape.text.settings import ToolsSettings
-from hrl_escape.text.told_env import ToolCall, Turn, find_told_env
+from hrl_escape.text.text_env import ToolCall, Turn, find_text_env
 
 Model: TypeAlias = Callable[[Sequence[Turn], Sequence[Mapping[str, Any]]], ToolCall]
 """Anything that reads a transcript and the tools' schemas and says which tool to call. If it has an attribute `rng`, an
@@ -131,7 +131,7 @@ def _solve(begun: str, options: Sequence[str]) -> list[str]:
     domain, problem = begun.find("(define (domain"), begun.find("(define (problem")
     if min(domain, problem) < 0:
         raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the told model", (0.0, 0.0, 0.0),
-                             nearest="nothing told: let the session tell the level model")
+                             nearest="no model in the transcript: set reveal to model")
     text, _, unlike = begun[problem:].partition("Options of actions: ")
     named = {clean_name(option): option for option in options}
     named |= dict(re.findall(r'([a-z0-9_-]+): "([^"]*)"', unlike))
@@ -224,11 +224,11 @@ def make_model(name: str) -> Model:
 class ToolsAgent(FixedPolicy):
     """Asks a model for a call of a tool at every decision; nothing is learned.
 
-        env = ToldEnv(OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1")), told="names")
+        env = TextEnv(OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1")), reveal="names")
         evaluate(ToolsAgent(env, model), env, episodes=20)
 
     Args:
-        env: where it acts; a `ToldEnv` is among its wrappers, and reads the calls.
+        env: where it acts; a `TextEnv` is among its wrappers, and reads the calls.
         model: transcript and tools' schemas -> call. Whatever it says, the game goes on; see `RoomSession.call`.
 
     Attributes:
@@ -240,7 +240,7 @@ class ToolsAgent(FixedPolicy):
 
     def __init__(self, env: gymnasium.Env, model: Model) -> None:
         self.settings = ToolsSettings()
-        self.told, self.model = find_told_env(env), model
+        self.text_env, self.model = find_text_env(env), model
         self.caller = str(getattr(model, "name", None) or getattr(model, "__qualname__", type(model).__qualname__))
         self._rng = np.random.default_rng(0)
 
@@ -252,6 +252,6 @@ class ToolsAgent(FixedPolicy):
         """Action of the call in progress, or of the next; of a wrong call the first legal one, which is not taken."""
         if hasattr(self.model, "rng"):
             vars(self.model)["rng"] = rng
-        while self.told.action is None:
-            self.told.begin(self.model(self.told.transcript, self.told.tools))
-        return self.told.action if self.told.action >= 0 else int(np.flatnonzero(action_mask)[0])
+        while self.text_env.action is None:
+            self.text_env.begin(self.model(self.text_env.transcript, self.text_env.tools))
+        return self.text_env.action if self.text_env.action >= 0 else int(np.flatnonzero(action_mask)[0])

@@ -11,7 +11,7 @@ import pytest
 from hrl_escape.env.puzzles.graphs import find_ancestors
 from hrl_escape.errors import PlanningFailed, PluginError, UnknownNameError
 from hrl_escape.text import ToolCall, ToolsAgent, Turn, make_model, models
-from hrl_escape.text.told_env import ToldEnv
+from hrl_escape.text.text_env import TextEnv
 from tests.text.rooms import get_room, make_env, make_session, play_manager
 
 TOOLS = [{"name": "run_option", "inputSchema": {"properties": {"option": {"enum": [
@@ -62,7 +62,7 @@ def test_options_of_any_name_are_tried_once_in_a_round():
 
 
 def test_an_agent_names_the_action_that_its_call_means():
-    env = ToldEnv(make_env(get_room("pair", 3))[0])
+    env = TextEnv(make_env(get_room("pair", 3))[0])
     observation, info = env.reset(seed=0)
     agent = ToolsAgent(env, lambda transcript, tools: ToolCall("run_option", {"option": "press-button-2"}))
     mask = info["action_mask"] != 0
@@ -123,6 +123,6 @@ def leave(transcript, tools) -> ToolCall:
 
 def test_a_manager_that_is_told_nothing_new_says_the_same():
     session = make_session(get_room("lattice-5"))
-    assert isinstance(session.env, ToldEnv)
+    assert isinstance(session.env, TextEnv)
     first = choose("untried", seed=3)
     assert first == choose("untried", seed=3)

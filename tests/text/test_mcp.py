@@ -47,7 +47,7 @@ def test_the_command_serves_a_rung_on_standard_input_and_records_the_game(tmp_pa
     import anyio
     from mcp import Client, StdioServerParameters, stdio_client
 
-    words = ["mcp", "--rung", "pair", "--room", "test#3", "--told", "names", "--record", str(tmp_path / "game.jsonl")]
+    words = ["mcp", "--rung", "pair", "--room", "test#3", "--reveal", "names", "--record", str(tmp_path / "game.jsonl")]
 
     async def talk() -> None:
         server = StdioServerParameters(command=sys.executable, args=["-m", "hrl_escape.cli", *words])
@@ -57,7 +57,7 @@ def test_the_command_serves_a_rung_on_standard_input_and_records_the_game(tmp_pa
 
     anyio.run(talk)
     (game,) = verify_games(tmp_path / "game.jsonl")
-    assert game.room == get_room("pair", 3) and game.told == "names" and game.score.escaped
+    assert game.room == get_room("pair", 3) and game.reveal == "names" and game.score.escaped
 
 
 @pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")

@@ -13,7 +13,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.text import (
     RecordedModel,
     RoomSession,
-    ToldEnv,
+    TextEnv,
     ToolCall,
     ToolsAgent,
     load_games,
@@ -27,8 +27,8 @@ from tests.text.rooms import get_room, make_env, make_session, play_manager
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Games on four rungs at three levels, one of them with wrong calls and moves."""
-    games = [record_game(play_manager(name, get_room(rung), seed, told)[1])
-             for name, rung, seed, told in (("untried", "pair", 1, "names"), ("untried-nearest", "drift", 2, "places"),
+    games = [record_game(play_manager(name, get_room(rung), seed, text)[1])
+             for name, rung, seed, text in (("untried", "pair", 1, "names"), ("untried-nearest", "drift", 2, "places"),
                                             ("uniform", "freight", 4, "model"))]
     session = make_session(get_room("code"), seed=5, include_primitives=True, option_set="press-with-ancestors")
     for call in (("fly", [1, {"x": "\ud800"}]), ("look", {}), ("move", {"primitive": "forward", "times": 3}),
@@ -52,7 +52,7 @@ def test_games_replay_to_the_same_bytes(file: Path, tmp_path: Path):
 @pytest.mark.parametrize(("change", "problem"), [
     (lambda lines: lines[:1] + [lines[1].replace("Took ", "Took 1")] + lines[2:], "differs"),
     (lambda lines: [lines[0].replace("a closed room", "an open room", 1), *lines[1:]], "differs"),
-    (lambda lines: [lines[0].replace('"told": "names"', '"told": "places"', 1), *lines[1:]], "differs"),
+    (lambda lines: [lines[0].replace('"reveal": "names"', '"reveal": "places"', 1), *lines[1:]], "differs"),
     (lambda lines: [*lines[:1], *lines[2:]], "differs"),
     (lambda lines: [line.replace('"efficiency": 0', '"efficiency": 1') for line in lines], "differs"),
 ])
@@ -86,16 +86,16 @@ def test_a_file_cut_in_the_middle_is_refused(file: Path, tmp_path: Path):
 def test_a_recorded_model_plays_the_game_again_and_no_other(file: Path):
     game = load_games(file)[1]
     env, recorder = make_env(game.room)
-    told = ToldEnv(env, game.told)
-    told.reset(seed=game.seed)
-    agent = ToolsAgent(told, RecordedModel(file))
-    while not told.is_over:
-        told.step(agent.act(None, told._mask))
-    assert record_game(told) == game
-    told.reset(seed=99)
+    text = TextEnv(env, game.reveal)
+    text.reset(seed=game.seed)
+    agent = ToolsAgent(text, RecordedModel(file))
+    while not text.is_over:
+        text.step(agent.act(None, text._mask))
+    assert record_game(text) == game
+    text.reset(seed=99)
     with pytest.raises(VerificationError, match="after"):
-        while not told.is_over:
-            told.step(agent.act(None, told._mask))
+        while not text.is_over:
+            text.step(agent.act(None, text._mask))
 
 
 def test_a_script_scores_the_same_through_either_door():
@@ -107,16 +107,16 @@ def test_a_script_scores_the_same_through_either_door():
     for call in calls:
         session.call(*call)
     env, _ = make_env(room, include_primitives=False)
-    told = ToldEnv(env, "names")
+    text = TextEnv(env, "names")
 
     def call_in_order(transcript, tools):
         """The calls of the list, whatever the room says."""
         return calls[sum(turn.call is not None for turn in transcript)]
 
-    found = evaluate(ToolsAgent(told, call_in_order), told, episodes=1)
+    found = evaluate(ToolsAgent(text, call_in_order), text, episodes=1)
     assert found.returns[0] == session.score().reward and found.lengths[0] == session.score().primitives
     assert found.decision_counts[0] == session.score().decisions == 5 and found.successes[0]
-    assert told.score().invalid_calls == 1
+    assert text.score().invalid_calls == 1
 
 
 def test_what_cannot_be_replayed_is_not_recorded():

@@ -16,26 +16,26 @@ SEARCHERS = ("smdp-untried", "smdp-untried-nearest", "smdp-retrace", "smdp-index
 def test_a_searcher_that_reads_the_text_alone_does_what_the_searcher_that_reads_the_room_does(rung: str):
     room = get_room(rung)
     expected, _ = play_reference("smdp-untried", room, 7)
-    states, told = play_manager("untried", room, 7, "names")
+    states, text = play_manager("untried", room, 7, "names")
     assert states == expected and len(states) > 5
-    assert sum(part.duration for part in told.log) == len(states) - 1
+    assert sum(part.duration for part in text.log) == len(states) - 1
 
 
 def through_the_tools(name: str, rung: str, number: int, seed: int) -> None:
     """A searcher's calls, made in a session of its own, lead to its states, and to the words that its game left."""
     room = get_room(rung, number)
-    expected, told = play_reference(name, room, seed, "places")
+    expected, text = play_reference(name, room, seed, "places")
     assert expected == play_reference(name, room, seed)[0], "telling changes the game"
-    assert told is not None
+    assert text is not None
     env, recorder = make_env(room)
     session = RoomSession(env)
     session.reset(seed=seed)
-    for turn in told.transcript[1:]:
+    for turn in text.transcript[1:]:
         assert turn.call is not None
         session.call(*turn.call)
-    assert recorder.states == expected and session.transcript == told.transcript
-    assert [part[3:7] for part in session.log] == [part[3:7] for part in told.log]
-    assert session.env.characters == told.characters
+    assert recorder.states == expected and session.transcript == text.transcript
+    assert [part[3:7] for part in session.log] == [part[3:7] for part in text.log]
+    assert session.env.characters == text.characters
 
 
 @pytest.mark.in_turn_for("freight", "clutter")

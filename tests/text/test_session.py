@@ -28,7 +28,7 @@ from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.option import FunctionOption
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known
-from hrl_escape.text import RoomSession, ToldEnv, ToolCall, make_model, record_game, replay_game
+from hrl_escape.text import RoomSession, TextEnv, ToolCall, make_model, record_game, replay_game
 from hrl_escape.text.words import tell_changes
 from tests.text.rooms import get_room, make_env, make_session, play_manager
 
@@ -116,7 +116,8 @@ def test_a_game_that_is_over_answers_and_costs_nothing():
 
 
 def test_levels_tell_more_and_more():
-    texts = {told: make_session(get_room("chain-3"), told).transcript[0].text for told in ("names", "places", "model")}
+    texts = {reveal: make_session(get_room("chain-3"), reveal).transcript[0].text
+             for reveal in ("names", "places", "model")}
     assert "at (" not in texts["names"] and "(define" not in texts["places"]
     assert "at (" in texts["places"] and texts["places"] in texts["model"] and "(define (domain" in texts["model"]
     with pytest.raises(UnknownNameError, match="everything"):
@@ -128,9 +129,9 @@ PLACES = re.compile(r" at \(-?\d+\.\d, -?\d+\.\d\)")
 WHERE_ONE_IS = re.compile(r" ?You are at \(-?\d+\.\d, -?\d+\.\d\)(?:, facing \d+ degrees \(x east, y north, m\))?\.\n?")
 
 
-def listen(room: RoomInstance, told: str) -> list[str]:
+def listen(room: RoomInstance, reveal: str) -> list[str]:
     """What is said in a game of every call, and at the beginning of a second one in the same room."""
-    session = make_session(room, told)
+    session = make_session(room, reveal)
     for name in session.tools()[0]["inputSchema"]["properties"]["option"]["enum"]:
         if not name.startswith("push "):  # plans of pushes take seconds
             session.call("run_option", {"option": name})
@@ -258,13 +259,13 @@ def test_a_room_made_by_name_has_tools():
 
 
 def test_trials_in_one_room_share_a_transcript():
-    told = ToldEnv(make_env(get_room("pair", 3))[0])
-    env = SequenceEnv(told, 2)
+    text = TextEnv(make_env(get_room("pair", 3))[0])
+    env = SequenceEnv(text, 2)
     env.reset(seed=0)
     for name in ("press-button-1", "press-button-2", "press-button-1", "go-to-exit"):
-        env.step(told._actions[name])
-    begun = [turn.text for turn in told.transcript if turn.call is None]
-    assert len(begun) == 2 and begun[1].startswith("Try 2 in the same room.") and told.score().primitives == 0
+        env.step(text._actions[name])
+    begun = [turn.text for turn in text.transcript if turn.call is None]
+    assert len(begun) == 2 and begun[1].startswith("Try 2 in the same room.") and text.score().primitives == 0
 
 
 @pytest.mark.in_turn

@@ -69,7 +69,7 @@ OWN = frozenset({
     MEMORY_WRAPPER,
     "hrl_escape.options.options_env:OptionsEnv",
     "hrl_escape.synthesis.hierarchy_env:HierarchyEnv",
-    "hrl_escape.text.told_env:ToldEnv",
+    "hrl_escape.text.text_env:TextEnv",
 })
 """Parts of this package, each imported when it is asked for."""
 

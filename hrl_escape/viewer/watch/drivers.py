@@ -46,7 +46,7 @@ from hrl_escape.planning.goals import ExitGoal, Goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
 from hrl_escape.text.settings import TOOLS
-from hrl_escape.text.told_env import ToldEnv
+from hrl_escape.text.text_env import TextEnv
 
 
 class EscapePlan:
@@ -135,7 +135,7 @@ class Driver:
     option_set: str  # named option set
     trains: bool = False  # the agent learns while it drives
     plan: EscapePlan | None = None  # the plan that the planner follows; None for other drivers
-    told: ToldEnv | None = None  # environment inside `env` with the transcript, where an agent calls tools
+    text_env: TextEnv | None = None  # environment inside `env` with the transcript, where an agent calls tools
 
     @property
     def room(self) -> EscapeRoomEnv:
@@ -260,5 +260,5 @@ def _make_driver(name: str, agent: Agent, env: gymnasium.Env, option_set: str, t
     room: Any = env.unwrapped
     flat = room.rules.actions.names
     names = env.get_wrapper_attr("action_names") if env.has_wrapper_attr("action_names") else flat
-    primitives, told = sum(name in flat for name in names), env if isinstance(env, ToldEnv) else None
-    return Driver(name, agent, env, find_recorder(env), names, primitives, option_set, trains, plan, told)
+    primitives, text_env = sum(name in flat for name in names), env if isinstance(env, TextEnv) else None
+    return Driver(name, agent, env, find_recorder(env), names, primitives, option_set, trains, plan, text_env)
