@@ -39,7 +39,7 @@ _ON, _OUT = (re.compile(rf'("[^"]*"(?:(?:, | and )"[^"]*")*) {word}') for word i
 _HERE = re.compile(r"You are at \((-?[\d.]+), (-?[\d.]+)\)")
 _THING = re.compile(r'"([^"]*)"(?: at \((-?[\d.]+), (-?[\d.]+)\))?, (on|off)')
 _QUOTED = re.compile(r'"([^"]*)"')
-_ACT = re.compile(r"(?:press|grip|release|use|push-(?:east|north|west|south))-(.*)")
+_ACT = re.compile(r"(?:push-(?:east|north|west|south)|[a-z]+)-(.*)")
 
 
 class UniformManager:
@@ -131,7 +131,7 @@ def _solve(begun: str, options: Sequence[str]) -> list[str]:
     domain, problem = begun.find("(define (domain"), begun.find("(define (problem")
     if min(domain, problem) < 0:
         raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the told model", (0.0, 0.0, 0.0),
-                             nearest="no model in the transcript: set reveal to model")
+                             nearest="no symbolic model in the transcript: the session must reveal the level model")
     text, _, unlike = begun[problem:].partition("Options of actions: ")
     named = {clean_name(option): option for option in options}
     named |= dict(re.findall(r'([a-z0-9_-]+): "([^"]*)"', unlike))

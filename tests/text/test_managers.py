@@ -53,7 +53,7 @@ def test_where_all_was_tried_in_vain_everything_is_tried_once_more():
 def test_options_of_any_name_are_tried_once_in_a_round():
     tools = [{"name": "run_option", "inputSchema": {"properties": {"option": {"enum": [
         "carry-a", "carry-b", "carry-c", "go-to-exit"]}}}}]  # before `go-to-exit` in the alphabet
-    talk = [Turn(None, BEGUN), *(Turn(ToolCall("run_option", {"option": f"carry {name}"}), "Took 1 primitive, 1 of 9.")
+    talk = [Turn(None, BEGUN), *(Turn(ToolCall("run_option", {"option": f"carry-{name}"}), "Took 1 primitive, 1 of 9.")
                                  for name in "ab")]
     for seed in range(10):
         model = make_model("untried")
