@@ -18,7 +18,7 @@ class EscapeRoom:
     """One room a rollout, drawn by the example's `seed`.
 
     Args:
-        preset: schematic of the rooms.
+        preset: configuration of the rooms.
         reveal: names, places or model.
     """
 

@@ -53,7 +53,7 @@ def name_install(extra: str) -> str:
 
 
 class ConfigError(EscapeError, ValueError):
-    """A value in a schematic is impossible.
+    """A value in a room configuration is impossible.
 
     Attributes:
         field: dotted path of the field, such as `robot.body_radius`.
@@ -67,7 +67,7 @@ class ConfigError(EscapeError, ValueError):
 
 
 class GenerationError(EscapeError, RuntimeError):
-    """No solvable room was found for a schematic within the bounded number of tries.
+    """No solvable room was found for a room configuration within the bounded number of tries.
 
     Attributes:
         constraint: the constraint that failed last.

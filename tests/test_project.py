@@ -152,9 +152,9 @@ def test_import_contracts_find_planted_violations(tmp_path: Path):
 
 # --- names -----------------------------------------------------------------------------
 
-TWINS = [PACKAGE / "env", PACKAGE / "env/batched"]
+TENSOR_FORMS = [PACKAGE / "env", PACKAGE / "env/batched"]
 """The tensor rules of `env.batched` have the names of the scalar rules that they are."""
-TWIN_FILES = [PACKAGE / "env/geometry.py", PACKAGE / "env/tensor_geometry.py"]
+TENSOR_FILES = [PACKAGE / "env/geometry.py", PACKAGE / "env/tensor_geometry.py"]
 """So has the geometry of tensors."""
 
 
@@ -178,7 +178,8 @@ def find_homonyms(modules: dict[Path, str]) -> dict[str, list[Path]]:
         for name in list_names(source) - {"run"} - commands:
             homes.setdefault(name, []).append(path)
     return {name: paths for name, paths in homes.items()
-            if len(paths) > 1 and sorted(path.parent for path in paths) != TWINS and sorted(paths) != TWIN_FILES}
+            if len(paths) > 1 and sorted(path.parent for path in paths) != TENSOR_FORMS
+            and sorted(paths) != TENSOR_FILES}
 
 
 def test_a_name_has_one_meaning():
@@ -191,7 +192,7 @@ def test_a_name_of_two_meanings_is_found():
     assert not find_homonyms({here: "_Plan = 1", there: "_Plan = 2"})
     assert not find_homonyms({PACKAGE / "env/poses.py": "def turn(): ...",
                               PACKAGE / "env/batched/poses.py": "def turn(): ..."})
-    assert not find_homonyms(dict.fromkeys(TWIN_FILES, "def measure(): ..."))
+    assert not find_homonyms(dict.fromkeys(TENSOR_FILES, "def measure(): ..."))
 
 
 # --- words -----------------------------------------------------------------------------

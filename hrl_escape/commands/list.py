@@ -38,7 +38,7 @@ from hrl_escape.comparison.presets import GRIDS
 from hrl_escape.comparison.references.registry import REFERENCES, describe_rule
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations.base import list_observations
-from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset
+from hrl_escape.env.presets import PRESETS, describe_config, get_preset
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
 from hrl_escape.names import join_words
@@ -81,7 +81,7 @@ def run(args: ListArgs) -> None:
     """Print names with one line about each."""
     makers = {
         "recommended": lambda: {choice.label: f"{choice.use}: {choice.reason}" for choice in RECOMMENDED},
-        "presets": lambda: {name: describe_schematic(get_preset(name)) for name in PRESETS},
+        "presets": lambda: {name: describe_config(get_preset(name)) for name in PRESETS},
         "environments": _describe_environments,
         "puzzles": lambda: {name: _describe_puzzle(name) for name in list_puzzles()},
         "observations": lambda: {observation.name: observation.doc for observation in list_observations()},

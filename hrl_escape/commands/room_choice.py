@@ -1,6 +1,6 @@
 """The choice of a room: the options that every command on a room shares. Not a command.
 
-A room comes from a preset, a schematic file or an instance file. Any field of a schematic can
+A room comes from a preset, a room configuration file or an instance file. Any field of a room configuration can
 be changed by its dotted path.
 """
 
@@ -33,30 +33,30 @@ class RoomChoice:
     """Options that choose a room; dataclasses of commands inherit them."""
 
     preset: str | None = None
-    """Named schematic, paper-two-button by default; `hrl-escape list presets` names them all."""
+    """Named room configuration, paper-two-button by default; `hrl-escape list presets` names them all."""
     arguments: tuple[str, ...] = ()
     """Arguments of the preset, as name=value: size=4 seed=3 for larg-2019."""
     config: Path | None = None
-    """Schematic in a TOML or JSON file, in place of a preset."""
+    """Room configuration in a TOML or JSON file, in place of a preset."""
     set: tuple[str, ...] = ()
-    """Fields of the schematic to change, as path=value: room.width=30 obstacles.count=40; robot.urdf takes a file.
-    Without --preset or --config all others have the defaults of `RoomConfig`."""
+    """Fields of the room configuration to change, as path=value: room.width=30 obstacles.count=40; robot.urdf takes a
+    file. Without --preset or --config all others have the defaults of `RoomConfig`."""
     seed: int = 0
-    """Instance seed: selects one room of the schematic."""
+    """Instance seed: selects one room of the room configuration."""
     load: Path | None = None
-    """Instance in a JSON file written by --save, in place of a schematic."""
+    """Instance in a JSON file written by --save, in place of a room configuration."""
 
     def make_config(self) -> RoomConfig:
-        """Build the schematic; `EscapeError` for an unknown preset or field, or an impossible value."""
+        """Build the room configuration; `EscapeError` for an unknown preset or field, or an impossible value."""
         if self.config is None:
             arguments = dict(split_assignment(text, "--arguments", "size=3") for text in self.arguments)
             is_bare = self.preset is None and self.set and not arguments
             config = RoomConfig() if is_bare else get_preset(self.preset or DEFAULT_PRESET, **arguments)
         else:
-            refuse_options(self, ("preset", "arguments"), "is about presets, and --config is a schematic of its own: "
-                           "change its fields by --set")
+            refuse_options(self, ("preset", "arguments"), "is about presets, and --config is a room configuration of "
+                           "its own: change its fields by --set")
             read = read_toml if self.config.suffix.lower() == ".toml" else read_json
-            content = read(self.config, "schematic")
+            content = read(self.config, "room configuration")
             if not isinstance(content, dict):
                 raise ConfigError("config", content, "a table of fields")
             table = {"name": self.config.stem} | content
@@ -136,7 +136,7 @@ def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
 
 
 def change_field(fields: dict[str, Any], path: str, value: Any) -> None:
-    """Set one field of a nested table; the schematic itself refuses unknown fields and sections.
+    """Set one field of a nested table; the room configuration itself refuses unknown fields and sections.
 
     Another kind of puzzle or reward begins with that kind's defaults.
     """

@@ -44,10 +44,10 @@ from hrl_escape.comparison.records import record_returns
 from hrl_escape.comparison.runs import find_starts, make_env, make_player
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
+from hrl_escape.hierarchies.kinds import find_kind
 from hrl_escape.names import make_console_text, make_file_name
 from hrl_escape.planning.best_known import best_known_return, find_best_known
 from hrl_escape.settings import read_field_documents
-from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.text.settings import TOOLS, ToolsSettings
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class TrainArgs(AgentChoice, RoomChoice):
                                         device=self.device, compile=self.compile)
             if spec.leaves is None:
                 return rooms
-            from hrl_escape.synthesis import HierarchyVectorEnv
+            from hrl_escape.hierarchies import HierarchyVectorEnv
 
             return HierarchyVectorEnv(rooms, find_kind(spec.name), spec.leaves)
         from hrl_escape.options.batched.env import BatchedOptionsEnv

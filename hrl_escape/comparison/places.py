@@ -28,7 +28,7 @@ from hrl_escape.settings import Range, Settings
 
 @dataclasses.dataclass(frozen=True)
 class Split:
-    """Rooms to train in, and rooms to be tested in, of the same schematic or of another; or two towers."""
+    """Rooms to train in, and rooms to be tested in, of the same room configuration or of another; or two towers."""
 
     train: RoomSets  # rooms to train in
     test: RoomSets  # rooms to be tested in
@@ -55,7 +55,7 @@ class Split:
 
     @property
     def is_transfer(self) -> bool:
-        """Agents act in rooms of several schematics."""
+        """Agents act in rooms of several room configurations."""
         return len({rooms.config for rooms in self.sets}) > 1
 
     @cached_property
@@ -120,7 +120,7 @@ class RunPlace:
 
 @dataclasses.dataclass(frozen=True)
 class RoomSpec(Settings):
-    """One room: an instance of a preset or of a schematic, one from a file, or one of a set."""
+    """One room: an instance of a preset or of a room configuration, one from a file, or one of a set."""
 
     _section = "room"
     preset: str | None = None
@@ -128,17 +128,17 @@ class RoomSpec(Settings):
     arguments: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Arguments of the preset, if it takes any."""
     config: dict[str, Any] | None = None
-    """Schematic, as RoomConfig.to_dict() gives it."""
+    """Room configuration, as RoomConfig.to_dict() gives it."""
     file: str | None = None
     """File of a saved instance."""
     set: str | None = None
     """Room of a set, such as ladder-1/lattice/test[3]."""
     seed: Annotated[int, Range(0, 2**63 - 1)] = 0
-    """Instance seed for a preset or a schematic."""
+    """Instance seed for a preset or a room configuration."""
 
     @property
     def label(self) -> str:
-        """Name in short text: of the preset, schematic, file or set, and `#` with the number of a further instance."""
+        """Name in short text: of the preset, configuration, file or set, and `#` with the number of an instance."""
         name = self.preset or (self.config or {}).get("name") or self.file or self.set or ""
         return f"{name}#{self.seed}" if self.seed else name
 
@@ -151,7 +151,7 @@ class RoomSpec(Settings):
         """Sample the instance, or read it from its file.
 
         Raises:
-            EscapeError: no such preset, an impossible schematic, a damaged file.
+            EscapeError: no such preset, an impossible room configuration, a damaged file.
         """
         if self.file is not None:
             return RoomInstance.load(self.file)

@@ -33,12 +33,12 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.files import read_json, write_json
+from hrl_escape.hierarchies.kinds import find_kind
 from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.room_sets import RoomSets, Tower, list_sets
 from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
 from hrl_escape.settings import read_record
-from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.text.settings import TOOLS
 from hrl_escape.version import __version__, find_versions
 
@@ -125,8 +125,8 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | RoomSets, observation: str,
     """The environment an agent acts in, and the recorder inside it; in a tower the one on the lowest floor.
 
     Every episode draws a room of a set, but for those in the schedule, whose numbers, by their seeds, go round the set,
-    or that of every floor (see `RoomSchedule`). In `common` spaces rooms of several schematics look alike. An episode
-    has several `trials` in the same room; see `SequenceEnv`.
+    or that of every floor (see `RoomSchedule`). In `common` spaces rooms of several room configurations look alike. An
+    episode has several `trials` in the same room; see `SequenceEnv`.
     """
     import hrl_escape  # noqa: F401  # registers the environment
 
@@ -145,7 +145,7 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | RoomSets, observation: str,
                               disable_env_checker=True)
     recorder = StateRecorder(flat)
     if agent.leaves is not None:
-        from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
+        from hrl_escape.hierarchies.hierarchy_env import HierarchyEnv
 
         return HierarchyEnv(recorder, find_kind(agent.name), agent.leaves), recorder
     env = _add_options(agent, recorder, trials) if agent.chooses_options else _add_trials(recorder, trials)

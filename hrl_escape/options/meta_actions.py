@@ -12,7 +12,7 @@ import math
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import philox
-from hrl_escape.env.puzzles.traits import Mapped
+from hrl_escape.env.puzzles.mixins import Mapped
 from hrl_escape.errors import OptionError, PlanningFailed, PlanningReason
 from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.options.option_sets import DEFAULT_SET, check_option_set, option_sets
@@ -225,7 +225,7 @@ class AncestorsOption(GoalOption):
 
 
 class AbsentOption(Option):
-    """Option of a target that this instance lacks and others of the schematic have: always masked."""
+    """Option of a target that this instance lacks and others of the room configuration have: always masked."""
 
     def initiation(self, state: RoomState) -> bool:
         """Always false: the option is never available."""

@@ -416,7 +416,7 @@ def make_options_env(config: str | RoomConfig | dict[str, Any] = "paper-two-butt
     """Make an `EscapeRoomEnv` wrapped in an `OptionsEnv`; the entry point of the ids `hrl_escape/<Preset>Options-v1`.
 
     Args:
-        config: schematic of the room, see `EscapeRoomEnv`.
+        config: configuration of the room, see `EscapeRoomEnv`.
         option_features: append option features to the observation, as `OptionsEnv(observation="options")` does.
         arguments: those of `OptionsEnv` (but `observation` and `domain`), and all others of `EscapeRoomEnv`, such as
             `observation="features"`. With `render_mode="rgb_array_list"`, `render()` returns the frames of all

@@ -23,7 +23,7 @@ from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, check_fields
 from hrl_escape.env.poses import list_touched
-from hrl_escape.env.puzzles.traits import Mapped, get_trait
+from hrl_escape.env.puzzles.mixins import Mapped, get_mixin
 from hrl_escape.errors import ActionError, ConfigError, EscapeError, PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.floor.cost_to_go import FieldMaker
 from hrl_escape.kernels import read_clock
@@ -464,7 +464,7 @@ class DoorSearches:
 
 def list_cells(room: RoomInstance, state: RoomState, goal: GripGoal) -> tuple[int, ...]:
     """Numbers of the inner doors' cells in which a goal's action can be carried out now, on a map."""
-    return get_trait(room.puzzle, Mapped).list_cells(state.puzzle, goal.action, goal.target)
+    return get_mixin(room.puzzle, Mapped).list_cells(state.puzzle, goal.action, goal.target)
 
 
 def is_way_open(rules: Kinematics, state: RoomState, goal: Goal) -> bool:

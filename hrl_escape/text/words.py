@@ -15,7 +15,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.marks import name_mark
-from hrl_escape.env.puzzles.traits import Barring, Depicted, Marked, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, Depicted, Marked, get_mixin
 from hrl_escape.names import join_words
 from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.meta_actions import AbsentOption
@@ -62,7 +62,7 @@ def tell_room(instance: RoomInstance, state: RoomState, has_places: bool,
     def locate(x: float, y: float) -> str:
         return f" at {place(x, y)}" if has_places else ""
 
-    lit, depicted, marks = puzzle.get_lit(state.puzzle), get_trait(puzzle, Depicted), get_trait(puzzle, Marked).marks
+    lit, depicted, marks = puzzle.get_lit(state.puzzle), get_mixin(puzzle, Depicted), get_mixin(puzzle, Marked).marks
     things = []
     for index, target in enumerate(instance.targets):
         sign = depicted.get_sign(state.puzzle, index)
@@ -71,7 +71,7 @@ def tell_room(instance: RoomInstance, state: RoomState, has_places: bool,
                       + (f", showing {quote(sign)}" if sign else ""))
     things += [f"{quote(placed.prop.name)}{locate(x, y)}"
                for placed, (x, y, _) in zip(instance.props, get_prop_poses(state, instance), strict=True)]
-    shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
+    shut = get_mixin(puzzle, Barring).get_shut(state.puzzle)
     things += [f"door {number + 1}{locate(door.x, door.y)}, {'shut' if shut >> number & 1 else 'open'}"
                for number, door in enumerate(instance.inner_doors)]
     lines = [f"Exit{locate(*instance.exit.centre)}: {'open' if puzzle.is_solved(state.puzzle) else 'shut'}.",
@@ -102,7 +102,7 @@ def _describe_primitive(instance: RoomInstance, step: DomainStep) -> Iterable[st
     changes = ["it " + word if each == pressed else f"{join_words(each)} {word}"
                for each, word in ((on, "came on"), (off, "went out")) if each]
     changes += ["all lights are out"] if len(off) > 1 and not any(puzzle.get_lit(now)) else []
-    sign = get_trait(puzzle, Depicted).get_sign
+    sign = get_mixin(puzzle, Depicted).get_sign
     changes += [f"{name} now shows {quote(sign(now, i) or 'nothing')}" for i, name in enumerate(names)
                 if sign(was, i) != sign(now, i)]
     changes += [said[0].lower() + said[1:].rstrip(".") for said in _list_said(puzzle, now)

@@ -20,7 +20,7 @@ from hrl_escape.env.drawing import meshes, palette
 from hrl_escape.env.geometry import Solid, compute_distance
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
-from hrl_escape.env.puzzles.traits import Barring, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, get_mixin
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.planning.props import get_prop_poses
 from hrl_escape.viewer.extra import SO3, trimesh, viser
@@ -384,7 +384,7 @@ class RoomScene:
             lamp.color = _to_bytes(palette.get_target_look(puzzle, state.puzzle, i, self.is_hidden).fill)
             if name.text != (text := palette.name_target(puzzle, state.puzzle, i, self.is_hidden)):
                 name.text = text
-        shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
+        shut = get_mixin(puzzle, Barring).get_shut(state.puzzle)
         for i, node in enumerate(self._inner_doors):
             node.visible = bool(shut >> i & 1)
         colour = palette.EXIT_OPEN if puzzle.is_solved(state.puzzle) else palette.EXIT_LOCKED

@@ -44,7 +44,7 @@ def test_a_page_that_is_wrong_fails_the_build(tmp_path: Path):
     assert done.returncode != 0 and "nowhere.md" in done.stderr
 
 
-PACKAGES = ("env", "env.drawing", "planning", "options", "agents", "synthesis", "ladder", "data", "comparison",
+PACKAGES = ("env", "env.drawing", "planning", "options", "agents", "hierarchies", "ladder", "data", "comparison",
             "checks")
 """The packages whose exported names are public."""
 
@@ -147,7 +147,8 @@ def count_words_before_a_picture(page: str) -> int:
 
 def test_no_tutorial_and_no_guide_keeps_its_first_screen_without_a_picture(site: Path):
     """Some 110 words fill half of a laptop's screen."""
-    guides = ("index", "quickstart", "options", "hierarchies", "planners", "ladder", "schematic", "puzzles", "viewer")
+    guides = ("index", "quickstart", "options", "hierarchies", "planners", "ladder", "room-configuration", "puzzles",
+              "viewer")
     pages = [f"tutorials/{name}" for name in TUTORIALS] + list(guides) + ["results/index"]
     words = {page: count_words_before_a_picture((site / f"{page}.html").read_text("utf-8")) for page in pages}
     assert {page: count for page, count in words.items() if count > 110} == {}

@@ -30,17 +30,17 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.mixins import Doored
 from hrl_escape.env.puzzles.places import Pads
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Doored
 from hrl_escape.env.sampling.certificate import find_unmet, make_floors
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, PlanningFailed, UnsupportedError
+from hrl_escape.hierarchies.situation import Situations
 from hrl_escape.ladder.keys import compute_task_key
 from hrl_escape.options import OptionsEnv
 from hrl_escape.planning import RoomPlanner, find_best_known
 from hrl_escape.planning.lower_bounds import bound_escape
-from hrl_escape.synthesis.situation import Situations
 
 CONFIG = get_preset("inner-doors")
 SEEDS = range(4)

@@ -1,4 +1,4 @@
-"""Ranges in a schematic: each instance draws its numbers, and all of them share one space and one scale."""
+"""Ranges in a room configuration: each instance draws its numbers, and all of them share one space and one scale."""
 
 import json
 import math
@@ -60,7 +60,7 @@ def test_a_zero_below_zero_is_plain_zero():
     assert rooms[0].id == rooms[1].id
 
 
-def test_a_schematic_with_ranges_survives_json_and_pickling():
+def test_a_room_configuration_with_ranges_survives_json_and_pickling():
     assert RoomConfig.from_dict(json.loads(json.dumps(VARIED.to_dict()))) == VARIED
     assert pickle.loads(pickle.dumps(VARIED)) == VARIED
     assert VARIED.to_dict()["puzzle"]["count"] == "2..5" and VARIED.to_dict()["room"]["width"] == "12.0..18.0"

@@ -188,7 +188,7 @@ MUTATIONS = [
     ),
     Mutation(
         "what one way of many makes true is a landmark",
-        "synthesis/synthesise.py",
+        "hierarchies/synthesise.py",
         "else before[literal] & led",
         "else before[literal] | led",
         "planning/symbolic/test_landmarks.py::test_they_are_those_without_which_the_goal_is_out_of_reach",

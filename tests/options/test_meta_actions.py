@@ -15,7 +15,7 @@ from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
-from hrl_escape.env.puzzles.traits import Mapped
+from hrl_escape.env.puzzles.mixins import Mapped
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from hrl_escape.options.meta_actions import list_goals, make_meta_options

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.trajectories import drive, list_schematics
+from benchmarks.trajectories import drive, list_configs
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
@@ -84,7 +84,7 @@ def test_targets_are_pressed_under_physics():
     ("arm-two-button", 14),  # a joint that physics left beyond its limit
 ])
 def test_every_option_of_an_escape_ends_as_planned_under_physics(name, seed):
-    escaped, faults, _ = drive(list_schematics()[name], seed, "auto")
+    escaped, faults, _ = drive(list_configs()[name], seed, "auto")
     assert escaped and not any(faults)
 
 

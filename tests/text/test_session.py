@@ -19,7 +19,7 @@ from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import USE, Contacts
 from hrl_escape.env.puzzles.marks import COLOURS, SHAPES, SIZES
 from hrl_escape.env.puzzles.mini_grid import MiniGridConfig
-from hrl_escape.env.puzzles.traits import Barring, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, get_mixin
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import ConfigError, ResetNeededError, UnknownNameError, UnsupportedError
 from hrl_escape.ladder.benchmark import load_benchmark
@@ -194,7 +194,7 @@ def test_every_door_is_told_as_it_is_and_when_it_opens():
     """In `doors` each has a state of its own; one after another they open."""
     room = get_room("doors")
     session = make_session(room)
-    barring = get_trait(room.puzzle, Barring)
+    barring = get_mixin(room.puzzle, Barring)
     seen, manager = set(), make_model("untried")
     for _ in range(60):
         before = barring.get_shut(session.env.state.puzzle)

@@ -68,7 +68,7 @@ OWN = frozenset({
     "hrl_escape.options.masked_observation:MaskedObservation",
     MEMORY_WRAPPER,
     "hrl_escape.options.options_env:OptionsEnv",
-    "hrl_escape.synthesis.hierarchy_env:HierarchyEnv",
+    "hrl_escape.hierarchies.hierarchy_env:HierarchyEnv",
     "hrl_escape.text.text_env:TextEnv",
 })
 """Parts of this package, each imported when it is asked for."""

@@ -7,8 +7,8 @@
 | `smdp-untried` | presses what is unlit and untried since the lights last changed, in random order | lights |
 | `smdp-untried-nearest` | the same, the nearest first | lights, places |
 | `smdp-retrace` | the same, and goes back by known presses to where something is untried | lights, places |
-| `smdp-bayes` | fewest expected primitives over the graphs that the schematic can draw | lights, places, schematic |
-| `planner` | follows the best known plan | everything |
+| `smdp-bayes` | fewest expected primitives over the graphs that the room configuration can draw | lights, places, room
+configuration | | `planner` | follows the best known plan | everything |
 
 A search baseline is given neither the graph nor how rooms are drawn, and starts every episode anew. The Bayes planner,
 `smdp-bayes`, is given how rooms are drawn and plans for the fewest expected primitives. A learner that trains in the

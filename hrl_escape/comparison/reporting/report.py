@@ -37,7 +37,7 @@ from hrl_escape.comparison.summary import PROFILE, AgentSummary, Curve, RoomSumm
 from hrl_escape.comparison.verdict import Sentence, find_leader, write_verdict
 from hrl_escape.env.drawing.maps import make_map
 from hrl_escape.env.drawing.moving_map import PLAYER, PLAYER_COLOURS, describe_room
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.files import write_text
 from hrl_escape.names import tell_seconds
 from hrl_escape.templates import embed_json, render_template
@@ -322,7 +322,7 @@ def _describe_room(room: RoomSummary, number: int, entries: Sequence[_Entry]) ->
     scores = [(float(compute_iqm([entry.agent.efficiencies[number]])), entry) for entry in entries
               if len(entry.agent.efficiencies[number])]
     puzzle = instance.puzzle
-    edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in get_trait(puzzle, Graphed).edges]
+    edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in get_mixin(puzzle, Graphed).edges]
     words = [f"{2 * instance.half_width:.3g} \N{MULTIPLICATION SIGN} {2 * instance.half_depth:.3g} m"]
     words += [", ".join(edges)] if 0 < len(edges) <= 6 else []
     split = "" if room.place.split is None else f" One of the rooms tested in: {describe_place(room.place)}."

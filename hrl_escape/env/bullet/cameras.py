@@ -32,7 +32,7 @@ from hrl_escape.env.engine import check_camera, check_picture_size
 from hrl_escape.env.geometry import Solid, make_footprint
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.puzzles.traits import Barring, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, get_mixin
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
 
@@ -370,7 +370,7 @@ class Stage:
             if shadow is not None:
                 self._place(shadow, (x, y, 0.0), _STILL)
         puzzle = self._instance.puzzle
-        shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
+        shut = get_mixin(puzzle, Barring).get_shut(state.puzzle)
         for number, standing in enumerate(self._inner):
             self._move(standing, (0.0, 0.0, 0.0) if shut >> number & 1 else _AWAY, _STILL)
         for (faces, mat), is_lit in zip(self._lamps, puzzle.get_lit(state.puzzle), strict=True):

@@ -33,7 +33,7 @@ from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_flo
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.marks import compute_depths
-from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, Depicted, Doored, Graphed, get_mixin
 from hrl_escape.figures import STYLE, save_figure
 
 _MAP_INCHES = 6.6  # the longer side of the room
@@ -138,7 +138,7 @@ def _draw_panel(figure: Figure, instance: RoomInstance, state: RoomState, trajec
     handles = _make_handles(instance, trajectories)
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(left, 0.3 / high), frameon=False, fontsize=8,
                   labelcolor=palette.INK, borderpad=0, borderaxespad=0, handletextpad=0.9, labelspacing=0.6)
-    if get_trait(instance.puzzle, Graphed).edges:
+    if get_mixin(instance.puzzle, Graphed).edges:
         used = 0.62 + 0.17 * len(lines)  # inches
         bottom = 0.45 + 0.19 * len(handles)
         box = (left - 0.1 / wide, bottom / high, (_PANEL_INCHES - 0.1) / wide, (high - used - bottom) / high)
@@ -170,7 +170,7 @@ def _make_handles(instance: RoomInstance, trajectories: Sequence[Trajectory]) ->
     if instance.targets:
         kinds = [("off", palette.OFF), ("off, waits for others", palette.WAITING), ("on", palette.LIT)]
         handles += [mark("s", label, look.fill, look.edge) for label, look in kinds
-                    if look is not palette.WAITING or get_trait(instance.puzzle, Graphed).edges]
+                    if look is not palette.WAITING or get_mixin(instance.puzzle, Graphed).edges]
     if not instance.exit.is_flat:
         handles.append(Patch(facecolor=palette.EXIT_OPEN, alpha=0.45, edgecolor=palette.EXIT_OPEN, label="exit"))
     if instance.door is not None:
@@ -268,7 +268,7 @@ def _draw_exit(axes: Axes, area: Rectangle, is_open: bool) -> None:
 def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     for floor in compute_floors(instance):
         axes.add_patch(RectanglePatch(*_measure(floor), facecolor=palette.FLOOR, zorder=0))
-    for puddle in get_trait(instance.puzzle, Depicted).puddles:
+    for puddle in get_mixin(instance.puzzle, Depicted).puddles:
         axes.add_patch(Polygon(outline_capsule(puddle), facecolor=palette.PUDDLE, alpha=0.6, zorder=0.5))
     is_open = instance.puzzle.is_solved(state.puzzle)
     if not instance.exit.is_flat:
@@ -276,7 +276,7 @@ def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     if instance.door is not None:
         style: dict[str, Any] = {"fill": False, "linestyle": ":"} if is_open else {"facecolor": palette.DOOR}
         axes.add_patch(_make_outline(instance.door, edgecolor=palette.DOOR, linewidth=1.2, zorder=4, **style))
-    _draw_inner_doors(axes, instance, get_trait(instance.puzzle, Barring).get_shut(state.puzzle))
+    _draw_inner_doors(axes, instance, get_mixin(instance.puzzle, Barring).get_shut(state.puzzle))
 
 
 def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
@@ -288,7 +288,7 @@ def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
             axes.add_patch(_make_outline(shape, facecolor=colour, edgecolor=colour, zorder=5))
         elif door.role == "door":
             axes.add_patch(_make_outline(shape, fill=False, edgecolor=colour, linestyle=":", linewidth=1.2, zorder=5))
-    facts = get_trait(instance.puzzle, Doored).door_facts
+    facts = get_mixin(instance.puzzle, Doored).door_facts
     operators = instance.symbolic_model.operators if facts else ()
     for door, fact in zip(instance.inner_doors, facts, strict=bool(facts)):
         openers = " or ".join(dict.fromkeys(op.target for op in operators if fact in op.may_add))
@@ -404,7 +404,7 @@ def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str,
         fill, edge, ink = palette.get_target_look(instance.puzzle, state.puzzle, index)
         box = {"boxstyle": "round,pad=0.25", "facecolor": fill, "edgecolor": edge, "linewidth": 0.8}
         style: dict[str, Any] = {"fontsize": _LABEL_POINTS, "color": ink, "bbox": box, "zorder": 11}
-        style["weight"] = "bold" if index in get_trait(instance.puzzle, Graphed).goal_targets else "normal"
+        style["weight"] = "bold" if index in get_mixin(instance.puzzle, Graphed).goal_targets else "normal"
         gap = 12 / scale
         if target.kind == "pad":
             axes.annotate(name, (target.x, target.y), ha="center", va="center", **style)
@@ -488,7 +488,7 @@ def shorten(name: str) -> str:
 
 def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
     """Draw the dependencies between a puzzle's targets, coloured by state; dots lock, the goal has a second ring."""
-    graph = get_trait(puzzle, Graphed)
+    graph = get_mixin(puzzle, Graphed)
     places = compute_layout(len(puzzle.target_names), graph.edges)
     right, bottom = (max((p[i] for p in places), default=0.0) for i in (0, 1))
     inches = np.array((axes.bbox.width, axes.bbox.height)) / axes.figure.dpi

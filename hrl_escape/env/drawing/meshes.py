@@ -19,8 +19,8 @@ from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
+from hrl_escape.env.puzzles.mixins import Depicted, get_mixin
 from hrl_escape.env.puzzles.places import Capsule, Prop
-from hrl_escape.env.puzzles.traits import Depicted, get_trait
 
 Point = tuple[float, float]
 
@@ -223,7 +223,7 @@ def make_floor(instance: RoomInstance, casting: Iterable[Solid]) -> tuple[Mesh, 
     floors, side = compute_floors(instance), palette.choose_tile(instance)
     shadows = [make_shadow(compute_outline(solid), solid.height, LAYER, floor) for solid in casting for floor in floors]
     puddles = [make_flat(outline_capsule(puddle), 1.5 * LAYER)
-               for puddle in get_trait(instance.puzzle, Depicted).puddles]
+               for puddle in get_mixin(instance.puzzle, Depicted).puddles]
     return _make_tiles(floors, side, False), _make_tiles(floors, side, True), merge(shadows), merge(puddles)
 
 

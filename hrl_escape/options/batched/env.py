@@ -29,7 +29,7 @@ from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.noise import check_seed
 from hrl_escape.env.poses import RoomState
-from hrl_escape.env.presets import SchematicForm
+from hrl_escape.env.presets import ConfigForm
 from hrl_escape.errors import (
     ActionError,
     BatchError,
@@ -255,7 +255,7 @@ class BatchedOptionsEnv:
     def __init__(
         self,
         num_envs: int = 1,
-        config: SchematicForm = "paper-two-button",
+        config: ConfigForm = "paper-two-button",
         *,
         observation: str = "state",
         options: OptionDegradation | None = None,

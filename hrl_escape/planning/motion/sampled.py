@@ -24,7 +24,7 @@ from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Glide, RoomState
-from hrl_escape.env.puzzles.traits import Mapped
+from hrl_escape.env.puzzles.mixins import Mapped
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.areas import Area, compute_goal_area, sample_places

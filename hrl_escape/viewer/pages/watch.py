@@ -18,7 +18,7 @@ from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.kinematics import EpisodeEnd
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.errors import EscapeError
 from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.planning.goals import ExitGoal, PressGoal
@@ -246,7 +246,7 @@ class WatchPage:
         graph = self.watch.read_graph()
         if graph is None or not self.watch.states:
             return
-        true = get_trait(self.watch.driver.room.instance.puzzle, Graphed)
+        true = get_mixin(self.watch.driver.room.instance.puzzle, Graphed)
         believed, needed = (find_edges_that_matter(edges, true.goal_targets) for edges in (graph, true.edges))
         found, wrong = len(believed & needed), len(believed - needed)
         words = f"learned: {found} of {len(needed)} edges that matter" + (f", {wrong} wrong" if wrong else "")

@@ -141,7 +141,8 @@ class PlayedMove:
 class Episode:
     """One room being played; the seed fixes the start and the noise.
 
-    The schematic, `config`, is needed to enter the next room. Where it `is_hidden`, the graph is to be discovered.
+    The room configuration, `config`, is needed to enter the next room. Where it `is_hidden`, the graph is to be
+    discovered.
 
     Attributes:
         instance: the present room.
@@ -179,9 +180,9 @@ class Episode:
         self.start = self._env.get_state()
 
     def enter_next_room(self) -> None:
-        """Enter the next room of the schematic; `UnsupportedError` where the room came without it, from a file."""
+        """Enter the configuration's next room; `UnsupportedError` where the room came without one, from a file."""
         if self.config is None or self.instance.seed is None:
-            raise UnsupportedError("there is no next room: this one was loaded from a file, without its schematic")
+            raise UnsupportedError("there is no next room: this one was loaded from a file, without its configuration")
         following = generate(self.config, self.instance.seed + 1)
         self._env.close()
         self._open(following)

@@ -19,13 +19,13 @@ from hrl_escape.options.batched.hand_policy import CHOSEN
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.planner import get_planner
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 from tests.options.batched.test_batched_env import begin, decide, play
 
 ARM = get_preset("arm-two-button")
 NOISY = dataclasses.replace(ARM, dynamics=dataclasses.replace(ARM.dynamics, noise=0.05, slip=0.1))
 CLUTTERED = dataclasses.replace(ARM, obstacles=ObstaclesConfig(count=8))
-SEVEN = all_schematics()["seven-joints"]
+SEVEN = all_configs()["seven-joints"]
 
 
 def make_env(count=1, config=ARM, seed=0, **more):

@@ -89,7 +89,7 @@ def test_a_saved_episode_replays_to_the_same_state_and_can_be_undone(two_buttons
         PlayArgs(preset="clutter").make_episode(saved)
 
 
-def test_the_next_room_is_the_schematics_next_instance():
+def test_the_next_room_is_the_room_configurations_next_instance():
     config = get_preset("paper-one-button")
     episode = Episode(generate(config, 4), config)
     episode.enter_next_room()

@@ -30,10 +30,10 @@ from hrl_escape.agents.hierarchy.task_graph import Until, View, maxq
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import UnknownNameError
+from hrl_escape.hierarchies.goal_points import make_displacement_space, make_event_space
+from hrl_escape.hierarchies.kinds import KINDS, LEAVES, PARTS, WITHOUT_PLANS, HierarchyKind, LeafKind, check_leaves
+from hrl_escape.hierarchies.situation import Situations
 from hrl_escape.planning.goals import Goal, RegionGoal
-from hrl_escape.synthesis.goal_points import make_displacement_space, make_event_space
-from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, WITHOUT_PLANS, HierarchyKind, LeafKind, check_leaves
-from hrl_escape.synthesis.situation import Situations
 
 _ROOT, EXIT = "escape", "exit"
 
