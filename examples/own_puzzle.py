@@ -1,7 +1,7 @@
 """Your own puzzle: Lights Out in a row. Pressing a light toggles it and its neighbours; all on opens the exit.
 
-A puzzle is a part of the room configuration (`PuzzleConfig`), rules as pure functions of a hashable state (`Puzzle`), and a
-symbolic model from which options, planners and PDDL follow. Publish it under the entry-point group
+A puzzle is a part of the room configuration (`PuzzleConfig`), rules as pure functions of a hashable state (`Puzzle`),
+and a symbolic model from which options, planners and PDDL follow. Publish it under the entry-point group
 `hrl_escape.puzzles`.
 """
 

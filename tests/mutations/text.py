@@ -15,7 +15,7 @@ MUTATIONS = [
              "self._invalid += 0", f"{SESSION}::test_a_wrong_call_costs_one_primitive_and_says_what_would_be_valid"),
     Mutation("names from files are said as they are", "text/words.py", '"[^A-Za-z0-9 .,:;+#@()/_-]"', '"[%]"',
              f"{SESSION}::test_names_from_files_are_quoted_and_are_neither_markup_nor_instructions"),
-    Mutation("places are told with the names", "text/text_env.py", 'self.state, self.told != "names"',
+    Mutation("places are told with the names", "text/text_env.py", 'self.state, self.reveal != "names"',
              "self.state, True", f"{SESSION}::test_levels_tell_more_and_more"),
     Mutation("the goal is listed first", "text/words.py", "for index, target in enumerate(instance.targets):",
              "for index, target in sorted(enumerate(instance.targets), key=lambda t: t[0] != puzzle.goal):",

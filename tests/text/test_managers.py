@@ -43,7 +43,7 @@ def test_the_nearest_takes_what_is_off_and_untried_and_near():
 
 
 def test_where_all_was_tried_in_vain_everything_is_tried_once_more():
-    walk = [(f"press {name}", f'Pressed "{name}": nothing changed. You are at ({x}, 0.0).')
+    walk = [(f"press-{name}", f'Pressed "{name}": nothing changed. You are at ({x}, 0.0).')
             for name, x in (("b", 1.0), ("c", 3.0), ("a", 5.0))]
     assert choose("untried-nearest", *walk) == "press-a"  # the round begins anew, where one stands
     assert choose("untried-nearest", *walk, walk[-1]) == "press-c"

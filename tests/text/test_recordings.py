@@ -32,7 +32,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
                                             ("uniform", "freight", 4, "model"))]
     session = make_session(get_room("code"), seed=5, include_primitives=True, option_set="press-with-ancestors")
     for call in (("fly", [1, {"x": "\ud800"}]), ("look", {}), ("move", {"primitive": "forward", "times": 3}),
-                 ("run_option", {"option": "press digit-1"})):
+                 ("run_option", {"option": "press-digit-1"})):
         session.call(*call)
     path = tmp_path_factory.mktemp("games") / "games.jsonl"
     save_games(path, [*games, record_game(session)])

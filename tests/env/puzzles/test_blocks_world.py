@@ -149,7 +149,7 @@ def test_options_do_what_the_operators_of_the_domain_do_from_any_pose(hand):
     room = generate(get_preset("blocks-world", count=3, hand=hand), 1)
     env = gymnasium.make("hrl_escape/BlocksWorld-v1", instance=room)
     domain = Stacks(env.unwrapped.instance.puzzle)
-    goals = [f"{action} place-{name}" for action in ("grip", "release") for name in "abc"]
+    goals = [f"{action}-place-{name}" for action in ("grip", "release") for name in "abc"]
     assert check_isomorphism(env, domain, goals=goals, pairs=30 if hand else 132) == (30 if hand else 132)
 
 

@@ -147,19 +147,6 @@ def test_an_episode_that_does_not_escape_as_it_says_is_refused(two_buttons, tmp_
         load_episode(tmp_path / "mine.json")
 
 
-def test_a_file_from_before_ends_had_names_is_replayed(two_buttons, tmp_path: Path):
-    episode = Episode(two_buttons)
-    play(episode, ["press-button-1", "press-button-2", "go-to-exit"])
-    save_episode(tmp_path / "mine.json", episode.to_saved())
-    content = json.loads((tmp_path / "mine.json").read_text())
-    del content["end"]
-    (tmp_path / "mine.json").write_text(json.dumps(content | {"schema": 1, "escaped": True}))
-    saved = load_episode(tmp_path / "mine.json")
-    again = Episode(saved.instance, seed=saved.seed)
-    again.replay(saved)
-    assert saved.end is None and again.end is EpisodeEnd.ESCAPED
-
-
 def test_a_truncated_episode_names_file_and_place(tmp_path: Path):
     path = tmp_path / "half.json"
     path.write_text('{"kind": "episode", ')
