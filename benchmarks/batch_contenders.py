@@ -120,7 +120,7 @@ def set_arithmetic_bounds(contenders: Sequence[Contender]) -> None:
 
 
 def make_scene(name: str) -> RoomConfig:
-    """Schematic of a scene: a preset, or four buttons among ten rotated boxes, pressed by body or hand."""
+    """Room configuration of a scene: a preset, or four buttons among ten rotated boxes, pressed by body or hand."""
     if name not in ("ten-obstacles", "ten-obstacles-by-hand"):
         return get_preset(name)
     by_hand = name == "ten-obstacles-by-hand"

@@ -62,7 +62,7 @@ def compare(instances: Sequence[RoomInstance], primitives: int, *, copies: int =
     """Step instances in both engines with the same random primitives, or velocities.
 
     Args:
-        instances: rooms of one schematic.
+        instances: rooms of one room configuration.
         primitives: primitives in each instance, shared by its copies.
         copies: rooms that each instance is stepped in at once.
         seed: of the primitives and of the episodes.

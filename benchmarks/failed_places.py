@@ -1,7 +1,7 @@
 """How long the planner takes to say that there is no way, beside what it took with every grid made in full.
 
-Run: `python -m benchmarks.failed_places` (some minutes on one core); exits with 1 if the 95th percentile of a
-schematic's failures is above 0.2 s (under physics, where arms collide, none is asked for), or if an answer differs.
+Run: `python -m benchmarks.failed_places` (some minutes on one core); exits with 1 if the 95th percentile of a room
+configuration's failures is above 0.2 s (under physics, where arms collide, none is asked for), or if an answer differs.
 Each question is the first one that a planner is asked, and counts in CPU time of this process. Questions are places
 inside solids, anywhere, too exact, at headings that no turn leads to, within walls, and behind gaps a little narrower
 than the body; by hand, panels too high, inside blocks, within walls and behind such gaps. In full means without the
@@ -41,8 +41,8 @@ APART = 4.5
 """Distance from the start at which walls, blocks and panels are put, m."""
 
 
-def list_schematics() -> dict[str, RoomConfig]:
-    """Schematics by name: presets, rungs of `ladder-1`, and variants of presets."""
+def list_configs() -> dict[str, RoomConfig]:
+    """Room configurations by name: presets, rungs of `ladder-1`, and variants of presets."""
     clutter, arm, rungs = get_preset("clutter"), get_preset("arm-two-button"), load_benchmark("ladder-1")
     oblong = dataclasses.replace(clutter.robot, footprint="rectangle", body_length=1.2, body_width=0.6)
     physics = dataclasses.replace(arm.dynamics, kind="physics")
@@ -147,7 +147,7 @@ def answer(question: Question) -> tuple[float, tuple[int, ...] | None, str]:
 
 
 def measure(name: str, config: RoomConfig, rooms: int, count: int, kinds: bool) -> bool:
-    """Print a line on a schematic; says whether the limit is kept and all plans are the same."""
+    """Print a line on a room configuration; says whether the limit is kept and all plans are the same."""
     failed: dict[str, list[tuple[float, float]]] = {}
     answered, is_same = 0, True
     for seed in range(rooms):
@@ -182,16 +182,16 @@ def measure(name: str, config: RoomConfig, rooms: int, count: int, kinds: bool) 
 def main() -> int:
     """Measure everything."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    schematics = list_schematics()
-    parser.add_argument("--schematics", nargs="+", choices=schematics, default=list(schematics))
-    parser.add_argument("--rooms", type=int, default=2, help="rooms of each schematic")
+    configs = list_configs()
+    parser.add_argument("--configs", nargs="+", choices=configs, default=list(configs))
+    parser.add_argument("--rooms", type=int, default=2, help="rooms of each room configuration")
     parser.add_argument("--count", type=int, default=3, help="questions of each kind in a room")
     parser.add_argument("--kinds", action="store_true", help="a line for each kind of question and reason, too")
     args = parser.parse_args()
-    warm = generate(schematics["arm-two-button"], 0)  # compiles
+    warm = generate(configs["arm-two-button"], 0)  # compiles
     for question in (*ask_by_body(warm, np.random.default_rng(0)), *ask_by_hand(warm, np.random.default_rng(0))):
         answer(question)
-    met = [measure(name, schematics[name], args.rooms, args.count, args.kinds) for name in args.schematics]
+    met = [measure(name, configs[name], args.rooms, args.count, args.kinds) for name in args.configs]
     return 0 if all(met) else 1
 
 

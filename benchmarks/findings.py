@@ -8,14 +8,14 @@ from typing import Any
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.files import read_json
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 
 __all__ = ["list_batched_rooms", "load_findings"]
 
 
 def list_batched_rooms(names: Collection[str] | None) -> Iterator[tuple[str, RoomConfig]]:
     """Presets and knob extremes that the batched engine knows, of these names; all of them where there are none."""
-    for name, config in all_schematics().items():
+    for name, config in all_configs().items():
         if names and name not in names:
             continue
         if config.dynamics.kind == "kinematic":

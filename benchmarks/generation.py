@@ -1,9 +1,9 @@
-"""CPU time that sampling a room costs, over schematics drawn from the whole range of their fields.
+"""CPU time that sampling a room costs, over room configurations drawn from the whole range of their fields.
 
     python benchmarks/generation.py --count 300
 
-Prints how many were sampled or refused, quantiles of CPU seconds, and the dearest schematic. The issue of a schematic
-is decided by counted work (`LARGEST_WORK`), never by these seconds.
+Prints how many were sampled or refused, quantiles of CPU seconds, and the dearest room configuration. The issue of a
+room configuration is decided by counted work (`LARGEST_WORK`), never by these seconds.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, GenerationError
 
 
-def draw_schematic(rng: np.random.Generator) -> RoomConfig:
-    """Schematic with every field of weight for sampling drawn from its range, small and large ones alike."""
+def draw_config(rng: np.random.Generator) -> RoomConfig:
+    """Room configuration with every field of weight for sampling drawn from its range, small and large ones alike."""
     while True:
         try:
             return RoomConfig.from_dict(_draw_fields(rng))
@@ -60,7 +60,7 @@ def main() -> None:
     args = parser.parse_args()
     rng, rows, refused = np.random.default_rng(args.seed), [], 0
     for number in range(args.count):
-        config = draw_schematic(rng)
+        config = draw_config(rng)
         began = time.process_time()
         try:
             generate(config, number)

@@ -76,7 +76,7 @@ def compare_options(instances: Sequence[RoomInstance], decisions: int, *, seed: 
     """Let masked random options run in a batch and make each of their decisions again with `OptionsEnv`.
 
     Args:
-        instances: rooms of one schematic.
+        instances: rooms of one room configuration.
         decisions: decisions to compare in each instance.
         seed: of the choices and episodes.
     """

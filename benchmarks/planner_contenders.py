@@ -30,7 +30,7 @@ from hrl_escape.errors import GenerationError
 from hrl_escape.files import write_text
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.areas import compute_goal_area
-from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, describe_goal, is_reached
+from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, is_reached, name_goal
 from hrl_escape.planning.motion.limits import MotionLimits, compute_duration, compute_rest_to_rest
 from hrl_escape.planning.paths.navigator import PathResult
 from hrl_escape.planning.paths.planners import list_planners
@@ -55,7 +55,7 @@ class Floor:
     """A kind of queries.
 
     Attributes:
-        config: schematic of the rooms.
+        config: configuration of the rooms.
         goals: goals asked for: the room's buttons and exit in turn, or free places.
         has_reference: the near-exact reference answers within seconds.
     """
@@ -97,7 +97,7 @@ class Query:
     """One query and the reference's answer.
 
     Attributes:
-        floor: name of the schematic.
+        floor: name of the room configuration.
         search: primitive search of the room.
         state: first state.
         goal: the goal.
@@ -119,7 +119,7 @@ class QueryResult:
 
     Attributes:
         contender: `AUTO`, `FIELDS`, a path planner, or its bare path.
-        floor: name of the schematic.
+        floor: name of the room configuration.
         instance: id of the room.
         goal: the goal in words.
         reached: the goal was reached, confirmed by replay, without falling back on another contender.
@@ -181,7 +181,7 @@ def make_queries(floor: str, seeds: Iterable[int], each: int, config: RoomConfig
         floor: one of `FLOORS`, or any name if `config` is given.
         seeds: instance seeds, one room each; those of which no room can be made are left out.
         each: number of queries in a room; their goals cycle through its buttons and exit, or are free places.
-        config: another schematic; its buttons are pressed by the body and its exit has no door.
+        config: another room configuration; its buttons are pressed by the body and its exit has no door.
     """
     kind = Floor(config) if config else FLOORS[floor]
     queries: list[Query] = []
@@ -259,7 +259,7 @@ def _measure_query(query: Query, contender: str) -> QueryResult:
     _, again = ask(one, query.goal)
     ask(other, query.other)
     _, new = ask(other, query.goal)
-    goal = describe_goal(query.goal, instance)
+    goal = name_goal(query.goal, instance)
     if isinstance(result, PathResult):
         lines = np.hypot(*np.diff(result.path, axis=0).T).tolist()
         seconds = sum(compute_rest_to_rest(line, LIMITS.speed, LIMITS.acceleration, LIMITS.jerk) for line in lines)

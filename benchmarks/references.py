@@ -145,7 +145,7 @@ def choose_levels(curve: Sequence[float], targets: Sequence[float]) -> list[int]
 
 
 def make_config(name: str, changes: str) -> RoomConfig:
-    """Schematic of a name with fields changed, written as for `--set`."""
+    """Room configuration of a name with fields changed, written as for `--set`."""
     fields = RoomConfig().to_dict() | {"name": name}
     for text in changes.split():
         change_field(fields, *split_assignment(text, "set", "puzzle.count=3"))

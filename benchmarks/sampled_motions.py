@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.trajectories import SLACK, change_robot, list_schematics, list_touches, measure_peaks, solve
+from benchmarks.trajectories import SLACK, change_robot, list_configs, list_touches, measure_peaks, solve
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.kinematics import Kinematics, RoomState
@@ -32,7 +32,7 @@ from hrl_escape.env.presets import (
     sokoban,
     taxi,
 )
-from hrl_escape.env.puzzles.traits import Mapped
+from hrl_escape.env.puzzles.mixins import Mapped
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError, GenerationError
 from hrl_escape.planning.goals import Goal, GripGoal, PressGoal, is_reached
@@ -42,11 +42,11 @@ from hrl_escape.planning.motion.trajectory import TimedTrajectory, make_trajecto
 from hrl_escape.planning.planner import RoomPlanner
 
 DRIVING = {f"{name}, driving rectangle": name for name in ("paper-two-button", "clutter", "ten-button", "paper-random")}
-"""Presets of schematics whose robot is a rectangle with a differential drive."""
+"""Presets of room configurations whose robot is a rectangle with a differential drive."""
 CARRYING = {"taxi": taxi, "foraging": foraging, "blocks-world": blocks_world,
             "blocks-world, hand": lambda: blocks_world(hand=True), "door-key": door_key, "key-corridor": key_corridor,
             "multi-room": multi_room, "sokoban": sokoban}
-"""Schematics of things to grip, use and push."""
+"""Room configurations of things to grip, use and push."""
 NAMES = ("paper-two-button", "clutter", "ten-button", "inner-doors", "four-rooms", "arm-two-button", "arm-four-joints",
          "clutter, differential", "clutter, rectangle", *DRIVING, *CARRYING)
 
@@ -61,12 +61,12 @@ class Leg(NamedTuple):
     faults: tuple[str, ...]
 
 
-def make_schematic(name: str) -> RoomConfig:
-    """A schematic by its name."""
+def make_gripping_config(name: str) -> RoomConfig:
+    """A room configuration by its name."""
     if name in CARRYING:
         return CARRYING[name]()
     if name not in DRIVING:
-        return list_schematics()[name]
+        return list_configs()[name]
     return change_robot(get_preset(DRIVING[name]), footprint="rectangle", body_length=1.0, body_width=0.6,
                         drive="differential")
 
@@ -96,7 +96,7 @@ def list_faults(rules: Kinematics, state: RoomState, goal: Goal, trajectory: Tim
 
 def measure(name: str, seed: int) -> list[Leg]:
     """Measure the legs of one room's escape."""
-    plan, limits = solve(generate(make_schematic(name), seed)), MotionLimits()
+    plan, limits = solve(generate(make_gripping_config(name), seed)), MotionLimits()
     planner, rules = RoomPlanner(plan.instance), Kinematics(plan.instance)
     sampler, legs = MotionSampler(plan.instance, limits), []
     for part in plan.parts:
@@ -132,7 +132,7 @@ def clock(make: Callable[[], TimedTrajectory]) -> tuple[TimedTrajectory | None, 
 
 
 def main() -> None:
-    """Print a row a schematic."""
+    """Print a row a room configuration."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rooms", type=int, default=4)
     parser.add_argument("--names", nargs="*", default=NAMES)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.baseline import BaselineRun
+from studies.controls import compare_controls, group, list_questions
 from studies.factorial.design import get_factors, make_label, make_screening_design, read_levels
 from studies.factorial.effects import (
     SHARE,
@@ -41,7 +42,6 @@ from studies.scaling.results import ScalingRun
 from studies.scaling.rounds import AGENTS, BAR, BAR_AGENT, RULES, TOLD, TOLD_TASKS
 from studies.scaling.told import compute_told_costs
 from studies.study import find_study
-from studies.twins import compare_twins, group, list_questions
 
 __all__ = ["PAGES", "Draw"]
 
@@ -132,8 +132,8 @@ def is_wrong_of_fresh_effects(draw: Draw, rng: np.random.Generator) -> bool:
 # --- pages of a line a run ---------------------------------------------------------------------
 
 
-def is_wrong_of_twins(name: str, draw: Draw, rng: np.random.Generator) -> bool:
-    """The page calls an agent better or worse than its twin; 10 runs in each room of the study."""
+def is_wrong_of_controls(name: str, draw: Draw, rng: np.random.Generator) -> bool:
+    """The page calls an agent better or worse than its control; 10 runs in each room of the study."""
     study = find_study(name)
     (grid,) = study.grids
     lines = [BaselineRun("per-instance", study.name, room.label, agent.label, seed, BUDGET, float(value), None,
@@ -142,7 +142,7 @@ def is_wrong_of_twins(name: str, draw: Draw, rng: np.random.Generator) -> bool:
              for seed, value in enumerate(draw(rng, RUNS))]
     cells, rooms = group(lines), [room.label for room in grid.rooms]
     return any(contrast.is_better or contrast.is_worse
-               for contrasts in compare_twins(list_questions(study), cells, rooms) for contrast in contrasts)
+               for contrasts in compare_controls(list_questions(study), cells, rooms) for contrast in contrasts)
 
 
 def tell_rungs(draw: Draw, rng: np.random.Generator) -> str:
@@ -258,9 +258,9 @@ PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
     "claims of the paper": is_wrong_of_claims,
     "why it worsens": is_wrong_of_screening,
     "its paths": is_wrong_of_paths,
-    "task hierarchies and their twins": lambda draw, rng: is_wrong_of_twins("hierarchies", draw, rng),
-    "learned hierarchies and their twins": lambda draw, rng: is_wrong_of_twins("learned", draw, rng),
-    "intra-option learning and its twin": lambda draw, rng: is_wrong_of_twins("intra-option", draw, rng),
+    "task hierarchies and their controls": lambda draw, rng: is_wrong_of_controls("hierarchies", draw, rng),
+    "learned hierarchies and their controls": lambda draw, rng: is_wrong_of_controls("learned", draw, rng),
+    "intra-option learning and its control": lambda draw, rng: is_wrong_of_controls("intra-option", draw, rng),
     "why it worsens: what suffices": is_wrong_of_sufficiency,
     "why it worsens: fresh runs": is_wrong_of_fresh_effects,
     "order of the ladder's rungs": is_wrong_of_rungs,

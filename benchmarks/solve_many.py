@@ -132,7 +132,7 @@ def main() -> int:
     escaped = sum(row["end"] == "escaped" for row in rows)
     seconds = time.perf_counter() - began
     print(f"\nescaped {escaped} of {len(rows) - len(missing)} rooms in {seconds:.0f} s"
-          + (f"; {len(missing)} schematics gave no solvable room" if missing else ""))
+          + (f"; {len(missing)} room configurations gave no solvable room" if missing else ""))
     if arguments.csv:
         with arguments.csv.open("w", newline="") as file:
             writer = csv.DictWriter(file, ["family", "seed", "end", "why", "primitives", "id", "generating_s",

@@ -23,7 +23,7 @@ import gymnasium
 import numpy as np
 
 from hrl_escape.options import MaskedObservation
-from tests.options.oracle import Skill, compare_with_twin
+from tests.options.oracle import Skill, compare_with_copy
 
 ROOT = Path(__file__).parents[1]
 TORCH = "torch==2.13.0"
@@ -171,7 +171,7 @@ def check_ale() -> str:
         Skill("serve", lambda ram: fire, lambda ram: ram[101] != 0, lambda ram: ram[101] == 0),
         Skill("wait", lambda ram: 0, lambda ram: ram[101] == 0, lambda ram: ram[101] != 0),
     ]
-    replayed = compare_with_twin(
+    replayed = compare_with_copy(
         lambda: gymnasium.make("ALE/Breakout-v5", obs_type="ram", max_episode_steps=300), skills, decisions=300)
     assert replayed.longest > 20 and replayed.terminated and replayed.truncated and replayed.masked, replayed
     return str(replayed)
@@ -198,7 +198,7 @@ def check_point_maze() -> str:
     ]
     found = []
     for name in ("PointMaze_OpenDense-v3", "PointMaze_UMaze-v3"):  # the wall of the second keeps the ball from its goal
-        found.append(compare_with_twin(
+        found.append(compare_with_copy(
             lambda name=name: gymnasium.make(name, continuing_task=False, max_episode_steps=100), skills, decisions=60))
     assert found[0].terminated and found[1].truncated, found
     assert all(each.longest > 20 and each.masked for each in found), found

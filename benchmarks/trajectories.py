@@ -42,7 +42,7 @@ PRESETS = ("paper-two-button", "paper-random", "clutter", "ten-button", "twenty-
            "puddle-world", "key-chest", "pin-pad", "arm-two-button")
 DRIVEN = ("paper-two-button", "paper-random", "clutter", "clutter, rectangle", "clutter, differential",
           "arm-two-button", "arm-four-joints")
-"""Schematics whose rooms are driven in physics."""
+"""Room configurations whose rooms are driven in physics."""
 MOST_FAILURES = 5
 """Options in a row that may fail before a room is given up."""
 SLACK = 1e-6
@@ -51,8 +51,8 @@ CLOCK_ROUNDING = 1e-12
 """Error of a time at a knot, which is a sum, s."""
 
 
-def list_schematics() -> dict[str, RoomConfig]:
-    """Schematics by name: the presets that neither grip nor push, and further bodies and hands."""
+def list_configs() -> dict[str, RoomConfig]:
+    """Room configurations by name: the presets that neither grip nor push, and further bodies and hands."""
     found = {name: get_preset(name) for name in PRESETS}
     found["arm-four-joints"] = change_robot(found["arm-two-button"], joints=4)
     for name in ("clutter", "lights-out", "potions"):
@@ -62,7 +62,7 @@ def list_schematics() -> dict[str, RoomConfig]:
 
 
 def change_robot(config: RoomConfig, **changes: object) -> RoomConfig:
-    """A schematic with other settings of its robot."""
+    """A room configuration with other settings of its robot."""
     robot: RobotConfig = dataclasses.replace(config.robot, **changes)  # type: ignore[arg-type]
     return dataclasses.replace(config, robot=robot)
 
@@ -149,12 +149,12 @@ def measure_peaks(trajectory: TimedTrajectory, limits: MotionLimits) -> dict[str
 
 
 def check(count: int, first: int = 0) -> Iterator[tuple[str, int, list[str]]]:
-    """Check one trajectory after another: name of the schematic, seed, and faults (refusals begin with `refused`)."""
-    schematics, limits = list_schematics(), MotionLimits()
+    """Check one trajectory after another: configuration, seed, and faults (refusals begin with `refused`)."""
+    configs, limits = list_configs(), MotionLimits()
     for number in range(first, first + count):
-        name, seed = list(schematics)[number % len(schematics)], number // len(schematics)
+        name, seed = list(configs)[number % len(configs)], number // len(configs)
         try:
-            plan = solve(generate(schematics[name], seed))
+            plan = solve(generate(configs[name], seed))
         except EscapeError as error:
             yield name, seed, [f"no plan: {type(error).__name__}"]
             continue
@@ -204,7 +204,7 @@ def drive(config: RoomConfig, seed: int, planner: str) -> tuple[bool, list[str],
 
 
 def drive_all(rooms: int, planner: str, names: tuple[str, ...]) -> bool:
-    """Print a row a schematic; says whether 99 % of all options ended as planned."""
+    """Print a row a room configuration; says whether 99 % of all options ended as planned."""
     ended, total = 0, 0
     print(f"{'':24s} escaped  of  options as planned   of  base mm p50    p99  joints rad p99")
     for name in names:
@@ -212,7 +212,7 @@ def drive_all(rooms: int, planner: str, names: tuple[str, ...]) -> bool:
         while driven < rooms:
             seed = next(seeds)
             try:
-                has_escaped, found, away = drive(list_schematics()[name], seed, planner)
+                has_escaped, found, away = drive(list_configs()[name], seed, planner)
             except GenerationError:
                 continue
             driven, escaped, faults, errors = driven + 1, escaped + has_escaped, faults + found, errors + away
@@ -227,12 +227,12 @@ def drive_all(rooms: int, planner: str, names: tuple[str, ...]) -> bool:
 
 
 def main() -> None:
-    """Count faults by schematic."""
+    """Count faults by room configuration."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--first", type=int, default=0, help="number of the first, to go on where a run ended")
-    parser.add_argument("--physics", type=int, metavar="ROOMS", help="drive so many rooms a schematic in physics")
-    parser.add_argument("--names", nargs="+", choices=DRIVEN, default=DRIVEN, help="schematics driven in physics")
+    parser.add_argument("--physics", type=int, metavar="ROOMS", help="drive so many rooms of each kind in physics")
+    parser.add_argument("--names", nargs="+", choices=DRIVEN, default=DRIVEN, help="rooms driven in physics")
     parser.add_argument("--planner", default="auto", help="of the options, as in `OptionsEnv`")
     chosen = parser.parse_args()
     if chosen.physics:
@@ -245,7 +245,7 @@ def main() -> None:
         if faults:
             print(f"{name} {seed}: {'; '.join(faults)}", flush=True)
         wrong += bool(faults) and group is made
-    for name in list_schematics():
+    for name in list_configs():
         print(f"{name:28s} {made[name]:4d} made {refused[name]:4d} refused {unplanned[name]:4d} without a plan")
     print(f"{made.total()} made, {wrong} of them wrong, {refused.total()} refused, {unplanned.total()} without a plan")
     sys.exit(wrong > 0)

@@ -1,7 +1,7 @@
 """Door 2: the same room with options. One step is one decision, which may run many primitives.
 
-The planned options `meta-01` and `meta-02` press a button each, and `meta-exit` leaves, from anywhere. `info` holds the
-numbers of a decision: duration k, discount gamma^k, the sum of gamma^i r_i, and the legal actions.
+The planned options `press-button-1` and `press-button-2` press a button each, and `go-to-exit` leaves, from anywhere.
+`info` holds the numbers of a decision: duration k, discount gamma^k, the sum of gamma^i r_i, and the legal actions.
 """
 
 import gymnasium
@@ -21,7 +21,7 @@ def main(seed: int = 0) -> None:
     observation, info = env.reset(seed=seed)
     print(f"{len(env.action_names)} actions: {', '.join(env.action_names)}")
     total = 0.0
-    for name in ("meta-01", "meta-02", "meta-exit"):
+    for name in ("press-button-1", "press-button-2", "go-to-exit"):
         action = env.action_names.index(name)
         assert info["action_mask"][action], f"{name} cannot start here"
         observation, reward, terminated, truncated, info = env.step(action)

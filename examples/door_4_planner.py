@@ -18,8 +18,8 @@ def main(room: str = "clutter", draw: Path = Path("plan.svg")) -> None:
     env = hrl_escape.make_env(room)
     env.reset(seed=0)
     planner = RoomPlanner(env.unwrapped.instance)
-    target = env.unwrapped.instance.targets[0].name
-    print(f"to {target}: {planner.plan(env.unwrapped.get_state(), target).cost} primitives")
+    goal = f"press-{env.unwrapped.instance.targets[0].name}"
+    print(f"{goal}: {planner.plan(env.unwrapped.get_state(), goal).cost} primitives")
     plan = planner.solve(env.unwrapped.get_state())
     print(plan)
     execution = plan.execute(env)

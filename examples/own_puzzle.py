@@ -1,7 +1,8 @@
 """Your own puzzle: Lights Out in a row. Pressing a light toggles it and its neighbours; all on opens the exit.
 
-A puzzle is a schematic part (`PuzzleConfig`), rules as pure functions of a hashable state (`Puzzle`), and a symbolic
-model from which options, planners and PDDL follow. Publish it under the entry-point group `hrl_escape.puzzles`.
+A puzzle is a part of the room configuration (`PuzzleConfig`), rules as pure functions of a hashable state (`Puzzle`),
+and a symbolic model from which options, planners and PDDL follow. Publish it under the entry-point group
+`hrl_escape.puzzles`.
 """
 
 import dataclasses
@@ -15,8 +16,8 @@ from hrl_escape.checks import check_puzzle
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.mixins import Graphed
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.settings import Range
@@ -24,7 +25,7 @@ from hrl_escape.settings import Range
 
 @dataclasses.dataclass(frozen=True)
 class LightRowConfig(PuzzleConfig):
-    """Schematic: how many lights."""
+    """Room configuration: how many lights."""
 
     kind = "light-row"
     count: Annotated[int, Range(2, 12)] = 4
@@ -95,9 +96,9 @@ def main(count: int = 4, seed: int = 0, draw: Path = Path("light-row.svg")) -> N
         draw: picture to write.
     """
     check_puzzle(LightRow(count))
-    schematic = RoomConfig(name="light-row", puzzle=LightRowConfig(count), robot=RobotConfig(body_radius=0.5),
+    config = RoomConfig(name="light-row", puzzle=LightRowConfig(count), robot=RobotConfig(body_radius=0.5),
                            room=ShapeConfig(width=12, depth=12))
-    room = generate(schematic, seed)
+    room = generate(config, seed)
     plan = RoomPlanner(room).solve(Kinematics(room).make_state(room.starts[0]))
     print(plan)
     plan.draw(draw)

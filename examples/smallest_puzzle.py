@@ -10,7 +10,7 @@ from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig, register_p
 
 @dataclasses.dataclass(frozen=True)
 class TogglesConfig(PuzzleConfig):
-    """The schematic, which has no knobs."""
+    """The room configuration, which has no knobs."""
 
     kind, panels = "toggles", Panels(width=1.5)
 

@@ -12,21 +12,21 @@ import gymnasium
 import numpy as np
 
 from hrl_escape import EscapeRoomEnv, OptionsEnv, get_preset
-from hrl_escape.text import ToldEnv, ToolCall
+from hrl_escape.text import TextEnv, ToolCall
 
 
 class EscapeRoomText(gymnasium.Wrapper):
     """Takes an option by its name, and answers in words.
 
     Args:
-        env: a `ToldEnv` over options alone.
+        env: a `TextEnv` over options alone.
 
     Attributes:
         progression: the most of the puzzle that has been solved in the game, from 0 to 1; 1 after an escape.
         failed_candidates: actions that were none, in order.
     """
 
-    def __init__(self, env: ToldEnv) -> None:
+    def __init__(self, env: TextEnv) -> None:
         super().__init__(env)
         self.told, self.progression = env, 0.0
         self.failed_candidates: list[str] = []
@@ -76,7 +76,7 @@ class EscapeRoomText(gymnasium.Wrapper):
 
 if __name__ == "__main__":
     options = OptionsEnv(EscapeRoomEnv(config=get_preset("paper-two-button")), include_primitives=False)
-    room, rng = EscapeRoomText(ToldEnv(options)), np.random.default_rng(0)
+    room, rng = EscapeRoomText(TextEnv(options)), np.random.default_rng(0)
     observation, _ = room.reset(seed=0)
     print(room.get_instruction_prompt())
     over, candidates = False, [*room.language_action_space, "ask for the code"]

@@ -75,7 +75,7 @@ def main() -> None:
         return
     room = room_class()
     print(room.reset(seed=0).text)
-    for option in ("press button-1", "press button-2", "leave"):
+    for option in ("press-button-1", "press-button-2", "go-to-exit"):
         seen = room.step(action_class(tool="run_option", arguments={"option": option}))
         print(seen.text, seen.reward, seen.done)
 

@@ -18,24 +18,24 @@ class EscapeRoom:
     """One room a rollout, drawn by the example's `seed`.
 
     Args:
-        preset: schematic of the rooms.
-        told: names, places or model.
+        preset: configuration of the rooms.
+        reveal: names, places or model.
     """
 
-    def __init__(self, preset: str = "paper-two-button", told: Any = "places") -> None:
-        self._config, self._told = get_preset(preset), told
+    def __init__(self, preset: str = "paper-two-button", reveal: Any = "places") -> None:
+        self._config, self._reveal = get_preset(preset), reveal
         self._session: RoomSession | None = None
 
     def reset(self, seed: int = 0, **example: Any) -> str:
         """Begin a game in the room of this seed; returns the text that begins it."""
-        self._session = RoomSession(EscapeRoomEnv(instance=generate(self._config, seed)), self._told)
+        self._session = RoomSession(EscapeRoomEnv(instance=generate(self._config, seed)), self._reveal)
         return self._session.reset(seed=seed)
 
     def run_option(self, option: str) -> str:
         """Carry out an option to its end, such as driving to a button and pressing it.
 
         Args:
-            option: Name of the option, such as `press button-1`, or `leave` for the way out.
+            option: Name of the option, such as `press-button-1`, or `go-to-exit` for the way out.
 
         Returns:
             What happened, what it cost and what can be done next.
@@ -75,6 +75,6 @@ class EscapeRoom:
 if __name__ == "__main__":
     room = EscapeRoom()
     print(room.reset(seed=0))
-    for option in ("press button-1", "press button-2", "leave"):
+    for option in ("press-button-1", "press-button-2", "go-to-exit"):
         print(room.run_option(option))
     print(f"reward {room.get_reward():.2f}")

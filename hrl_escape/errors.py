@@ -53,7 +53,7 @@ def name_install(extra: str) -> str:
 
 
 class ConfigError(EscapeError, ValueError):
-    """A value in a schematic is impossible.
+    """A value in a room configuration is impossible.
 
     Attributes:
         field: dotted path of the field, such as `robot.body_radius`.
@@ -67,7 +67,7 @@ class ConfigError(EscapeError, ValueError):
 
 
 class GenerationError(EscapeError, RuntimeError):
-    """No solvable room was found for a schematic within the bounded number of tries.
+    """No solvable room was found for a room configuration within the bounded number of tries.
 
     Attributes:
         constraint: the constraint that failed last.
@@ -90,12 +90,14 @@ class RobotError(EscapeError, ValueError):
 class UnknownNameError(EscapeError, KeyError):
     """A name is unknown; the message gives the closest known name, then all, and a note where there is more to say."""
 
-    def __init__(self, what: str, name: object, known: Iterable[str], note: str = "") -> None:
+    def __init__(self, what: str, name: object, known: Iterable[str], note: str = "", closest: str | None = None
+                 ) -> None:
         self.what, self.name, self.known = what, name, tuple(sorted(known))
         shown = show_value(name)
         longer = sorted((other for other in self.known if len(str(name)) > 2 and other.startswith(str(name))), key=len)
         close = longer or (difflib.get_close_matches(str(name), self.known, n=1) if len(shown) < 100 else ())
-        hint = f"; did you mean {close[0]!r}?" if close else "."
+        closest = closest or (close[0] if close else None)
+        hint = "." if closest is None else f"; did you mean {closest!r}?"
         self.message = f"unknown {what} {shown}{hint} Known: {', '.join(self.known) or 'none'}{note}"
         super().__init__(self.message)
 
@@ -150,6 +152,14 @@ class FileWriteError(EscapeError, OSError):
 
 class FileReadError(EscapeError, OSError):
     """A file is missing, truncated or of another kind than its name says."""
+
+
+class OldFormatError(FileReadError):
+    """A file is of version 0.3; the message names the command that converts it."""
+
+    def __init__(self, path: object, what: str) -> None:
+        super().__init__(f"{path}: this {what} is of version 0.3. `hrl-escape convert {path}` writes it in the form of "
+                         "this version")
 
 
 class PluginError(EscapeError, ImportError):
@@ -323,7 +333,7 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
         x, y, heading = start
         tried = f"; tried {', '.join(planners)} for {seconds:.2f} s" if planners else ""
         super().__init__(
-            f"no plan to {goal} from ({x:.2f}, {y:.2f}) heading {heading:.2f} rad: {self.reason.value}{tried}"
+            f"no plan for {goal} from ({x:.2f}, {y:.2f}) heading {heading:.2f} rad: {self.reason.value}{tried}"
             + (f"; nearest: {nearest}" if nearest else "")
             + (f". {advice}" if advice else "")
         )
@@ -364,7 +374,7 @@ class ComparisonError(EscapeError, RuntimeError):
 
 
 class VerificationError(EscapeError, ValueError):
-    """Something is not what was published: a root or a set of a benchmark's rooms, or the content of a tape."""
+    """Something is not what was published: a root or a set of a benchmark's rooms, or the content of a recording."""
 
 
 # --- the viewer ------------------------------------------------------------------------

@@ -49,6 +49,14 @@ def join_words(words: Iterable[str], last: str = "and") -> str:
     return f"{', '.join(before)} {last} {end}" if before else end
 
 
+def number_options(count: int) -> tuple[str, ...]:
+    """Keys of a room's options by number, the exit's last: `meta-01`, `meta-02`, `meta-exit`.
+
+    Draws of degraded options and hashes of published recordings depend on them, and not on what options are called.
+    """
+    return (*(f"meta-{number:02d}" for number in range(1, count)), "meta-exit") if count else ()
+
+
 def count_nouns(number: int, noun: str) -> str:
     """Number and noun: `1 room`, `2 rooms`, `1,000 rooms`."""
     return f"{number:,} {noun}{'' if number == 1 else 's'}"

@@ -1,6 +1,6 @@
 """Frozen dataclass settings: ranges in the annotations, a sentence under each field, checks at construction.
 
-Schematics, puzzles, agents and grids are all written in this form:
+Room configurations, puzzles, agents and grids are all written in this form:
 
     @dataclasses.dataclass(frozen=True)
     class ShapeConfig(Settings):

@@ -135,12 +135,12 @@ CALLS: dict[str, tuple[Callable[..., Any], Callable[[str], tuple[st.SearchStrate
     "make_go_to": (lambda name, goal: make_go_to(_PLANNERS[name], goal), lambda n: (_any_goal,)),
     "make_press": (lambda name, target: make_press(_PLANNERS[name], target), lambda n: (_any_goal,)),
     "make_reach": (lambda name, target: make_reach(_PLANNERS[name], target), lambda n: (_any_goal,)),
-    "make_meta_options": (lambda name, flavour: make_meta_options(ROOMS[name], flavour), lambda n: (_anything,)),
+    "make_meta_options": (lambda name, option_set: make_meta_options(ROOMS[name], option_set), lambda n: (_anything,)),
     "OptionDegradation": (lambda name, *a: OptionDegradation(*a), lambda n: (_anything, _anything)),
     "pursue": (lambda name, goal: pursue(_get_env(name), goal, _PLANNERS[name]),
                lambda n: (_texts | _goals | _wrong,)),
-    "OptionsEnv": (lambda name, flavour, gamma, longest, planner: OptionsEnv(
-        _get_env(name), flavour=flavour, discount=gamma, max_duration=longest, planner=planner),
+    "OptionsEnv": (lambda name, option_set, gamma, longest, planner: OptionsEnv(
+        _get_env(name), option_set=option_set, discount=gamma, max_duration=longest, planner=planner),
         lambda n: (st.just("press") | _anything, st.floats(0.5, 1.0) | _anything, st.none() | _anything, _methods)),
     "OptionsEnv.step": (_step_options, lambda n: (st.lists(_actions, max_size=3),)),
     "set_state": (_set_and_step, lambda n: (_states(n), _actions)),

@@ -73,7 +73,7 @@ def test_a_machine_on_which_every_look_at_the_clock_takes_a_minute_makes_the_sam
 def test_a_limit_holds_over_the_whole_call_and_its_result_says_so():
     """Nothing in this room leads within 0.5 m of the place, so that every finer grid would be searched."""
     planner, start = make_planner(time_limit=0.5)
-    planner.plan(start, "button-1")
+    planner.plan(start, "press-button-1")
     for attempt in (lambda: planner.plan(start, "10.0,0.0"), lambda: planner.plan(start, "0.03,0.04,1")):
         began = kernels.read_clock()
         try:

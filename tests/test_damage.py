@@ -1,4 +1,4 @@
-"""Rooms, grids, schematics and episodes in files are read or refused in words, whatever is in them."""
+"""Rooms, grids, room configurations and episodes in files are read or refused in words, whatever is in them."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def make_json(kind, room, path):
         return room.to_dict(), RoomInstance.load
     if kind == "grid":
         return SMALL.to_dict(), load_grid
-    if kind == "schematic":
+    if kind == "room configuration":
         return SCHEMATIC.to_dict(), lambda path: find_config(str(path))
     save_episode(path, SavedEpisode(room, 0, (("forward", (0, 0), "done"),), -2.0, False))
     return json.loads(path.read_text()), load_episode
 
 
 @pytest.mark.in_turn_for("values-episode")
-@pytest.mark.parametrize("kind", ["room", "grid", "schematic", "episode"])
+@pytest.mark.parametrize("kind", ["room", "grid", "room configuration", "episode"])
 @pytest.mark.parametrize("how", ["bytes", "values"])
 def test_a_changed_file_is_read_or_refused_in_words(tmp_path, room, kind, how):
     path = tmp_path / "x.json"
@@ -58,7 +58,7 @@ def test_a_changed_file_is_read_or_refused_in_words(tmp_path, room, kind, how):
 @pytest.mark.parametrize("text", [
     "[room]\nwidth = 0x" + "f" * 5_000, "horizon = 0x" + "f" * 5_000, "[room]\nwidth = " + "[" * 90 + "]" * 90,
     "[" + "a." * 90 + "b]\nc = 1", "x" * 5_000 + " = 1"])
-def test_an_extreme_schematic_is_one_short_line(tmp_path, capsys, text):
+def test_an_extreme_room_configuration_is_one_short_line(tmp_path, capsys, text):
     (tmp_path / "x.toml").write_text(text)
     assert read_toml(tmp_path / "x.toml")
     code, _, err = call(capsys, "room", "--room", tmp_path / "x.toml")

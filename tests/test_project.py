@@ -46,7 +46,7 @@ env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip env.sampling.generatio
 env.bullet.engine env.bullet.physics env.batched.engine env.batched.rules
 env.escape_room env.vector_env env.torchrl_env
 sets.benchmark sets.rung sets.instance_set ladder.references
-data.tape data.materialise text.told_env
+data.recording data.materialise text.text_env
 """.split()
 
 ALLOWED_IMPORTS = {
@@ -154,9 +154,9 @@ def test_import_contracts_find_planted_violations(tmp_path: Path):
 
 # --- names -----------------------------------------------------------------------------
 
-TWINS = [PACKAGE / "env", PACKAGE / "env/batched"]
+TENSOR_FORMS = [PACKAGE / "env", PACKAGE / "env/batched"]
 """The tensor rules of `env.batched` have the names of the scalar rules that they are."""
-TWIN_FILES = [PACKAGE / "env/geometry.py", PACKAGE / "env/tensor_geometry.py"]
+TENSOR_FILES = [PACKAGE / "env/geometry.py", PACKAGE / "env/tensor_geometry.py"]
 """So has the geometry of tensors."""
 
 
@@ -180,7 +180,8 @@ def find_homonyms(modules: dict[Path, str]) -> dict[str, list[Path]]:
         for name in list_names(source) - {"run"} - commands:
             homes.setdefault(name, []).append(path)
     return {name: paths for name, paths in homes.items()
-            if len(paths) > 1 and sorted(path.parent for path in paths) != TWINS and sorted(paths) != TWIN_FILES}
+            if len(paths) > 1 and sorted(path.parent for path in paths) != TENSOR_FORMS
+            and sorted(paths) != TENSOR_FILES}
 
 
 def test_a_name_has_one_meaning():
@@ -193,7 +194,7 @@ def test_a_name_of_two_meanings_is_found():
     assert not find_homonyms({here: "_Plan = 1", there: "_Plan = 2"})
     assert not find_homonyms({PACKAGE / "env/poses.py": "def turn(): ...",
                               PACKAGE / "env/batched/poses.py": "def turn(): ..."})
-    assert not find_homonyms(dict.fromkeys(TWIN_FILES, "def measure(): ..."))
+    assert not find_homonyms(dict.fromkeys(TENSOR_FILES, "def measure(): ..."))
 
 
 # --- words -----------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, Rules
 from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.pictures.moving_map import PLAYER, PLAYER_COLOURS, describe_room, make_frames
-from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
+from hrl_escape.env.presets import PRESETS, describe_config, get_preset, make_env_name
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError
 from hrl_escape.options import OptionsEnv
@@ -125,7 +125,7 @@ def list_presets() -> Iterator[Card]:
         facts += [(PLAYED[agent], describe_ends(ends)) for agent, ends in played[name].items()]
         found = "" if config.dynamics.kind == "physics" else search(room)
         facts += [("searcher", found)] if found else []
-        yield Card(name, describe_schematic(config), f"hrl_escape/{make_env_name(name)}-v1", room, tuple(facts),
+        yield Card(name, describe_config(config), f"hrl_escape/{make_env_name(name)}-v1", room, tuple(facts),
                    f"hrl-escape play --room {name}")
 
 
@@ -147,7 +147,7 @@ def list_rungs() -> Iterator[Card]:
             if found:
                 best = max(found, key=found.__getitem__)
                 facts.append((what, f"{found[best]:.2f} ({best.partition('+')[0]})"))
-        yield Card(rung.name, describe_schematic(rung.config), f"{BENCHMARK}/{rung.name}", rung.test[0], tuple(facts),
+        yield Card(rung.name, describe_config(rung.config), f"{BENCHMARK}/{rung.name}", rung.test[0], tuple(facts),
                    f"hrl-escape ladder show {rung.name}")
 
 

@@ -25,8 +25,8 @@ from sphinx.util.docutils import SphinxDirective
 
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.data.card import save_card
-from hrl_escape.data.catalogue import find_tape
-from hrl_escape.data.tape import load_tape
+from hrl_escape.data.catalogue import find_recording
+from hrl_escape.data.recording import load_recording
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.engine import film
 from hrl_escape.env.instance import RoomInstance
@@ -154,7 +154,7 @@ class DataCard(Picture):
         """Replay the first episodes, draw."""
         name = self.arguments[0]
         path = self.choose_path(f"data {name}")
-        save_card(path, load_tape(find_tape(name)))
+        save_card(path, load_recording(find_recording(name)))
         return self.show(path, " ".join(self.content), f"hrl-escape data show {name} --draw card.svg")
 
 

@@ -34,7 +34,7 @@ from hrl_escape.agents.registry import (
 )
 from hrl_escape.agents.training.results import METRICS
 from hrl_escape.cli import main
-from hrl_escape.data.catalogue import RUNGS, TAPE_KINDS, DataSpec
+from hrl_escape.data.catalogue import RECORDING_KINDS, RUNGS, DataSpec
 from hrl_escape.data.published import read_published
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.observations.base import list_observations, make_observer
@@ -224,19 +224,20 @@ class Prices(Table):
         return make_table(("environment", "hierarchy", "flat", "hierarchical", "recursive"), rows)
 
 
-class PublishedTapes(Table):
-    """`{tapes} 1m`: mean return and size of the published data sets of a size."""
+class PublishedRecordings(Table):
+    """`{recordings} 1m`: mean return and size of the published data sets of a size."""
 
     def write(self) -> str:
         """One row a rung, one column a kind."""
         published = read_published()
 
         def tell(spec: DataSpec) -> str:
-            tape = published[spec.name]
-            return f"{tape.scores['mean_return']:.1f} ({tape.bytes / 1000:.0f} kB)"
+            recording = published[spec.name]
+            return f"{recording.scores['mean_return']:.1f} ({recording.bytes / 1000:.0f} kB)"
 
-        return make_table(("rung", *TAPE_KINDS), (
-            (f"`{rung}`", *(tell(DataSpec(rung, kind, self.arguments[0])) for kind in TAPE_KINDS)) for rung in RUNGS))
+        return make_table(("rung", *RECORDING_KINDS), (
+            (f"`{rung}`", *(tell(DataSpec(rung, kind, self.arguments[0])) for kind in RECORDING_KINDS))
+            for rung in RUNGS))
 
 
 class Usage(Table):
@@ -252,6 +253,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in {"knobs": Knobs, "settings": AgentSettings, "metrics": Metrics, "names": Names,
                             "recommended": Recommended, "tuning": TunedSettings, "ladder": Ladder, "rungs": Rungs,
-                            "layouts": Layouts, "prices": Prices, "tapes": PublishedTapes, "usage": Usage}.items():
+                            "layouts": Layouts, "prices": Prices, "recordings": PublishedRecordings,
+                            "usage": Usage}.items():
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

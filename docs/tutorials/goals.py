@@ -11,7 +11,7 @@ import numpy as np
 from hrl_escape import RoomPlanner, train
 from hrl_escape.env.pictures.maps import Trajectory, draw_room
 from hrl_escape.figures import LINES, get_figure_class
-from hrl_escape.synthesis import HierarchyEnv, synthesise
+from hrl_escape.hierarchies import HierarchyEnv, synthesise
 
 flat_room = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button")
 flat_room.reset(seed=0)

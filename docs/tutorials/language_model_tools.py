@@ -7,7 +7,7 @@ measured against the same best known plan.
 from hrl_escape import EscapeRoomEnv
 from hrl_escape.text import RoomSession, ToolCall, make_model, record_game, save_games, verify_games
 
-session = RoomSession(EscapeRoomEnv(config="four-button-chain"), told="places")
+session = RoomSession(EscapeRoomEnv(config="four-button-chain"), reveal="places")
 print(session.reset(seed=0))
 session.env.instance
 
@@ -15,7 +15,7 @@ session.env.instance
 # says what would have been valid.
 
 print([tool["name"] for tool in session.tools()])
-print(session.call("run_option", {"option": "press button-1"}).text)
+print(session.call("run_option", {"option": "press-button-1"}).text)
 print(session.call("open_door").text)
 
 # A caller is any function from transcript and tools to a call. Here a scripted manager goes on, which reads nothing but

@@ -13,7 +13,7 @@ from hrl_escape.env import Kinematics, Operator, Panels, Puzzle, PuzzleConfig, S
 from hrl_escape.env.config import RobotConfig, ShapeConfig
 from hrl_escape.settings import Range
 
-# The schematic part declares the settings and draws what is random, here the order.
+# The room configuration part declares the settings and draws what is random, here the order.
 
 
 @dataclasses.dataclass(frozen=True)

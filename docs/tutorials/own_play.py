@@ -12,7 +12,7 @@ import numpy as np
 
 from hrl_escape import train
 from hrl_escape.comparison import record_episode
-from hrl_escape.data import load_data, make_played_tape, save_tape
+from hrl_escape.data import load_data, make_played_recording, save_recording
 from hrl_escape.data.card import draw_card
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
@@ -33,13 +33,13 @@ for number, moves in enumerate([(SECOND, TURN, FIRST, SECOND, LEAVE), (FIRST, FI
 # The files become a data set. Every move is a decision with its duration; primitives between them are decisions of one.
 # On the command line it is `hrl-escape data make mine --room paper-two-button#0 --played episodes/*.json`.
 
-tape = make_played_tape("mine", "paper-two-button#0", sorted(folder.glob("mine-*.json")))
-save_tape(folder / "mine.npz", tape)
+recording = make_played_recording("mine", "paper-two-button#0", sorted(folder.glob("mine-*.json")))
+save_recording(folder / "mine.npz", recording)
 data = load_data(folder / "mine.npz", observation="features")
 decisions = data.read_decisions(gamma=0.99)
-print(tape)
+print(recording)
 print("durations:", decisions.duration.tolist())
-draw_card(tape)
+draw_card(recording)
 
 # Cloning does what you did most often. Q-iteration puts the best parts of your episodes together: no way through the
 # room is better that consists of choices you made.

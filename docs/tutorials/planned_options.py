@@ -1,8 +1,7 @@
 """Planned options.
 
-Options written by hand suit one room. Without any, `OptionsEnv` has the room's planner make them. `meta-01` to
-`meta-NN` act on one target each, here a press of a button, and `meta-exit` leaves. The action mask marks those that
-can start.
+Options written by hand suit one room. Without any, `OptionsEnv` has the room's planner make them. Each is named by a
+verb and its target, such as `press-button-1`, and `go-to-exit` leaves. The action mask marks those that can start.
 """
 
 import gymnasium
@@ -36,10 +35,9 @@ plan
 
 total = 0.0
 for part in plan.parts:
-    name = "meta-exit" if part.name == "exit" else f"meta-{int(part.name.split('-')[-1]):02d}"
-    _, reward, terminated, _, info = env.step(env.action_names.index(name))
+    _, reward, terminated, _, info = env.step(env.action_names.index(part.name))
     total += reward
-    print(f"  {name}: {info['duration']} primitives, {info['option']['ended']}")
+    print(f"  {part.name}: {info['duration']} primitives, {info['option']['ended']}")
 print(f"by options: escaped {terminated}, return {total:g}")
 
 # Under noise the robot soon leaves the planned path. A planned option observes the state and plans again.
@@ -48,7 +46,7 @@ noisy = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", config={
     **hrl_escape.get_preset("paper-two-button").to_dict(), "dynamics": {"noise": 0.2, "slip": 0.1}}))
 noisy.reset(seed=0)
 replans = 0
-for name in ("meta-01", "meta-02", "meta-exit"):
+for name in ("press-button-1", "press-button-2", "go-to-exit"):
     _, _, terminated, _, info = noisy.step(noisy.action_names.index(name))
     replans += noisy.planning_report.replans
 print(f"with noise 0.2 and slip 0.1: escaped {terminated}, planned again: {replans > 0}")

@@ -62,7 +62,7 @@ class OptionsView(Settings):
     _section = "options"
     include_primitives: bool = False
     """Include the primitives among the choices."""
-    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
+    option_set: str = "press"
     """Meta-actions: press one button, press its ancestors first, or press one by a function of the state."""
     interruptible: bool = False
     """Options return to the agent after every primitive."""
@@ -88,9 +88,9 @@ PARTS: dict[str, AgentPart] = {
                          {"network": "objects"}),
     "memory": AgentPart("a memory of the episode in these rows", "with memory", options={"memory": True}),
     "gru": AgentPart("a recurrent network", "with a recurrent network", {"memory": "gru"}),
-    "reactive": AgentPart("options that are functions of the state", "", options={"flavour": "press-markov"}),
+    "reactive": AgentPart("options that are functions of the state", "", options={"option_set": "press-reactive"}),
     "ancestors": AgentPart("options that press first what must be on before", "",
-                           options={"flavour": "press-with-ancestors"}),
+                           options={"option_set": "press-with-ancestors"}),
     "interruptible": AgentPart("options that return after every primitive", "with interruption",
                                options={"interruptible": True}),
     "primitives": AgentPart("primitives beside the options", "", options={"include_primitives": True}),
@@ -241,8 +241,8 @@ class AgentSpec(Settings):
         """Display name in prose, tables and legends, such as "DQN over options, with memory"."""
         words = [find_title(self.name)]
         if self.chooses_options and not self.is_reference:
-            kind = {"press-with-ancestors": "options with ancestors", "press-markov": "reactive options"}
-            words.append(f"over {kind.get(self.options.flavour, 'options')}")
+            kind = {"press-with-ancestors": "options with ancestors", "press-reactive": "reactive options"}
+            words.append(f"over {kind.get(self.options.option_set, 'options')}")
             words += ["and primitives"] * self.options.include_primitives
         parts, given = self._split()
         shown = [PARTS[part].title for part in parts if not (part == "objects" and self.options.memory)]

@@ -1,4 +1,4 @@
-"""Settings of the agent `text-agent`, and the levels of what is told; light, for whoever only needs the names."""
+"""Settings of the agent `text-agent`, and the levels of what is told; light, for users of the names alone."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from hrl_escape.agents.agent import DiscountSettings
 TEXT_AGENT = "text-agent"
 """Name of the agent that calls tools."""
 Level: TypeAlias = Literal["names", "places", "model"]
-"""Level of what is told: the names of options and objects and what is lit; where they are as well; and the puzzle's
-symbolic model, which no other agent sees."""
-TOLD_LEVELS: tuple[Level, ...] = get_args(Level)
+"""Level of what a text reveals: the names of options and objects and what is lit; where they are as well; and the
+puzzle's symbolic model, which no other agent sees."""
+REVEAL_LEVELS: tuple[Level, ...] = get_args(Level)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,5 +23,5 @@ class TextAgentSettings(DiscountSettings):
     model: str = "search-nearest"
     """Caller: a scripted manager (random, search-random, search-nearest, oracle), a file of recorded games (.jsonl), or
     a model of another package."""
-    told: Level = "places"
+    reveal: Level = "places"
     """Names of things and what is lit (names), where they are too (places), or the symbolic model as well (model)."""

@@ -184,7 +184,7 @@ class _HierarchyCheck(Claims):
         self._check_rewards(played)
         self._check_ends(played)
         self._check_legal(played)
-        self._check_twins(played)
+        self._check_replays(played)
 
     # --- running ----------------------------------------------------------------------
 
@@ -317,13 +317,13 @@ class _HierarchyCheck(Claims):
             self.require(bool(told.action_mask[told.action]), "a learner hears of legal choices only", note)
             self.require(bool(told.next_action_mask.any()), "a next mask has a legal choice", note)
 
-    def _check_twins(self, played: _Played) -> None:
+    def _check_replays(self, played: _Played) -> None:
         """Invariants 3 and 8: a chain of one-child tasks, or other numbers of choices, change nothing else."""
         for words, reverse in (("renumbering choices changes nothing else", True),
                                ("calling the hierarchy through a chain of one-child tasks changes nothing", False)):
-            twin = self._play(reverse=reverse, chain=not reverse)
-            self.require(twin.primitives == played.primitives, words, "the primitives differ")
-            notes = [each for each in twin.book.notes if each.task in self._hierarchy.tasks]
+            again = self._play(reverse=reverse, chain=not reverse)
+            self.require(again.primitives == played.primitives, words, "the primitives differ")
+            notes = [each for each in again.book.notes if each.task in self._hierarchy.tasks]
             for ours, theirs in zip(played.book.notes, notes, strict=True):
                 same = (ours.task == theirs.task and ours.transition.reward == theirs.transition.reward
                         and ours.transition.duration == theirs.transition.duration)

@@ -11,8 +11,8 @@ import numpy as np
 
 from hrl_escape.checks.claims import Claims
 from hrl_escape.env.puzzles.base import Contacts, Puzzle
+from hrl_escape.env.puzzles.mixins import Doored, Graphed, Propped, get_mixin
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Doored, Graphed, Propped, get_trait
 from hrl_escape.planning.goals import GripAction
 
 Poses = tuple[tuple[float, float, float], ...]
@@ -39,7 +39,7 @@ class _PuzzleCheck(Claims):
         super().__init__(f"puzzle {puzzle.kind!r}")
         self.puzzle, self.rng = puzzle, rng
         self.targets = {name: i for i, name in enumerate(puzzle.target_names)}
-        self.props = {prop.name: i for i, prop in enumerate(get_trait(puzzle, Propped).props)}
+        self.props = {prop.name: i for i, prop in enumerate(get_mixin(puzzle, Propped).props)}
         self.model: SymbolicModel = puzzle.symbolic.make_symbolic_model()
 
     def run(self, steps: int) -> None:
@@ -62,7 +62,7 @@ class _PuzzleCheck(Claims):
 
     def check_names(self) -> None:
         puzzle = self.puzzle
-        names, graph = (*puzzle.target_names, *self.props), get_trait(puzzle, Graphed)
+        names, graph = (*puzzle.target_names, *self.props), get_mixin(puzzle, Graphed)
         self.require(all(isinstance(n, str) and n for n in names), "names of targets and props are text", names)
         self.require(len(set(names)) == len(names), "no two targets or props have one name", names)
         numbers = (*(end for edge in graph.edges for end in edge), *graph.goal_targets)
@@ -90,7 +90,7 @@ class _PuzzleCheck(Claims):
                 self.require(op.action == "push" and op.target in self.props and op.destination in self.props,
                              f"operator {op.name!r} presses, grips or releases at a target, or pushes a prop to a prop",
                              (op.action, op.target, op.destination))
-        for fact in get_trait(self.puzzle, Doored).door_facts:
+        for fact in get_mixin(self.puzzle, Doored).door_facts:
             closes = [op.name for op in model.operators if fact in op.may_change - op.may_add]
             self.require(fact in known and not closes, "facts that open doors are propositions that nothing deletes",
                          (fact, closes))
@@ -117,7 +117,7 @@ class _PuzzleCheck(Claims):
         facts = puzzle.symbolic.get_facts(state)
         unknown = facts - frozenset(self.model.propositions)
         self.require(not unknown, "facts are propositions of the symbolic model", unknown)
-        doors = get_trait(puzzle, Doored)
+        doors = get_mixin(puzzle, Doored)
         shut = sum(1 << door for door, fact in enumerate(doors.door_facts) if fact not in facts)
         self.require(doors.get_shut(state) == shut, "get_shut gives the doors whose fact does not hold",
                      doors.get_shut(state))

@@ -22,9 +22,9 @@ class AgentChoice:
 
     settings: tuple[str, ...] = ()
     """Settings to change, as name=value; `hrl-escape train AGENT --list-settings` shows them."""
-    flavour: Literal["press", "press-with-ancestors", "press-markov"] | None = None
-    """Meta-actions: press one button, by default, or press first those that must be on before it, or press one by a
-    function of the state, as +reactive does."""
+    option_set: str | None = None
+    """Named option set: press (one button, by default), press-with-ancestors (first those that must be on before it),
+    press-reactive (one button by a function of the state, as +reactive does; see `hrl-escape list option-sets`."""
     observation: VectorObservation | None = None
     """Observation of the agent: features by default, or objects for agents that need it; with +planned or +learned it
     is what the tasks ask for."""
@@ -36,11 +36,11 @@ class AgentChoice:
             ConfigError: an option contradicts the spec.
         """
         spec = AgentSpec.parse(agent)
-        named = spec.options.flavour
-        if named != "press" and self.flavour not in (None, named):
-            raise ConfigError("flavour", self.flavour, f"{named}, as in {agent}, or left out")
+        named = spec.options.option_set
+        if named != "press" and self.option_set not in (None, named):
+            raise ConfigError("option_set", self.option_set, f"{named}, as in {agent}, or left out")
         settings = spec.settings | dict(split_assignment(text, "--settings", "gamma=0.95") for text in self.settings)
-        options = dataclasses.replace(spec.options, flavour=self.flavour or named)
+        options = dataclasses.replace(spec.options, option_set=self.option_set or named)
         return dataclasses.replace(spec, label="" if options != spec.options else spec.label, settings=settings,
                                    options=options)
 

@@ -38,15 +38,18 @@ from hrl_escape.comparison.presets import GRIDS
 from hrl_escape.comparison.references.registry import describe_rule
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations.base import list_observations
-from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset
+from hrl_escape.env.presets import PRESETS, describe_config, get_preset
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
 from hrl_escape.names import join_words
+from hrl_escape.options.option_sets import option_sets
 
 Kind = Literal["recommended", "presets", "environments", "puzzles", "observations", "cameras", "primitives",
-               "agents", "parts", "recipes", "batched", "hierarchical", "offline", "references", "comparisons"]
+               "option-sets", "agents", "parts", "recipes", "batched", "hierarchical", "offline", "references",
+               "comparisons"]
 
-TITLES = {"recommended": "recommended: which agent to begin with",
+TITLES = {"option-sets": "option sets: see --option-set of `hrl-escape train`",
+          "recommended": "recommended: which agent to begin with",
           "parts": "parts of an agent's spec, as in smdp-ppo+objects+memory",
           "recipes": "recipes: named settings of agents that have several, as in smdp-dqn@keras-rl-2019",
           "batched": "batched: agents that learn in many rooms at once, see --batch of `hrl-escape train`",
@@ -55,8 +58,8 @@ TITLES = {"recommended": "recommended: which agent to begin with",
           "offline": "offline: agents that learn from a data set, `hrl-escape train smdp-iql --data pair-play-v1`",
           "references": "references: they learn nothing, and a learner has to beat the best of them"}
 
-SLOW = ("recipes", "batched")
-"""Kinds that import every algorithm, which takes seconds: listed where they are asked for."""
+SLOW = ("recipes", "batched", "option-sets")
+"""Kinds that import every algorithm or the planners, which takes seconds: listed where they are asked for."""
 
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
               "macros": "macro-actions", "tree": "cells", "simulator": "simulator", "goal_space": "goals",
@@ -69,7 +72,7 @@ class ListArgs:
     """Options of `hrl-escape list`."""
 
     kinds: Annotated[tuple[Kind, ...], tyro.conf.Positional] = ()
-    """Kinds of names to list; by default all but recipes and batched, which take the import of every algorithm."""
+    """Kinds of names to list; by default all but recipes, batched and option-sets, which import much."""
     json: bool = False
     """Print JSON instead of tables."""
 
@@ -78,12 +81,13 @@ def run(args: ListArgs) -> None:
     """Print names with one line about each."""
     makers = {
         "recommended": lambda: {choice.label: f"{choice.use}: {choice.reason}" for choice in RECOMMENDED},
-        "presets": lambda: {name: describe_schematic(get_preset(name)) for name in PRESETS},
+        "presets": lambda: {name: describe_config(get_preset(name)) for name in PRESETS},
         "environments": _describe_environments,
         "puzzles": lambda: {name: _describe_puzzle(name) for name in list_puzzles()},
         "observations": lambda: {observation.name: observation.doc for observation in list_observations()},
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
+        "option-sets": _describe_option_sets,
         "agents": lambda: {name: _summarise(_parse_agent(name)) for name in (*list_agents(), *list_hierarchy_agents())},
         "parts": lambda: {f"+{name}": part.about for name, part in PARTS.items()},
         "recipes": _describe_recipes,
@@ -111,6 +115,10 @@ def _describe_recipes() -> dict[str, str]:
     names = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents())
     found = {name: list(list_recipes(name)) for name in names}
     return {name: join_words(recipes, "or") for name, recipes in found.items() if len(recipes) > 1}
+
+
+def _describe_option_sets() -> dict[str, str]:
+    return {name: _get_sentence(inspect.getdoc(make) or "") for name, make in option_sets.load_all().items()}
 
 
 def _describe_environments() -> dict[str, str]:

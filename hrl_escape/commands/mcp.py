@@ -2,7 +2,7 @@
 
     hrl-escape mcp
     hrl-escape mcp --room ladder-1/lattice/test#3
-    hrl-escape mcp --room ladder-1/chain/test#0 --told names --record games/mine.jsonl
+    hrl-escape mcp --room ladder-1/chain/test#0 --reveal names --record games/mine.jsonl
 
 A client starts this command itself; its configuration needs these words and nothing else. Needs the extra `mcp`.
 The recorded game can be replayed and compared: see the page on tools.
@@ -22,7 +22,7 @@ from hrl_escape.commands.room_choice import RoomChoice
 class McpArgs(RoomChoice):
     """Options of `hrl-escape mcp`."""
 
-    told: Level = "places"
+    reveal: Level = "places"
     """Told to the caller: names, places or model."""
     options_only: bool = False
     """Offer no primitives."""
@@ -38,10 +38,10 @@ def run(args: McpArgs) -> None:
     from hrl_escape.options.options_env import OptionsEnv
     from hrl_escape.text.mcp_server import make_server, serve  # needs the extra
     from hrl_escape.text.recordings import record_game, save_games
-    from hrl_escape.text.told_env import RoomSession
+    from hrl_escape.text.text_env import RoomSession
 
     env = OptionsEnv(EscapeRoomEnv(instance=args.make_instance()), include_primitives=not args.options_only)
-    session = RoomSession(env, args.told)
+    session = RoomSession(env, args.reveal)
     session.reset(seed=args.episode_seed)
 
     def save() -> None:

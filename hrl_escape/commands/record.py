@@ -27,7 +27,7 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.figures import VIDEO_FORMATS
 from hrl_escape.names import make_console_text
 from hrl_escape.viewer.play.episode import load_episode
-from hrl_escape.viewer.recording import Recording, record_driver, record_saved
+from hrl_escape.viewer.recording import EpisodeRecording, record_driver, record_saved
 from hrl_escape.viewer.watch.drivers import find_driver, open_driver
 
 PAGE_ENDING = ".html"
@@ -71,7 +71,7 @@ def run(args: RecordArgs) -> None:
         console.print(f"wrote {path}", markup=False)
 
 
-def _record(args: RecordArgs) -> Recording:
+def _record(args: RecordArgs) -> EpisodeRecording:
     if args.driver.endswith(".json"):
         return record_saved(load_episode(args.driver), Path(args.driver).stem)
     text, own = find_driver(args.driver)

@@ -24,8 +24,8 @@ from hrl_escape.env.engine import check_camera, film, make_engine
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.pictures.video import save_picture
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.figures import check_picture_name
 from hrl_escape.names import make_console_text
@@ -84,8 +84,8 @@ def _describe(instance: RoomInstance) -> dict[str, Any]:
         "starts": len(instance.starts),
         "puzzle": puzzle.kind,
         "targets": [{"name": t.name, "x": t.x, "y": t.y, "z": t.z} for t in instance.targets],
-        "edges": [[puzzle.target_names[a], puzzle.target_names[b]] for a, b in get_trait(puzzle, Graphed).edges],
-        "goal": [puzzle.target_names[i] for i in get_trait(puzzle, Graphed).goal_targets],
+        "edges": [[puzzle.target_names[a], puzzle.target_names[b]] for a, b in get_mixin(puzzle, Graphed).edges],
+        "goal": [puzzle.target_names[i] for i in get_mixin(puzzle, Graphed).goal_targets],
         "robot": robot.kind if robot.joints else "base",
         "joints": robot.joints,
         "dynamics": instance.dynamics.kind,

@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from hrl_escape.agents.streams import Streams
 
 SHOWN_EVALUATIONS, PRIMITIVES = 12, 20_000
-OF_OPTIONS = ("flavour",)
+OF_OPTIONS = ("option_set",)
 OF_ROOMS = (*(field.name for field in dataclasses.fields(RoomChoice)), "batch", "device", "compile", *OF_OPTIONS)
 
 
@@ -72,7 +72,8 @@ class TrainArgs(AgentChoice, RoomChoice):
     primitives: int | None = None
     """Primitives to train for; 20,000 by default, with --data as many as the agent's passes over it come to."""
     data: str | None = None
-    """Learn from this data set, or tape, and be tested in its rung's unseen rooms; see `hrl-escape list offline`."""
+    """Learn from this data set, or recording, and be tested in its rung's unseen rooms; see `hrl-escape list
+    offline`."""
     seed: int = 0
     """Training seed: fixes the agent and every training episode. Give --room too: --seed alone chose a room in 0.3."""
     list_settings: bool = False
@@ -109,7 +110,7 @@ class TrainArgs(AgentChoice, RoomChoice):
                                        device=self.device, compile=self.compile)
             if spec.low_level is None:
                 return flat
-            from hrl_escape.synthesis import HierarchyVectorEnv
+            from hrl_escape.hierarchies import HierarchyVectorEnv
 
             return HierarchyVectorEnv(flat, find_kind(spec.name), spec.low_level)
         from hrl_escape.options.batched.env import BatchedOptionsEnv
@@ -117,8 +118,8 @@ class TrainArgs(AgentChoice, RoomChoice):
 
         gamma = spec.resolve_settings()["gamma"]
         options = BatchedOptionsEnv(self.batch, **given, observation=observation, discount=gamma,
-                                    include_primitives=spec.options.include_primitives, flavour=spec.options.flavour,
-                                    device=self.device, compile=self.compile)
+                                    include_primitives=spec.options.include_primitives,
+                                    option_set=spec.options.option_set, device=self.device, compile=self.compile)
         return MemoryStreams(options) if spec.options.memory else options
 
 
@@ -179,7 +180,7 @@ def _train_offline(args: TrainArgs, spec: AgentSpec) -> None:
     result = train(spec, data=data, primitives=args.primitives, seed=args.seed,
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
                    callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads)
-    _tell(args, spec, result, data.tape.about["scores"].get("best_known"))
+    _tell(args, spec, result, data.recording.about["scores"].get("best_known"))
 
 
 def _record(env: gymnasium.Env, recorder: StateRecorder, result: TrainResult, source: str) -> None:

@@ -40,7 +40,7 @@ def estimate_rate(agent: str, buttons: float, rates: Rates) -> float | None:
 
 
 def count_buttons(config: RoomConfig) -> float:
-    """Mean number of targets in rooms of a schematic, over ten of them."""
+    """Mean number of targets in rooms of a room configuration, over ten of them."""
     return float(np.mean([sample_puzzle(config, seed)[0].puzzle.count_targets() for seed in range(10)]))
 
 

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import gymnasium
-import numpy as np
 
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
+from hrl_escape.env.poses import list_touched
+from hrl_escape.env.rewards import Events
 from hrl_escape.errors import UnsupportedError
 
 
@@ -23,8 +24,13 @@ class PrimitiveStep(NamedTuple):
     primitive: int
     after: RoomState
     reward: float
-    pressed: tuple[int, ...]
+    events: Events
     end: EpisodeEnd
+
+    @property
+    def pressed(self) -> tuple[int, ...]:
+        """Numbers of the targets that the primitive pressed, in ascending order."""
+        return list_touched(self.events.pressed)
 
 
 class StateRecorder(gymnasium.Wrapper):
@@ -35,6 +41,7 @@ class StateRecorder(gymnasium.Wrapper):
 
     Attributes:
         states: the first one, and one a primitive.
+        events: what happened in each primitive.
         starts: first states of this episode and of those before it, back to the last reset with a seed.
         on_step: called after every primitive, those inside options included.
         before_step: called before every primitive.
@@ -46,6 +53,7 @@ class StateRecorder(gymnasium.Wrapper):
     def __init__(self, env: gymnasium.Env) -> None:
         super().__init__(env)
         self.states: list[RoomState] = []
+        self.events: list[Events] = []
         self.starts: list[RoomState] = []
         self.on_step: Callable[[PrimitiveStep], None] | None = None
         self.before_step: Callable[[], None] | None = None
@@ -55,7 +63,7 @@ class StateRecorder(gymnasium.Wrapper):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset, and begin a new record."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self.states = [self._get_state()]
+        self.states, self.events = [self._get_state()], []
         self.starts = [*([] if seed is not None else self.starts), self.states[0]]
         self._progress = self._measure_progress()
         if self.on_reset is not None:
@@ -69,22 +77,24 @@ class StateRecorder(gymnasium.Wrapper):
         before = None if self.on_step is None else self._get_state()
         observation, reward, terminated, truncated, info = self.env.step(action)
         self.states.append(self._get_state())
+        self.events.append(self._get_room().events)
         if self.states[-1].puzzle != self.states[-2].puzzle:
             self._progress = max(self._progress, self._measure_progress())
         self._progress = 1.0 if info["is_success"] else self._progress
         if self.on_step is not None and before is not None:
             self.on_step(PrimitiveStep(before, int(action), self.states[-1], float(reward),
-                                       tuple(np.flatnonzero(info["pressed"]).tolist()),
+                                       self.events[-1],
                                        EpisodeEnd.of_step(bool(info["is_success"]), terminated, truncated)))
         return observation, reward, terminated, truncated, {**info, "progress": self._progress}
 
     def _measure_progress(self) -> float:
-        room: Any = self.env.unwrapped
-        return room.instance.puzzle.compute_progress(self.states[-1].puzzle)
+        return self._get_room().instance.puzzle.compute_progress(self.states[-1].puzzle)
 
     def _get_state(self) -> RoomState:
-        room: Any = self.env.unwrapped
-        return room.get_state()
+        return self._get_room().get_state()
+
+    def _get_room(self) -> Any:
+        return self.env.unwrapped
 
 
 def find_recorder(env: gymnasium.Env) -> StateRecorder:

@@ -109,7 +109,7 @@ class Grid(Settings):
         for what, members in (("agents", self.agents), ("rooms", self.rooms or self.train_rooms)):
             if not members:
                 raise GridError(f"grid {self.name!r} has no {what}: give at least one")
-        _refuse_twins("agent label", [agent.label for agent in self.agents])
+        _refuse_duplicates("agent label", [agent.label for agent in self.agents])
         if not get_observation(self.observation).is_vector:
             raise GridError(f"grid {self.name!r}: agents learn from vectors, not from {self.observation!r}")
 
@@ -131,7 +131,7 @@ class Grid(Settings):
         """Rooms, or sets of rooms, in which the runs are made.
 
         Raises:
-            EscapeError: no such preset, set or file; an impossible schematic.
+            EscapeError: no such preset, set or file; an impossible room configuration.
         """
         if not self.train_rooms:
             return tuple(room.make_place() for room in self.rooms)
@@ -140,16 +140,16 @@ class Grid(Settings):
                      for train, test in zip(self.train_rooms, tests, strict=True))
 
     def _check_transfer(self, resolved: Sequence[Mapping[str, Any]]) -> None:
-        """Require that agents can act in rooms of another schematic than they train in."""
+        """Require that agents can act in rooms of another room configuration than they train in."""
         if self.observation != "objects":
-            raise GridError(f"grid {self.name!r}: rooms of different schematics have no observation in common but "
+            raise GridError(f"grid {self.name!r}: rooms of different configurations have no observation in common but "
                             f"objects; set observation to objects, not {self.observation}")
         for agent, settings in zip(self.agents, resolved, strict=True):
             if agent.learns and settings.get("network") != "objects":
                 cure = (f"set network to objects, in short {agent.label}+objects" if "network" in settings else
                         "take one with a setting network, such as dqn+objects or ppo+objects")
-                raise GridError(f"{agent.label} cannot act in rooms of another schematic than it trains in: what it "
-                                f"learns is tied to the number of objects; {cure}")
+                raise GridError(f"{agent.label} cannot act in rooms of another room configuration than it trains in: "
+                                f"what it learns is tied to the number of objects; {cure}")
 
     @property
     def evaluation_step(self) -> int:
@@ -174,7 +174,7 @@ class Grid(Settings):
             GridError: two rooms, or two agents, are the same.
             EscapeError: an agent or one of its settings does not exist.
         """
-        _refuse_twins("room", [place.id for place in places])
+        _refuse_duplicates("room", [place.id for place in places])
         counts = Counter(place.name for place in places)
         names = [f"{place.name}-{place.id[:6]}" if counts[place.name] > 1 else place.name for place in places]
         resolved = [agent.resolve_settings() for agent in self.agents]
@@ -185,7 +185,7 @@ class Grid(Settings):
             for seed in range(self.first_seed, self.first_seed + self.runs)
             for (room, place), number in itertools.product(zip(names, places, strict=True), range(len(self.agents)))
         ]
-        _refuse_twins("agent with the same settings", [run.key for run in runs])
+        _refuse_duplicates("agent with the same settings", [run.key for run in runs])
         return runs
 
 
@@ -255,10 +255,10 @@ class GridRun:
         return f"{make_file_name(f'{self.agent.label}--{self.room}--seed-{self.seed}')}--{self.key}"
 
 
-def _refuse_twins(what: str, names: Sequence[str]) -> None:
-    twins = sorted(name for name, count in Counter(names).items() if count > 1)
-    if twins:
-        raise GridError(f"the same {what} twice: {', '.join(twins)}. Remove one, or change what tells them apart")
+def _refuse_duplicates(what: str, names: Sequence[str]) -> None:
+    repeated = sorted(name for name, count in Counter(names).items() if count > 1)
+    if repeated:
+        raise GridError(f"the same {what} twice: {', '.join(repeated)}. Remove one, or change what tells them apart")
 
 
 def load_grid(path: str | Path) -> Grid:

@@ -36,8 +36,8 @@ def compute_learned_share(efficiency: float, searcher: float, ceiling: float) ->
     """Place on the scale from the best search baseline (0) to the Bayes planner, `bayes` (1), in efficiency.
 
     The Bayes planner is given how rooms are drawn and what marks mean, and discovers the graph; the baseline is not
-    given the schematic. Below 0 for an agent worse than the baseline, above 1 for one better than the Bayes planner;
-    None where less than `LEAST_HEADROOM` is between the two.
+    given the room configuration. Below 0 for an agent worse than the baseline, above 1 for one better than the Bayes
+    planner; None where less than `LEAST_HEADROOM` is between the two.
     """
     return (efficiency - searcher) / (ceiling - searcher) if ceiling - searcher >= LEAST_HEADROOM else None
 

@@ -149,7 +149,7 @@ def make_agent_env(agent: AgentSpec, rooms: NamedRooms, observation: str,
         flat = gymnasium.make("hrl_escape/EscapeRoom-v1", **given, observation=observation, disable_env_checker=True)
     recorder = StateRecorder(flat)
     if agent.low_level is not None:
-        from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
+        from hrl_escape.hierarchies.hierarchy_env import HierarchyEnv
 
         return HierarchyEnv(recorder, find_kind(agent.name), agent.low_level), recorder
     env = _add_options(agent, recorder, trials) if agent.chooses_options else _add_trials(recorder, trials)
@@ -168,9 +168,9 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
     has_memory = arguments.pop("memory")
     env: gymnasium.Env = OptionsEnv(recorder, trace=agent.needs_trace, **arguments)
     if agent.name == TEXT_AGENT:
-        from hrl_escape.text.told_env import ToldEnv
+        from hrl_escape.text.text_env import TextEnv
 
-        env = ToldEnv(env, agent.resolve_settings()["told"])
+        env = TextEnv(env, agent.resolve_settings()["reveal"])
     env = _add_trials(env, trials)
     return DecisionMemory(env) if has_memory else env
 

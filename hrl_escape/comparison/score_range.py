@@ -50,7 +50,7 @@ def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent:
     episode begins; all share the horizon.
     """
     is_limited = agent.chooses_options and not agent.options.include_primitives
-    ends = [_find_ends(*start, agent.options.flavour if is_limited else None, cache) for start in starts]
+    ends = [_find_ends(*start, agent.options.option_set if is_limited else None, cache) for start in starts]
     instance = starts[0][0]
     worst = instance.horizon * instance.reward.step / floors
     several = len({room.id for room, _ in starts}) > 1
@@ -75,12 +75,12 @@ Ends = tuple[float, float, float, "float | None"]
 """Best known return and its primitives; the same by the options alone, whose escape may be None."""
 
 
-def _find_ends(instance: RoomInstance, state: RoomState, flavour: str | None, cache: Path) -> Ends | None:
+def _find_ends(instance: RoomInstance, state: RoomState, option_set: str | None, cache: Path) -> Ends | None:
     """Best known results from one state, from the cache if it has them; None if no planner finds an escape.
 
-    `flavour` is that of the options where they are the only actions.
+    `option_set` is that of the options where they are the only actions.
     """
-    start = [__version__, flavour, state.x, state.y, state.heading_steps, state.heading_offset, state.joint_steps]
+    start = [__version__, option_set, state.x, state.y, state.heading_steps, state.heading_offset, state.joint_steps]
     if _has_noise(instance):
         start.append("expected")
     path = cache / instance.id / f"{hashlib.sha256(json.dumps(start).encode()).hexdigest()[:12]}.json"
@@ -91,12 +91,12 @@ def _find_ends(instance: RoomInstance, state: RoomState, flavour: str | None, ca
                 return None
             best, fewest, reachable, few = known
             return float(best), float(fewest), float(reachable), None if few is None else float(few)
-    ends = _compute_ends(instance, state, flavour)
+    ends = _compute_ends(instance, state, option_set)
     write_json(path, {"start": start, "ends": ends}, indent=None)
     return ends
 
 
-def _compute_ends(instance: RoomInstance, state: RoomState, flavour: str | None) -> Ends | None:
+def _compute_ends(instance: RoomInstance, state: RoomState, option_set: str | None) -> Ends | None:
     from hrl_escape.options.best_with_options import find_best_with_options  # these bring the planners in
     from hrl_escape.planning.best_known import find_best_known
 
@@ -107,7 +107,7 @@ def _compute_ends(instance: RoomInstance, state: RoomState, flavour: str | None)
         return None
     if known.primitives is None or known.value <= worst:
         return None
-    reachable = known if flavour is None else find_best_with_options(instance, state, flavour)
+    reachable = known if option_set is None else find_best_with_options(instance, state, option_set)
     ends = known.value, known.primitives, reachable.value, reachable.primitives if reachable.value > worst else None
     return _expect(instance, state, ends) if _has_noise(instance) else ends
 

@@ -22,7 +22,7 @@ from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.comparison.statistics import compute_score
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.graphs import find_ancestors
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 
 EdgeSet = frozenset[tuple[int, int]]
 """Edges of a dependency graph, (parent, child)."""
@@ -52,7 +52,7 @@ class SolvedProbe(Stateful):
 
     def __init__(self, rule: SolvedRule, env: gymnasium.Env, instance: RoomInstance, spec: AgentSpec,
                  score_range: ScoreRange) -> None:
-        graph = get_trait(instance.puzzle, Graphed)
+        graph = get_mixin(instance.puzzle, Graphed)
         self._rule, self._env, self._range, self._goals = rule, env, score_range, graph.goal_targets
         self._learns = spec.algorithm != "random"
         self._true = find_edges_that_matter(graph.edges, self._goals)

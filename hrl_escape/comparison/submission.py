@@ -104,7 +104,7 @@ class RoomView(Settings):
         if self.choices == "primitives":
             return f"primitives, {self.observation}"
         words = ["options"] + ["primitives"] * self.options.include_primitives
-        words[0] += " that know the graph" * (self.options.flavour == "press-with-ancestors")
+        words[0] += " that know the graph" * (self.options.option_set == "press-with-ancestors")
         return " and ".join(words) + f", {self.observation}" + " with memory" * self.options.memory
 
 

@@ -1,4 +1,4 @@
-"""Data sets of decisions: tapes that replay exactly, and what learners and other libraries read from them."""
+"""Data sets of decisions: recordings that replay exactly, and what learners and other libraries read from them."""
 
 from __future__ import annotations
 

@@ -1,21 +1,21 @@
-from .catalogue import DataSpec, find_tape, list_specs, parse_spec
+from .catalogue import DataSpec, find_recording, list_specs, parse_spec
 from .export import to_minari, to_ogbench, to_torch
 from .materialise import DataSet, load_data
-from .record import make_played_tape, record
-from .tape import Tape, load_tape, save_tape
+from .record import make_played_recording, record
+from .recording import Recording, load_recording, save_recording
 
 __all__ = [
     "DataSet",
     "DataSpec",
-    "Tape",
-    "find_tape",
+    "Recording",
+    "find_recording",
     "list_specs",
     "load_data",
-    "load_tape",
-    "make_played_tape",
+    "load_recording",
+    "make_played_recording",
     "parse_spec",
     "record",
-    "save_tape",
+    "save_recording",
     "to_minari",
     "to_ogbench",
     "to_torch",

@@ -15,7 +15,7 @@ from hrl_escape.errors import FileReadError, UnknownNameError
 
 BENCHMARK = "ladder-1"
 RUNGS = ("pair", "chain", "lattice-5", "lattice", "clutter", "code", "freight", "reach")
-TAPE_KINDS = {
+RECORDING_KINDS = {
     "play": "legal options, drawn uniformly",
     "noisy": "the same with options of which one in five fails at its start",
     "expert": "the planner's order of options",
@@ -23,17 +23,17 @@ TAPE_KINDS = {
     "stitch": "play cut after one or two decisions, so that no trajectory goes all the way",
     "explore": "primitives, drawn uniformly",
 }
-TAPE_SIZES = {"": 100_000, "1m": 1_000_000, "10m": 10_000_000}
+RECORDING_SIZES = {"": 100_000, "1m": 1_000_000, "10m": 10_000_000}
 FOLDER = Path("data")
-"""Folder that recorded tapes go to, and are looked for in."""
-SHIPPED = Path(str(files("hrl_escape.data") / "tapes"))
-"""Folder of the tapes that come with the package."""
-_FORM = re.compile(rf"(?P<rung>.+)-(?P<kind>{'|'.join(TAPE_KINDS)})(?:-(?P<size>1m|10m))?-v1")
+"""Folder that recorded recordings go to, and are looked for in."""
+SHIPPED = Path(str(files("hrl_escape.data") / "recordings"))
+"""Folder of the recordings that come with the package."""
+_FORM = re.compile(rf"(?P<rung>.+)-(?P<kind>{'|'.join(RECORDING_KINDS)})(?:-(?P<size>1m|10m))?-v1")
 
 
 @dataclasses.dataclass(frozen=True)
 class DataSpec:
-    """Data set of the catalogue: a rung of `ladder-1`, one of `TAPE_KINDS`, and one of `TAPE_SIZES`."""
+    """Data set of the catalogue: a rung of `ladder-1`, one of `RECORDING_KINDS`, and one of `RECORDING_SIZES`."""
 
     rung: str
     kind: str
@@ -47,7 +47,7 @@ class DataSpec:
     @property
     def primitives(self) -> int:
         """Primitives in it, at least."""
-        return TAPE_SIZES[self.size]
+        return RECORDING_SIZES[self.size]
 
     def list_rooms(self, primitives: int) -> str:
         """Rooms for so many primitives, the first of the rung's training set: one for every 1,000, at most 250."""
@@ -56,7 +56,7 @@ class DataSpec:
 
 def list_specs() -> tuple[DataSpec, ...]:
     """All data sets of the catalogue, small ones first."""
-    return tuple(DataSpec(rung, kind, size) for size in TAPE_SIZES for rung in RUNGS for kind in TAPE_KINDS)
+    return tuple(DataSpec(rung, kind, size) for size in RECORDING_SIZES for rung in RUNGS for kind in RECORDING_KINDS)
 
 
 def parse_spec(name: str) -> DataSpec:
@@ -71,7 +71,7 @@ def parse_spec(name: str) -> DataSpec:
     return DataSpec(form["rung"], form["kind"], form["size"] or "")
 
 
-def find_tape(name: str | Path) -> Path:
+def find_recording(name: str | Path) -> Path:
     """File of a data set: a path that ends in `.npz`, one that comes with the package, or one in `data/`.
 
     Raises:

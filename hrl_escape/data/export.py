@@ -48,8 +48,8 @@ def to_minari(data: DataSet, namespace: str = "hrl_escape", folder: str | PathLi
               ) -> tuple[Any, Any]:
     """Write two sets for Minari, `NAMESPACE/RUNG/KIND-primitives-v1` and `-decisions-v1`; returns both.
 
-    Their environments are `hrl_escape/Ladder-v1` over the rooms of the tape, and over its test rooms for evaluation.
-    The scores of reference are chance over options and the best known return.
+    Their environments are `hrl_escape/Ladder-v1` over the rooms of the recording, and over its test rooms for
+    evaluation. The scores of reference are chance over options and the best known return.
 
     Args:
         data: what to write.
@@ -65,26 +65,26 @@ def to_minari(data: DataSet, namespace: str = "hrl_escape", folder: str | PathLi
         from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise MissingExtraError("minari", "data", "export to Minari") from error
-    if data.tape.rooms.place is None:
+    if data.recording.rooms.place is None:
         raise UnsupportedError(f"{data.name} has rooms of no rung, so that no id makes its environment again: export "
                                "it to OGBench's files or to tensors")
-    place = f"{namespace}/{data.tape.rooms.place['rung']}/{data.tape.about['kind']}"
+    place = f"{namespace}/{data.recording.rooms.place['rung']}/{data.recording.about['kind']}"
     made: list[Any] = []
     levels: tuple[DataLevel, ...] = ("primitives", "decisions")
     for level in levels:
-        options: Any = {"include_primitives": data.tape.primitive_count > 0} if level == "decisions" and len(
-            data.tape.about["actions"]) > data.tape.primitive_count else False
+        options: Any = {"include_primitives": data.recording.primitive_count > 0} if level == "decisions" and len(
+            data.recording.about["actions"]) > data.recording.primitive_count else False
         env, test = (rooms.make_env(options, observation=data.observation)
-                     for rooms in (data.tape.rooms, data.test_rooms))
-        scores = data.tape.about["scores"]
+                     for rooms in (data.recording.rooms, data.test_rooms))
+        scores = data.recording.about["scores"]
         buffers = [_make_buffer(EpisodeBuffer, number, part)
                    for number, part in enumerate(iterate_trajectories(data, level))]
         with _using_minari_folder(folder):
             made.append(minari.create_dataset_from_buffers(
                 f"{place}-{level}-v1", buffers, env=env.spec, eval_env=test.spec,
-                algorithm_name=data.tape.about["kind"], author="hrl-escape", author_email="none@example.org",
-                code_permalink=data.tape.about["command"],
-                description=f"{data.name}, {level} of the same trajectories; tape {data.tape.digest}",
+                algorithm_name=data.recording.about["kind"], author="hrl-escape", author_email="none@example.org",
+                code_permalink=data.recording.about["command"],
+                description=f"{data.name}, {level} of the same trajectories; recording {data.recording.digest}",
                 ref_min_score=scores.get("chance"), ref_max_score=scores.get("best_known"),
                 num_episodes_average_score=20, observation_space=env.observation_space,
                 action_space=env.action_space, requirements=["hrl-escape"]))

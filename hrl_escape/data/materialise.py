@@ -1,7 +1,7 @@
-"""Tapes replayed into observations, rewards and masks: `load_data`, block by block.
+"""Recordings replayed into observations, rewards and masks: `load_data`, block by block.
 
 The replay is the engine's own kinematics, episode by episode from its seed, so that what comes out is what the agent
-saw, to the bit. It never holds more than one block beside the tape, unless all of it is asked for.
+saw, to the bit. It never holds more than one block beside the recording, unless all of it is asked for.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.components.offline import Decisions, Primitives
-from hrl_escape.data.catalogue import find_tape
+from hrl_escape.data.catalogue import find_recording
 from hrl_escape.data.published import warn_of_other
-from hrl_escape.data.tape import ENDS, Tape, load_tape
+from hrl_escape.data.recording import ENDS, Recording, load_recording
 from hrl_escape.env.engine import make_renderer
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import draw_episode
@@ -33,85 +33,87 @@ BLOCK = 65_536
 """Primitives in a block, at least; an episode is never cut in two."""
 
 
-class TapeEpisode(NamedTuple):
-    """Places of an episode in a tape's arrays: its number, and slices of its decisions and primitives."""
+class RecordingEpisode(NamedTuple):
+    """Places of an episode in a recording's arrays: its number, and slices of its decisions and primitives."""
 
     number: int
     decisions: slice
     primitives: slice
 
 
-def list_episodes(tape: Tape) -> list[TapeEpisode]:
-    """Places of all episodes of a tape, in order."""
-    first = np.concatenate([[0], np.cumsum(tape.decisions, dtype=np.int64)])
-    at = np.concatenate([[0], np.cumsum(tape.duration, dtype=np.int64)])
-    return [TapeEpisode(n, slice(int(i), int(j)), slice(int(at[i]), int(at[j])))
+def list_episodes(recording: Recording) -> list[RecordingEpisode]:
+    """Places of all episodes of a recording, in order."""
+    first = np.concatenate([[0], np.cumsum(recording.decisions, dtype=np.int64)])
+    at = np.concatenate([[0], np.cumsum(recording.duration, dtype=np.int64)])
+    return [RecordingEpisode(n, slice(int(i), int(j)), slice(int(at[i]), int(at[j])))
             for n, (i, j) in enumerate(itertools.pairwise(first))]
 
 
-def begin_episode(rules: Kinematics, tape: Tape, number: int) -> RoomState:
-    """First state of an episode of a tape, by its number, under the rules of its room."""
-    start, key = draw_episode(int(tape.episode_seed[number]), 0, len(rules.instance.starts))
+def begin_episode(rules: Kinematics, recording: Recording, number: int) -> RoomState:
+    """First state of an episode of a recording, by its number, under the rules of its room."""
+    start, key = draw_episode(int(recording.episode_seed[number]), 0, len(rules.instance.starts))
     return rules.make_state(rules.instance.starts[start], key)
 
 
 class DataSet:
-    """A tape, and what is to be read from it.
+    """A recording, and what is to be read from it.
 
         data = load_data("lattice-play-v1")
         decisions = data.read_decisions(gamma=0.99)
         blocks = data.blocks("primitives")  # one after another
 
     Args:
-        tape: the tape.
+        recording: the recording.
         observation: by name, as of `EscapeRoomEnv`.
         level: what `read` and `blocks` give by default, `decisions` or `primitives`.
         gamma: discount per primitive, likewise.
         rooms: set of the rung that `make_env` tests in.
     """
 
-    def __init__(self, tape: Tape, observation: str = "objects", level: DataLevel = "decisions", gamma: float = 0.99,
-                 rooms: str = "test") -> None:
+    def __init__(self, recording: Recording, observation: str = "objects", level: DataLevel = "decisions",
+                 gamma: float = 0.99, rooms: str = "test") -> None:
         if level not in ("decisions", "primitives"):
             raise ConfigError("level", level, "'decisions' or 'primitives'")
         if not 0.0 <= gamma <= 1.0:
             raise ConfigError("gamma", gamma, "a number from 0 to 1")
-        self.tape, self.observation, self.level, self.gamma, self._rooms = tape, observation, level, gamma, rooms
+        self.recording, self._rooms = recording, rooms
+        self.observation, self.level, self.gamma = observation, level, gamma
         self._vector = get_observation(observation).is_vector
 
     def __repr__(self) -> str:
-        return f"<DataSet of {self.tape!r}: {self.observation}, {self.level}>"
+        return f"<DataSet of {self.recording!r}: {self.observation}, {self.level}>"
 
     def __len__(self) -> int:
-        return len(self.tape.option if self.level == "decisions" else self.tape.action)
+        return len(self.recording.option if self.level == "decisions" else self.recording.action)
 
     def _repr_svg_(self) -> str:
-        return self.tape.rooms[: min(4, len(self.tape.rooms))]._repr_svg_()
+        return self.recording.rooms[: min(4, len(self.recording.rooms))]._repr_svg_()
 
     @property
     def name(self) -> str:
         """Name of the data set."""
-        return self.tape.about["name"]
+        return self.recording.about["name"]
 
     @property
     def identity(self) -> Mapping[str, Any]:
         """Name, content hash and observation."""
-        return {"name": self.name, "digest": self.tape.digest, "observation": self.observation}
+        return {"name": self.name, "digest": self.recording.digest, "observation": self.observation}
 
     @property
     def test_rooms(self) -> InstanceSet:
-        """Rooms to be tested in: another set of the rung; those of the tape where it is of no rung."""
-        place = self.tape.rooms.place
+        """Rooms to be tested in: another set of the rung; those of the recording where it is of no rung."""
+        place = self.recording.rooms.place
         if place is None or self._rooms == "own":
-            return self.tape.rooms
+            return self.recording.rooms
         from hrl_escape.sets.benchmark import load_benchmark
 
         return load_benchmark(place["benchmark"])[place["rung"]].sets[self._rooms]
 
     def make_env(self, options: bool, gamma: float) -> gymnasium.Env:
         """Make the environment to be tested in, with the actions of the decisions, or of the primitives."""
-        has_options = options and len(self.tape.about["actions"]) > self.tape.primitive_count
-        given: Any = {"include_primitives": self.tape.primitive_count > 0, "discount": gamma} if has_options else False
+        primitives = self.recording.primitive_count
+        has_options = options and len(self.recording.about["actions"]) > primitives
+        given: Any = {"include_primitives": primitives > 0, "discount": gamma} if has_options else False
         return self.test_rooms.make_env(given, observation=self.observation)
 
     # --- reading -------------------------------------------------------------------------
@@ -136,11 +138,12 @@ class DataSet:
         """
         every, gamma = (level or self.level) == "primitives", self.gamma if gamma is None else gamma
         make = self._make_primitives if every else self._make_decisions
-        gathered: list[TapeEpisode] = []
+        gathered: list[RecordingEpisode] = []
         seen: list[NDArray[Any]] = []
         rewards: list[float] = []
-        for room, episodes in itertools.groupby(list_episodes(self.tape), lambda each: self.tape.room[each.number]):
-            instance = self.tape.rooms[int(room)]
+        recording = self.recording
+        for room, episodes in itertools.groupby(list_episodes(recording), lambda each: recording.room[each.number]):
+            instance = recording.rooms[int(room)]
             rules = Kinematics(instance)
             observer = make_observer(self.observation, rules, None if self._vector else make_renderer(instance))
             for episode in episodes:
@@ -152,12 +155,12 @@ class DataSet:
         if gathered:
             yield make(gathered, seen, rewards, gamma)
 
-    def _replay(self, rules: Kinematics, observe: Callable[[RoomState], NDArray[Any]], episode: TapeEpisode,
+    def _replay(self, rules: Kinematics, observe: Callable[[RoomState], NDArray[Any]], episode: RecordingEpisode,
                 every: bool, seen: list[NDArray[Any]], rewards: list[float]) -> None:
         """Append an episode's rewards, and observations of every state, or where decisions begin; check how it ends."""
-        durations = self.tape.duration[episode.decisions].tolist()
-        actions = self.tape.action[episode.primitives].tolist()
-        state = begin_episode(rules, self.tape, episode.number)
+        durations = self.recording.duration[episode.decisions].tolist()
+        actions = self.recording.action[episode.primitives].tolist()
+        state = begin_episode(rules, self.recording, episode.number)
         seen.append(observe(state))
         step, at, end = rules.step, 0, 0
         for duration in durations:
@@ -172,32 +175,33 @@ class DataSet:
             at += duration
             if not every:
                 seen.append(observe(state))
-        if end != self.tape.end[episode.number] or (end and at != state.primitives):
-            raise FileReadError(f"tape {self.name}: episode {episode.number} ends {ENDS[end]} after {state.primitives} "
-                                f"primitives and was recorded as {ENDS[self.tape.end[episode.number]]} after {at}; "
-                                "other rules recorded it")
+        if end != self.recording.end[episode.number] or (end and at != state.primitives):
+            recorded = ENDS[self.recording.end[episode.number]]
+            raise FileReadError(f"recording {self.name}: episode {episode.number} ends {ENDS[end]} after "
+                                f"{state.primitives} primitives and was recorded as {recorded} after {at}; other rules "
+                                "recorded it")
 
-    def _make_decisions(self, episodes: list[TapeEpisode], seen: list[NDArray[Any]], rewards: list[float], gamma: float
-                        ) -> Decisions:
-        tape, rows, after = self.tape, _cover(episodes), _skip_last(each.decisions for each in episodes)
-        duration = tape.duration[rows].astype(np.int64)
+    def _make_decisions(self, episodes: list[RecordingEpisode], seen: list[NDArray[Any]], rewards: list[float],
+                        gamma: float) -> Decisions:
+        recording, rows, after = self.recording, _cover(episodes), _skip_last(each.decisions for each in episodes)
+        duration = recording.duration[rows].astype(np.int64)
         discounted, summed = _discount(np.array(rewards), duration, gamma)
         powers = np.array([gamma**k for k in range(int(duration.max()) + 1)])
         observation = np.array(seen)
         first = rows.start + episodes[0].number
-        legal = tape.legal[first : first + len(seen)]
-        bits = np.arange(len(tape.about["actions"]), dtype=np.uint64)
+        legal = recording.legal[first : first + len(seen)]
+        bits = np.arange(len(recording.about["actions"]), dtype=np.uint64)
         mask = (legal[:, None] >> bits & np.uint64(1)).astype(np.bool_)
         terminated, last, trajectory = self._find_ends(episodes, rows)
-        return Decisions(observation[after], tape.option[rows].astype(np.int64), mask[after], discounted, summed,
+        return Decisions(observation[after], recording.option[rows].astype(np.int64), mask[after], discounted, summed,
                          duration, powers[duration], observation[after + 1], mask[after + 1], terminated, last,
-                         trajectory, tape.ended[rows].astype(np.int64))
+                         trajectory, recording.ended[rows].astype(np.int64))
 
-    def _make_primitives(self, episodes: list[TapeEpisode], seen: list[NDArray[Any]], rewards: list[float], gamma: float
-                         ) -> Primitives:
+    def _make_primitives(self, episodes: list[RecordingEpisode], seen: list[NDArray[Any]], rewards: list[float],
+                         gamma: float) -> Primitives:
         del gamma
-        tape, rows, after = self.tape, _cover(episodes), _skip_last(each.primitives for each in episodes)
-        duration = tape.duration[rows].astype(np.int64)
+        recording, rows, after = self.recording, _cover(episodes), _skip_last(each.primitives for each in episodes)
+        duration = recording.duration[rows].astype(np.int64)
         ends, count = np.cumsum(duration), len(rewards)
         terminated, last, trajectory = self._find_ends(episodes, rows)
         at_end = [np.zeros(count, np.bool_) for _ in range(3)]
@@ -206,56 +210,56 @@ class DataSet:
         observation = np.array(seen)
         begins = np.zeros(count, np.bool_)
         begins[ends - duration] = True
-        return Primitives(observation[after], tape.action[episodes[0].primitives.start : episodes[-1].primitives.stop]
-                          .astype(np.int64), np.array(rewards), observation[after + 1], at_end[0], at_end[1],
-                          np.repeat(trajectory, duration), np.repeat(tape.option[rows].astype(np.int64), duration),
+        action = recording.action[episodes[0].primitives.start : episodes[-1].primitives.stop].astype(np.int64)
+        return Primitives(observation[after], action, np.array(rewards), observation[after + 1], at_end[0], at_end[1],
+                          np.repeat(trajectory, duration), np.repeat(recording.option[rows].astype(np.int64), duration),
                           begins)
 
-    def _find_ends(self, episodes: list[TapeEpisode], rows: slice
+    def _find_ends(self, episodes: list[RecordingEpisode], rows: slice
                    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
         """Flags of the decisions that terminate and that are a trajectory's last, and the number of the trajectory."""
-        tape = self.tape
+        recording = self.recording
         finals = np.array([episode.decisions.stop - 1 for episode in episodes]) - rows.start
         terminated = np.zeros(rows.stop - rows.start, np.bool_)
-        terminated[finals] = tape.end[episodes[0].number : episodes[-1].number + 1] == 1
-        last = tape.cut[rows] != 0
+        terminated[finals] = recording.end[episodes[0].number : episodes[-1].number + 1] == 1
+        last = recording.cut[rows] != 0
         last[finals] = True
         return terminated, last, self._trajectories[rows]
 
     @cached_property
     def _trajectories(self) -> NDArray[np.int64]:
-        last = self.tape.cut != 0
-        last[np.cumsum(self.tape.decisions) - 1] = True
+        last = self.recording.cut != 0
+        last[np.cumsum(self.recording.decisions) - 1] = True
         return np.concatenate([[0], np.cumsum(last)[:-1]]).astype(np.int64)
 
 
-def load_data(name: str | PathLike[str] | Tape, observation: str = "objects", level: DataLevel = "decisions",
+def load_data(name: str | PathLike[str] | Recording, observation: str = "objects", level: DataLevel = "decisions",
               gamma: float = 0.99, rooms: str = "test") -> DataSet:
     """Open a data set.
 
     Loaded by a published name, a trial run or a differing `medium` gives a warning.
 
     Args:
-        name: of the catalogue, the path of a tape, or a tape.
+        name: of the catalogue, the path of a recording, or a recording.
         observation: by name, as of `EscapeRoomEnv`.
         level: `decisions` or `primitives`.
         gamma: discount per primitive.
-        rooms: set of the rung that agents are tested in; `own` for the rooms of the tape.
+        rooms: set of the rung that agents are tested in; `own` for the rooms of the recording.
 
     Raises:
         UnknownNameError: no such data set or observation.
-        FileReadError: it has not been recorded, or the tape is damaged or of another engine.
-        VerificationError: by a published name, the tape is another, which another version of an engine made; its path
-            opens it all the same.
+        FileReadError: it has not been recorded, or the recording is damaged or of another engine.
+        VerificationError: by a published name, the recording is another, which another version of an engine made; its
+            path opens it all the same.
     """
-    if isinstance(name, Tape):
-        tape = name
+    if isinstance(name, Recording):
+        recording = name
     else:
-        path = find_tape(name if isinstance(name, str) else Path(name))
-        tape = load_tape(path)
+        path = find_recording(name if isinstance(name, str) else Path(name))
+        recording = load_recording(path)
         if isinstance(name, str):
-            warn_of_other(name, tape, path)
-    return DataSet(tape, observation, level, gamma, rooms)
+            warn_of_other(name, recording, path)
+    return DataSet(recording, observation, level, gamma, rooms)
 
 
 def _discount(rewards: NDArray[np.float64], duration: NDArray[np.int64], gamma: float
@@ -271,7 +275,7 @@ def _discount(rewards: NDArray[np.float64], duration: NDArray[np.int64], gamma: 
     return discounted, summed
 
 
-def _cover(episodes: list[TapeEpisode]) -> slice:
+def _cover(episodes: list[RecordingEpisode]) -> slice:
     """Decisions of neighbouring episodes."""
     return slice(episodes[0].decisions.start, episodes[-1].decisions.stop)
 

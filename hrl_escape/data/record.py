@@ -1,9 +1,9 @@
-"""Recording of tapes: six kinds of behaviour in the training rooms of a rung; a killed recording goes on.
+"""Recording of data sets: six kinds of behaviour in the training rooms of a rung; a killed recording goes on.
 
 An episode's seed, and every draw of its policy, follow from the data set's name, the room and the number of the
 episode in it, so that the same command gives the same episodes wherever it runs and however often it was stopped; but
 `medium` is played by a network trained before, which another processor or version of torch may round otherwise, so that
-its episodes are the same on one machine only. A recording of a published tape's name and size is held against it.
+its episodes are the same on one machine only. A recording of a published recording's name and size is held against it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.data.catalogue import BENCHMARK, DataSpec
 from hrl_escape.data.materialise import load_data
 from hrl_escape.data.published import compare_published, refuse_other
-from hrl_escape.data.tape import DYNAMICS, FIELDS, TAPE_FORMAT, Tape, load_tape, save_tape
+from hrl_escape.data.recording import DYNAMICS, FIELDS, RECORDING_FORMAT, Recording, load_recording, save_recording
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import EpisodeFileError, PlanningFailed
 from hrl_escape.options.degraded import OptionDegradation
@@ -57,13 +57,13 @@ ActionRule: TypeAlias = Callable[[Any, NDArray[np.bool_], np.random.Generator, b
 """(observation, legal actions, generator, whether the episode begins) -> action."""
 
 
-class TapeWriter:
-    """Episodes as they are recorded, and the tape of them; begins with those of another tape where one is given."""
+class RecordingWriter:
+    """Episodes as they are recorded; begins with those of another recording where one is given."""
 
-    def __init__(self, done: Tape | None = None) -> None:
+    def __init__(self, done: Recording | None = None) -> None:
         self._lists: dict[str, list[Any]] = {
             field.name: [] if done is None else getattr(done, field.name).tolist()
-            for field in dataclasses.fields(Tape) if field.name != "about"}
+            for field in dataclasses.fields(Recording) if field.name != "about"}
 
     def __len__(self) -> int:
         return len(self._lists["action"])
@@ -91,14 +91,14 @@ class TapeWriter:
         self._lists["action"].extend(primitives)
 
     def end_episode(self, seed: int, room: int, decisions: int, legal: NDArray[Any], end: int) -> None:
-        """Add the episode whose decisions were added last; see `Tape`."""
+        """Add the episode whose decisions were added last; see `Recording`."""
         row = {"episode_seed": seed, "room": room, "decisions": decisions, "end": end, "legal": pack_mask(legal)}
         for name, value in row.items():
             self._lists[name].append(value)
 
-    def make_tape(self, about: Mapping[str, Any]) -> Tape:
-        """The tape of all episodes so far."""
-        return Tape(about, **{name: np.array(self._lists[name], dtype) for name, dtype in FIELDS.items()})
+    def make_recording(self, about: Mapping[str, Any]) -> Recording:
+        """The recording of all episodes so far."""
+        return Recording(about, **{name: np.array(self._lists[name], dtype) for name, dtype in FIELDS.items()})
 
 
 def pack_mask(legal: NDArray[Any]) -> int:
@@ -108,27 +108,28 @@ def pack_mask(legal: NDArray[Any]) -> int:
 
 def make_about(name: str, kind: str, rooms_text: str, rooms: InstanceSet, env: gymnasium.Env, command: str
                ) -> dict[str, Any]:
-    """Make the text of a tape about itself, without its scores."""
+    """Make the text of a recording about itself, without its scores."""
     inner: Any = env.unwrapped
     names = inner.instance.robot.actions.names
     actions, count = (env.action_names, env.primitive_count) if isinstance(env, OptionsEnv) else (names, len(names))
-    return {"format": TAPE_FORMAT, "name": name, "kind": kind, "rooms": rooms_text, "rooms_id": rooms.describe()["id"],
+    return {"format": RECORDING_FORMAT, "name": name, "kind": kind, "rooms": rooms_text,
+            "rooms_id": rooms.describe()["id"],
             "engine": "bullet", "dynamics": DYNAMICS, "package": __version__, "command": command,
             "actions": list(actions), "primitive_count": count,
             "policies": [kind], "scores": {}}
 
 
-def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progress: bool | None = None) -> Tape:
-    """Record a data set of the catalogue, and write its tape.
+def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progress: bool | None = None) -> Recording:
+    """Record a data set of the catalogue, and write its recording.
 
     Args:
         spec: the data set.
-        path: file to write; what there is so far is beside it, ending in `.part`, until the tape is whole.
+        path: file to write; what there is so far is beside it, ending in `.part`, until the recording is whole.
         primitives: another number than the name says, for trials, which are held against nothing.
         progress: show a progress line; by default on a terminal only.
 
     Raises:
-        VerificationError: it is not the published tape; it is then beside `path`, ending in `.other.npz`.
+        VerificationError: it is not the published recording; it is then beside `path`, ending in `.other.npz`.
     """
     total, part = primitives or spec.primitives, path.with_suffix(".part")
     rooms = find_set(text := spec.list_rooms(total))
@@ -137,8 +138,8 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
     command = f"hrl-escape data make {spec.name}" + (f" --primitives {primitives}" if primitives else "")
     about = {**make_about(spec.name, spec.kind, text, rooms, env, command),
              "asked_primitives": total}
-    begun = load_tape(part) if part.is_file() else None
-    writer = TapeWriter(begun if begun is not None and begun.about == about else None)
+    begun = load_recording(part) if part.is_file() else None
+    writer = RecordingWriter(begun if begun is not None and begun.about == about else None)
     saved = time.monotonic()
     with show_progress(spec.name, share * len(rooms), len(writer), progress) as report:
         for room in range(writer.last_room, len(rooms)):
@@ -149,23 +150,23 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
                 episode += 1
                 report(len(writer), f"room {room + 1} of {len(rooms)}")
                 if time.monotonic() - saved > SAVE_SECONDS:
-                    save_tape(part, writer.make_tape(about))
+                    save_recording(part, writer.make_recording(about))
                     saved = time.monotonic()
     env.close()
-    tape = writer.make_tape(about)
-    scores = _measure(tape) | measure_references(spec.rung, min(len(rooms), REFERENCE_ROOMS))
-    tape = dataclasses.replace(tape, about={**about, "scores": scores})
-    found = compare_published(spec.name, tape)
+    recording = writer.make_recording(about)
+    scores = _measure(recording) | measure_references(spec.rung, min(len(rooms), REFERENCE_ROOMS))
+    recording = dataclasses.replace(recording, about={**about, "scores": scores})
+    found = compare_published(spec.name, recording)
     is_other = not (primitives or found.fits)
     path = path.with_suffix(".other.npz") if is_other else path
-    save_tape(path, tape)
+    save_recording(path, recording)
     part.unlink(missing_ok=True)
     if is_other:
         raise refuse_other(spec.name, found, path)
-    return tape
+    return recording
 
 
-def _record_episode(writer: TapeWriter, env: gymnasium.Env, choose: ActionRule, kind: str, seed: int, room: int,
+def _record_episode(writer: RecordingWriter, env: gymnasium.Env, choose: ActionRule, kind: str, seed: int, room: int,
                     most: int) -> int:
     """Record one episode, cut where it reaches `most` primitives; returns how many it ran."""
     rng = np.random.default_rng(seed)
@@ -268,7 +269,7 @@ class HalfWay(Stateful):
 def train_medium(rooms: InstanceSet, folder: Path) -> Agent:
     """Train `smdp-dqn` in some rooms until it is half as good as the planner, or its budget is spent.
 
-    It explores as much as it is recorded with, so that its training episodes measure what the tape will hold.
+    It explores as much as it is recorded with, so that its training episodes measure what the recording will hold.
     """
     fewest = float(np.mean([_count_fewest(room) for room in rooms]))
     env = rooms.make_env({"include_primitives": False}, observation="objects")
@@ -309,19 +310,19 @@ def measure_references(rung: str, count: int = REFERENCE_ROOMS) -> dict[str, flo
     return {"chance": float(np.mean(returns)), "best_known": float(np.mean(best)), "reference_rooms": count}
 
 
-def _measure(tape: Tape) -> dict[str, float]:
-    """Mean return and length of the tape's whole episodes, and the share that escaped."""
+def _measure(recording: Recording) -> dict[str, float]:
+    """Mean return and length of the recording's whole episodes, and the share that escaped."""
     returns: list[float] = []
-    for block in load_data(tape, observation="features").blocks("decisions"):
+    for block in load_data(recording, observation="features").blocks("decisions"):
         returns.extend(np.bincount(block.trajectory - block.trajectory[0], block.summed_reward))
-    whole = tape.end[tape.end != 0]
+    whole = recording.end[recording.end != 0]
     return {"trajectories": len(returns), "mean_return": float(np.mean(returns)),
-            "mean_length": len(tape.action) / len(returns), "whole_episodes": len(whole),
+            "mean_length": len(recording.action) / len(returns), "whole_episodes": len(whole),
             "escapes": float(np.mean(whole == 1)) if len(whole) else 0.0}
 
 
-def make_played_tape(name: str, rooms: str, paths: Sequence[str | Path]) -> Tape:
-    """Make a tape of episodes that `hrl-escape play` saved; its decisions are the moves, primitives among them.
+def make_played_recording(name: str, rooms: str, paths: Sequence[str | Path]) -> Recording:
+    """Make a recording of episodes that `hrl-escape play` saved; its decisions are the moves, primitives among them.
 
     The rooms that were played are given as text, such as `paper-two-button#0`.
 
@@ -332,7 +333,7 @@ def make_played_tape(name: str, rooms: str, paths: Sequence[str | Path]) -> Tape
         raise EpisodeFileError("no episode is given: save some with the Save button of hrl-escape play")
     found = find_set(rooms)
     numbers = {room.id: index for index, room in enumerate(found)}
-    writer, envs = TapeWriter(), {}
+    writer, envs = RecordingWriter(), {}
     for path in paths:
         saved = load_episode(path)
         room = numbers.get(saved.instance.id)
@@ -358,4 +359,4 @@ def make_played_tape(name: str, rooms: str, paths: Sequence[str | Path]) -> Tape
     about = make_about(name, "played", rooms, found, env, command)
     for each in envs.values():
         each.close()
-    return writer.make_tape(about)
+    return writer.make_recording(about)

@@ -1,9 +1,9 @@
-"""The schematic: a `RoomConfig` describes a distribution over rooms (Menashe and Stone 2019, section 4).
+"""The room configuration: a `RoomConfig` describes a distribution over rooms (Menashe and Stone 2019, section 4).
 
-Every field has a unit, a range and a default; impossible values raise `ConfigError` naming
-field, value and what is allowed. Lengths are metres; angles are degrees here only, in
-fields whose name ends in `_deg`. A room sampled from a schematic is a `RoomInstance`. Numbers of the floor plan,
-obstacles, start, exit and puzzle may be ranges, `Between(3, 5)`, from which each instance draws.
+Every field has a unit, a range and a default; impossible values raise `ConfigError` naming field, value and what is
+allowed. Lengths are metres; angles are degrees here only, in fields whose name ends in `_deg`. A room sampled from a
+room configuration is a `RoomInstance`. Numbers of the floor plan, obstacles, start, exit and puzzle may be ranges,
+`Between(3, 5)`, from which each instance draws.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hrl_escape.env.primitives import ActionTable, DriveKind, Move, SlipKind, ma
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.rewards import RewardConfig
-from hrl_escape.env.schema import Schematic
+from hrl_escape.env.schema import HashedSettings
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Between, Range
 
@@ -42,7 +42,7 @@ def compute_resolution(half_x: float, half_y: float) -> float:
 
 
 @dataclasses.dataclass(frozen=True)
-class Wall(Schematic):
+class Wall(HashedSettings):
     """An explicit interior wall, straight from one place to another along x or y."""
 
     _section = "wall"
@@ -62,7 +62,7 @@ class Wall(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class ShapeConfig(Schematic):
+class ShapeConfig(HashedSettings):
     """Floor plan: a rectangle centred on the origin, split into rooms by interior walls."""
 
     _section = "room"
@@ -96,7 +96,7 @@ class ShapeConfig(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class RobotConfig(Schematic):
+class RobotConfig(HashedSettings):
     """A wheeled base (an upright cylinder or box) with an arm of 1-DoF joints."""
 
     _section = "robot"
@@ -195,7 +195,7 @@ def _measure_base(robot: RobotConfig) -> Base:
 
 
 @dataclasses.dataclass(frozen=True)
-class ObstaclesConfig(Schematic):
+class ObstaclesConfig(HashedSettings):
     """Boxes and cylinders on the floor; they may touch each other but never block the way."""
 
     _section = "obstacles"
@@ -221,7 +221,7 @@ class ObstaclesConfig(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class StartConfig(Schematic):
+class StartConfig(HashedSettings):
     """Start of episodes: fixed here, or sampled with the instance among connected free places."""
 
     _section = "start"
@@ -244,7 +244,7 @@ class StartConfig(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class ExitConfig(Schematic):
+class ExitConfig(HashedSettings):
     """The rectangle on the floor that ends the episode once the puzzle is solved."""
 
     _section = "exit"
@@ -264,7 +264,7 @@ class ExitConfig(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class DynamicsConfig(Schematic):
+class DynamicsConfig(HashedSettings):
     """Dynamics: exact kinematics or Bullet's rigid bodies, noise and slip, and the part that presses."""
 
     _section = "dynamics"
@@ -297,8 +297,8 @@ class DynamicsConfig(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class RoomConfig(Schematic):
-    """A schematic: everything `generate(config, seed)` needs to sample room instances.
+class RoomConfig(HashedSettings):
+    """A room configuration: everything `generate(config, seed)` needs to sample room instances.
 
     Example:
         >>> config = RoomConfig(puzzle=ButtonsConfig(count=3), obstacles=ObstaclesConfig(count=10))

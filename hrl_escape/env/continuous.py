@@ -11,7 +11,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.presets import SchematicForm
+from hrl_escape.env.presets import ConfigForm
 from hrl_escape.env.rewards import Events
 from hrl_escape.env.velocities import Velocities
 from hrl_escape.errors import ConfigError
@@ -64,7 +64,7 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
         velocities: bounds, time step and time limit.
     """
 
-    def __init__(self, config: SchematicForm = "paper-two-button", *, time_step: float = 0.1, speed: float = 1.0,
+    def __init__(self, config: ConfigForm = "paper-two-button", *, time_step: float = 0.1, speed: float = 1.0,
                  turn_speed: float = 1.5, joint_speed: float = 1.0, time_limit: float | None = None, **settings: Any
                  ) -> None:
         self.velocities = Velocities(time_step, speed, turn_speed, joint_speed, time_limit)

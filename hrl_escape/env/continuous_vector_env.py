@@ -12,7 +12,7 @@ from gymnasium import spaces
 from torch import Tensor
 
 from hrl_escape.env.batched.engine import RoomInfo
-from hrl_escape.env.presets import SchematicForm
+from hrl_escape.env.presets import ConfigForm
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.env.velocities import Velocities
 
@@ -40,7 +40,7 @@ class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
 
     velocities: Velocities
 
-    def __init__(self, num_envs: int = 1, config: SchematicForm = "paper-two-button", *, time_step: float = 0.1,
+    def __init__(self, num_envs: int = 1, config: ConfigForm = "paper-two-button", *, time_step: float = 0.1,
                  speed: float = 1.0, turn_speed: float = 1.5, joint_speed: float = 1.0, time_limit: float | None = None,
                  **settings: Any) -> None:
         self.velocities = Velocities(time_step, speed, turn_speed, joint_speed, time_limit)

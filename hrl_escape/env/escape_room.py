@@ -26,14 +26,14 @@ from hrl_escape.env.kinematics import QUIET, RoomState
 from hrl_escape.env.noise import check_seed, draw_episode, fold_seed
 from hrl_escape.env.observations.base import Observer, make_observer
 from hrl_escape.env.poses import list_touched
-from hrl_escape.env.presets import SchematicForm, read_schematic
+from hrl_escape.env.presets import ConfigForm, read_config
 from hrl_escape.env.rewards import Events
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
 from hrl_escape.spaces import bound_episodes, keep_space, make_vector_space
 
-_EPISODE = ("_state", "_ended", "_trail", "_stream", "_episode", "_np_random", "_np_random_seed", "action_space",
-            "observation_space")
+_EPISODE = ("_state", "_ended", "events", "_trail", "_stream", "_episode", "_np_random", "_np_random_seed",
+            "action_space", "observation_space")
 """Attributes that a copy of an environment takes over."""
 
 
@@ -83,9 +83,9 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     Args:
         config: preset name, `RoomConfig`, or the dict form of one.
         instance: a `RoomInstance`, its dict form, or the path of one saved as JSON, instead of `config`.
-        instance_seed: which instance of the schematic (ignored with `instance`).
-        instances: a sequence of rooms of one schematic, instead of `config`: the environment begins in the first, and
-            each reset draws one from the episode's stream. It may make them as they are asked for.
+        instance_seed: which instance of the room configuration (ignored with `instance`).
+        instances: a sequence of rooms of one room configuration, instead of `config`: the environment begins in the
+            first, and each reset draws one from the episode's stream. It may make them as they are asked for.
         observation: a name that `hrl_escape.env.observations` lists.
         render_mode: `rgb_array` or `human`.
         camera: `chase`, `overhead` or `robot`.
@@ -94,8 +94,10 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         resample_instance: draw a new instance at every reset from the episode's stream.
         engine: a name in `hrl_escape.env.engine.ENGINES`.
 
-    `reset(options={"instance_seed": n})` moves to another instance of the schematic, `{"instance_index": i}` to a room
-    of `instances`; `options={"state": state}` begins in a state given by `get_state`.
+    `reset(options={"instance_seed": n})` moves to another instance of the room configuration, `{"instance_index": i}`
+    to a room of `instances`; `options={"state": state}` begins in a state given by `get_state`.
+
+    The attribute `events` holds the `Events` of the latest primitive.
 
     ## Version history
     v1: numbers of buttons say nothing of their order (`graph.relabel`). v0: first release.
@@ -106,7 +108,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
 
     def __init__(
         self,
-        config: SchematicForm = "paper-two-button",
+        config: ConfigForm = "paper-two-button",
         *,
         instance: InstanceForm | None = None,
         instance_seed: int = 0,
@@ -136,17 +138,17 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
                 raise ConfigError("instances", instances, "at least one room, and no argument instance")
             instance = read_instance(instances[0])
         elif instance is None:
-            self.config = read_schematic(config)
+            self.config = read_config(config)
             instance = generate(self.config, instance_seed)
         else:
             instance = read_instance(instance)
         if resample_instance and self.config is None:
-            raise ConfigError("resample_instance", True, "false with a given instance: there is no schematic")
+            raise ConfigError("resample_instance", True, "false with a given instance: there is no room configuration")
         self._kind, self._camera, self._size, self._engine = observation, camera, render_size, engine
         self._resample, self._trailing = resample_instance, trail
         self._trail: list[tuple[float, float]] = []
         self._state: RoomState | None = None
-        self._ended = False
+        self._ended, self.events = False, QUIET
         self._stream, self._episode = -1, 0
         self.instance_index = None if instances is None else 0
         self.room: Engine | None = None
@@ -239,12 +241,12 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             instance_seed = int(self.np_random.integers(2**31))
         if instance_seed is not None:
             if self.config is None:
-                raise ConfigError("reset options.instance_seed", instance_seed, "nothing: there is no schematic")
+                raise ConfigError("reset options.instance_seed", instance_seed, "nothing: no configuration is known")
             self._enter(generate(self.config, instance_seed))
         self._begin_stream(seed)
         number, noise_key = draw_episode(self._stream, self._episode, len(self.instance.starts))
         self._state = self._get_room().reset(self.instance.starts[number], noise_key)
-        self._ended = False
+        self._ended, self.events = False, QUIET
         self._trail = [(self._state.x, self._state.y)]
         if state is not None:
             self.set_state(state)
@@ -280,7 +282,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     def _finish(self, state: RoomState, reward: float, terminated: bool, truncated: bool, events: Events
                 ) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
         """Take over the outcome of a step; returns Gymnasium's five values."""
-        self._state = state
+        self._state, self.events = state, events
         self._ended = terminated or truncated
         if self._trailing:
             self._trail.append((state.x, state.y))
@@ -338,7 +340,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     def set_state(self, state: RoomState) -> None:
         """Continue from a state, as if the episode had come to it; noise included."""
         self._get_room().set_state(state)
-        self._state, self._ended = state, False
+        self._state, self._ended, self.events = state, False, QUIET
 
     def _get_room(self) -> Engine:
         if self.room is None:

@@ -16,7 +16,7 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.schema import Schematic
+from hrl_escape.env.schema import HashedSettings
 from hrl_escape.settings import Range
 
 Thing = TypeVar("Thing")
@@ -44,7 +44,7 @@ def make_footprint(x: float, y: float, half_x: float, half_y: float, yaw: float 
 
 
 @dataclasses.dataclass(frozen=True)
-class Solid(Schematic):
+class Solid(HashedSettings):
     """An upright box or cylinder standing on the floor, in the room frame."""
 
     _section = "solid"

@@ -2,7 +2,7 @@
 
 Instances are immutable values: they serialise to JSON and back without loss and carry a
 content hash, `id`, by which results name the room they were measured in. Rooms from outside are checked
-(`check_room`). Sampling them from a schematic is `generation.py`.
+(`check_room`). Sampling them from a room configuration is `generation.py`.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from hrl_escape.env.geometry import (
 )
 from hrl_escape.env.puzzles.base import Prop, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.puzzles.mixins import Doored, Mapped, Propped, Pushing, get_mixin
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
-from hrl_escape.env.puzzles.traits import Doored, Mapped, Propped, Pushing, get_trait
 from hrl_escape.env.rewards import RewardConfig
-from hrl_escape.env.schema import Schematic
+from hrl_escape.env.schema import HashedSettings
 from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError, show_value
 from hrl_escape.figures import Pictured
 from hrl_escape.files import read_json, write_json
@@ -46,7 +46,7 @@ _OVERLAP = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
-class Target(Schematic):
+class Target(HashedSettings):
     """A pressable box on a wall, which blocks nothing in kinematic rooms, or a pad on the floor."""
 
     _section = "target"
@@ -76,7 +76,7 @@ class Target(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class Rectangle(Schematic):
+class Rectangle(HashedSettings):
     """An axis-aligned closed rectangle on the floor."""
 
     _section = "rectangle"
@@ -111,7 +111,7 @@ class Rectangle(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class Start(Schematic):
+class Start(HashedSettings):
     """A pose of the base: heading is `heading_steps` turn steps plus `heading_offset` rad."""
 
     _section = "start"
@@ -126,7 +126,7 @@ class Start(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class PlacedProp(Schematic):
+class PlacedProp(HashedSettings):
     """A prop of the puzzle and where it stands when an episode begins."""
 
     _section = "prop"
@@ -141,8 +141,8 @@ class PlacedProp(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class SpaceLayout(Schematic):
-    """Layout and scale of observations and options: one for all instances of a schematic.
+class SpaceLayout(HashedSettings):
+    """Layout and scale of observations and options: one for all instances of a room configuration.
 
     An instance with fewer targets than its frame shows the others as absent: their numbers are 0, their options masked.
     """
@@ -161,7 +161,7 @@ class SpaceLayout(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class RoomInstance(Pictured, Schematic):
+class RoomInstance(Pictured, HashedSettings):
     """One room, ready to be simulated, planned in and drawn.
 
     The floor is the rectangle |x| <= half_width, |y| <= half_depth (plus the alcove behind
@@ -172,7 +172,7 @@ class RoomInstance(Pictured, Schematic):
     _section = "instance"
     _picture = "hrl_escape.env.pictures.maps:make_map"
     name: str = "custom"
-    """Name of the schematic."""
+    """Name of the room configuration."""
     seed: Annotated[int, Range(0, 2**63 - 1)] | None = None
     """Instance seed it was generated with."""
     half_width: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 10.0
@@ -198,7 +198,7 @@ class RoomInstance(Pictured, Schematic):
     starts: tuple[Start, ...] = (Start(),)
     """Poses in which episodes may begin."""
     robot: RobotConfig = RobotConfig()
-    """Schematic of the robot: base, arm, and the size of its primitives."""
+    """Room configuration of the robot: base, arm, and the size of its primitives."""
     puzzle: Puzzle = ButtonsPuzzle()
     """Concrete puzzle that opens the exit."""
     reward: RewardConfig = RewardConfig()
@@ -208,7 +208,7 @@ class RoomInstance(Pictured, Schematic):
     horizon: Annotated[int, Range(1, 100_000_000)] = 1000
     """Primitives after which an episode is truncated."""
     shared: SpaceLayout | None = None
-    """Layout of the schematic, where instances differ in size (None: this room's own)."""
+    """Layout of the room configuration, where instances differ in size (None: this room's own)."""
 
     def check(self) -> None:
         """Check what spans several parts."""
@@ -217,10 +217,10 @@ class RoomInstance(Pictured, Schematic):
         names = tuple(target.name for target in self.targets)
         if names != self.puzzle.target_names:
             raise ConfigError("instance.targets", names, f"the puzzle's targets {self.puzzle.target_names}")
-        if tuple(placed.prop for placed in self.props) != get_trait(self.puzzle, Propped).props:
+        if tuple(placed.prop for placed in self.props) != get_mixin(self.puzzle, Propped).props:
             raise ConfigError("instance.props", len(self.props), "the puzzle's props, in its order")
-        door_facts = get_trait(self.puzzle, Doored).door_facts
-        doors = len(get_trait(self.puzzle, Mapped).blockable_cells) or len(door_facts)
+        door_facts = get_mixin(self.puzzle, Doored).door_facts
+        doors = len(get_mixin(self.puzzle, Mapped).blockable_cells) or len(door_facts)
         if len(self.inner_doors) != doors:
             raise ConfigError("instance.inner_doors", len(self.inner_doors), f"{doors}, as many as the puzzle has")
         if door_facts:
@@ -271,7 +271,7 @@ class RoomInstance(Pictured, Schematic):
 
     @cached_property
     def frame(self) -> SpaceLayout:
-        """Layout and scale of observations in this room: the schematic's, or the room's own."""
+        """Layout and scale of observations in this room: the room configuration's, or the room's own."""
         return self.shared or SpaceLayout(self.reach_x, self.reach_y, self.wall_height, self.puzzle.target_names,
                                           self.puzzle.bounds)
 
@@ -283,7 +283,7 @@ class RoomInstance(Pictured, Schematic):
     @cached_property
     def symbolic_model(self) -> SymbolicModel:
         """The puzzle's model, in which doors on the way to a target or the exit must be open, too."""
-        model, facts = self.puzzle.symbolic.make_symbolic_model(), get_trait(self.puzzle, Doored).door_facts
+        model, facts = self.puzzle.symbolic.make_symbolic_model(), get_mixin(self.puzzle, Doored).door_facts
         if not facts:
             return model
         *ways, last = (frozenset(facts[door] for door in way) for way in self.ways)

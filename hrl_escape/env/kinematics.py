@@ -21,7 +21,7 @@ from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
 from hrl_escape.env.poses import RobotPoses, RoomState, list_touched
 from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH, Contacts
-from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, Pushing, get_mixin
 from hrl_escape.env.rewards import Events, RewardState
 from hrl_escape.errors import StateError, show_value
 
@@ -112,7 +112,7 @@ class InnerDoors:
         if shut is None:
             if len(self._shut) > 4096:
                 self._shut.clear()
-            shut = self._shut[puzzle] = get_trait(self._puzzle, Barring).get_shut(puzzle)
+            shut = self._shut[puzzle] = get_mixin(self._puzzle, Barring).get_shut(puzzle)
         return shut
 
     def find_blocking(self, x: float, y: float, puzzle: Hashable) -> int:

@@ -1,4 +1,4 @@
-"""Named schematics: the paper's rooms, the published 2019 code's, and a ladder of difficulty.
+"""Named room configurations: the paper's rooms, the published 2019 code's, and a ladder of difficulty.
 
 A preset is a function that returns a `RoomConfig`; `larg-2019` takes arguments. Each is
 registered with Gymnasium under its name in CamelCase, `hrl_escape/PaperTwoButton-v1`.
@@ -45,8 +45,8 @@ from hrl_escape.env.puzzles.sokoban import SokobanConfig, tidy_level
 from hrl_escape.env.puzzles.taxi import TaxiConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
 
-SchematicForm: TypeAlias = str | RoomConfig | dict[str, Any]
-"""Name of a preset, a schematic, or the dict form of one."""
+ConfigForm: TypeAlias = str | RoomConfig | dict[str, Any]
+"""Name of a preset, a room configuration, or the dict form of one."""
 EVERYWHERE = ExitConfig(place="fixed", width=200, depth=200)
 """An exit on the whole floor: the primitive that solves the puzzle ends the episode."""
 
@@ -425,7 +425,7 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
 
 
 def get_preset(name: str, **arguments: Any) -> RoomConfig:
-    """Return a named schematic.
+    """Return a named room configuration.
 
     Raises:
         UnknownNameError: no preset of that name.
@@ -439,8 +439,8 @@ def get_preset(name: str, **arguments: Any) -> RoomConfig:
         raise ConfigError(f"preset {name!r}", arguments, str(error)) from None
 
 
-def read_schematic(form: SchematicForm) -> RoomConfig:
-    """Read a schematic in any of its forms.
+def read_config(form: ConfigForm) -> RoomConfig:
+    """Read a room configuration in any of its forms.
 
     Raises:
         UnknownNameError: no preset of that name, or no such field.
@@ -460,8 +460,8 @@ def make_env_name(preset: str) -> str:
     return "".join(word.capitalize() for word in preset.split("-"))
 
 
-def describe_schematic(config: RoomConfig) -> str:
-    """One line about the rooms that a schematic gives: sizes, puzzle, obstacles, robot, dynamics."""
+def describe_config(config: RoomConfig) -> str:
+    """One line about the rooms that a room configuration gives: sizes, puzzle, obstacles, robot, dynamics."""
     parts = [f"{config.room.width:g} x {config.room.depth:g} m"]
     if config.room.rooms != 1:
         parts.append(f"{config.room.rooms} rooms")

@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from typing_extensions import Self
 
-from hrl_escape.env.schema import Schematic
+from hrl_escape.env.schema import HashedSettings
 from hrl_escape.errors import ConfigError
 from hrl_escape.registry import Registry
 from hrl_escape.settings import Range
@@ -50,7 +50,7 @@ class RewardState(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class RewardConfig(Schematic):
+class RewardConfig(HashedSettings):
     """Sparse reward of the paper: -1 a primitive, +100 at the exit."""
 
     kind: ClassVar[str] = "sparse"

@@ -223,7 +223,7 @@ def _find_shipped(file: str) -> Path:
 
 @lru_cache(maxsize=64)
 def make_robot(config: RobotConfig) -> Robot:
-    """Build the robot of a schematic; the same config gives the same object.
+    """Build the robot of a room configuration; the same config gives the same object.
 
     Raises:
         EscapeError: the arm's URDF lacks the hand link, a mesh, or joints; or its meshes are too large.

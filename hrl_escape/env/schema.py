@@ -1,8 +1,8 @@
-"""Base of schematics: settings whose plain values determine the ids of rooms.
+"""Base of room configurations: settings whose plain values determine the ids of rooms.
 
-Plain values leave out fields at their default, so that a field added to any schematic, with a default that means
-the former behaviour, leaves every id unchanged. The fields below are always written, for ids have counted them from the
-first; the list is closed: no new class or field has a place in it.
+Plain values leave out fields at their default, so that a field added to any room configuration, with a default that
+means the former behaviour, leaves every id unchanged. The fields below are always written, for ids have counted them
+from the first; the list is closed: no new class or field has a place in it.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ _ALWAYS_WRITTEN = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Schematic(Settings):
+class HashedSettings(Settings):
     """Base of settings whose values enter ids."""
 
     def to_dict(self) -> dict[str, Any]:

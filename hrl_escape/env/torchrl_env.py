@@ -19,7 +19,7 @@ from typing_extensions import Unpack
 
 from hrl_escape.env.batched.engine import TensorRoom, draw_seed
 from hrl_escape.env.batched.rooms import RoomArguments
-from hrl_escape.env.presets import SchematicForm
+from hrl_escape.env.presets import ConfigForm
 from hrl_escape.env.vector_env import BatchVectorEnv, EscapeRoomVectorEnv
 
 _ENDS = ("done", "terminated", "truncated")
@@ -105,7 +105,7 @@ class EscapeRoomTorchRLEnv(BatchTorchRLEnv[EscapeRoomVectorEnv]):
         rooms: the rooms as a Gymnasium `VectorEnv`.
     """
 
-    def __init__(self, num_envs: int = 1, config: SchematicForm = "paper-two-button", *, observation: str = "features",
+    def __init__(self, num_envs: int = 1, config: ConfigForm = "paper-two-button", *, observation: str = "features",
                  **rooms: Unpack[RoomArguments]) -> None:
         given = EscapeRoomVectorEnv(num_envs, config, observation=observation, autoreset_mode="Disabled",
                                     output="torch", **rooms)

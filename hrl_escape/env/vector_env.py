@@ -27,7 +27,7 @@ from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import INSTEAD
 from hrl_escape.env.noise import check_seed
-from hrl_escape.env.presets import SchematicForm
+from hrl_escape.env.presets import ConfigForm
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
 from hrl_escape.spaces import bound_episodes, make_vector_space
 
@@ -189,7 +189,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        config: SchematicForm = "paper-two-button",
+        config: ConfigForm = "paper-two-button",
         *,
         observation: str = "state",
         render_mode: str | None = None,

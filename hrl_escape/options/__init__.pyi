@@ -8,7 +8,8 @@ from .learned import LearnedOption, make_learned_options
 from .masked_observation import MaskedObservation
 from .memory import DecisionMemory, MemoryStreams
 from .meta_actions import PlannedOption, make_meta_options
-from .option import FLAVOURS, FunctionOption, Option, ScriptedOption, TableOption
+from .option import FunctionOption, Option, ScriptedOption, TableOption
+from .option_sets import register_option_set
 from .options_env import OptionsEnv
 from .pushing import PushOption
 from .skills import make_go_to, make_press, make_reach
@@ -17,7 +18,6 @@ from .torchrl_env import OptionsTorchRLEnv, SMDPTransform
 __all__ = [
     "BatchedOptionsEnv",
     "DecisionMemory",
-    "FLAVOURS",
     "FunctionOption",
     "LearnedOption",
     "MaskedObservation",
@@ -41,4 +41,5 @@ __all__ = [
     "make_press",
     "make_reach",
     "pursue",
+    "register_option_set",
 ]

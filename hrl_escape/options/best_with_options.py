@@ -15,10 +15,10 @@ import numpy as np
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.errors import ConfigError, PlanningFailed
+from hrl_escape.errors import PlanningFailed
 from hrl_escape.options.execution import OptionExecution
 from hrl_escape.options.meta_actions import AncestorsOption, PlannedOption, make_meta_options
-from hrl_escape.options.option import FLAVOURS, Option
+from hrl_escape.options.option import Option
 from hrl_escape.planning.best_known import (
     BestKnown,
     compute_escape_return,
@@ -46,16 +46,14 @@ def find_best_with_options(instance: RoomInstance, state: RoomState, options: st
     Args:
         instance: the room.
         state: first state of the episode.
-        options: the options, or a flavour of meta-actions.
+        options: the options, or the name of an option set.
 
     Raises:
-        ConfigError: no such flavour.
+        UnknownNameError: there is no such option set.
     """
     planner = get_planner(instance)
     if options == "press":
         return find_by_plan(planner, state, jointly=False)
-    if isinstance(options, str) and options not in FLAVOURS:
-        raise ConfigError("options", options, f"options, or one of {FLAVOURS}")
     made = make_meta_options(instance, options, planner) if isinstance(options, str) else tuple(options)
     found = _search_options(planner, state, made)
     improve_best_known(instance, state, found)

@@ -14,7 +14,7 @@ from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.options.meta_actions import list_goals, make_meta_options, make_option
 from hrl_escape.options.option import Option
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.goals import ExitGoal, Goal, check_goal, parse_goal
+from hrl_escape.planning.goals import ExitGoal, Goal, check_goal, name_goal, parse_goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 
 MOST_FAILURES = 5
@@ -60,7 +60,7 @@ def pursue(env: gymnasium.Env, goal: Goal | str | None = None, planner: RoomPlan
         goals = (*list_goals(room.instance), ExitGoal())
         options = make_meta_options(room.instance, "press", planner)
     else:
-        goals, options = (goal,), (make_option("pursue", planner, goal),)
+        goals, options = (goal,), (make_option(name_goal(goal, room.instance), planner, goal),)
     wrapped = OptionsEnv(env, options, include_primitives=False, trace=True)
     wrapped.resume()
     decisions: list[dict[str, Any]] = []

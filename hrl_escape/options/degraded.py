@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import time
 import zlib
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from typing_extensions import Self
@@ -18,7 +18,9 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import philox
 from hrl_escape.errors import PlanningFailed, PlanningReason
+from hrl_escape.names import number_options
 from hrl_escape.options.option import Option, OptionAction
+from hrl_escape.options.option_sets import DEFAULT_SET, check_option_set
 from hrl_escape.settings import Range, Settings
 
 FAILURE, STOP, _MISSING = range(3)
@@ -42,47 +44,53 @@ class OptionDegradation(Settings):
     """Probability that an option is masked for ever."""
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0
     """Seed of all draws."""
-    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
-    """Flavour of the meta-actions."""
+    option_set: str = DEFAULT_SET
+    """Name of the option set that is degraded."""
+
+    def check(self) -> None:
+        """Refuse an unknown option set."""
+        check_option_set(self.option_set)
 
     def __call__(self, instance: RoomInstance) -> tuple[Option, ...]:
         """Make the room's meta-actions and degrade each."""
         from hrl_escape.options.meta_actions import make_meta_options  # loads the planners
 
-        return tuple(self.degrade(option) for option in make_meta_options(instance, self.flavour))
+        options = make_meta_options(instance, self.option_set)
+        return tuple(DegradedOption(option, self, key)
+                     for option, key in zip(options, number_options(len(options)), strict=True))
 
     def degrade(self, option: Option) -> Option:
-        """Degrade one option of any kind."""
-        return DegradedOption(option, self)
+        """Degrade one option of any kind; its draws depend on its name."""
+        return DegradedOption(option, self, option.name)
 
-    def make_key(self, name: str) -> tuple[int, int]:
+    def make_key(self, key: str) -> tuple[int, int]:
         """Key of an option's draws, two 32-bit words."""
-        return self.seed, zlib.crc32(name.encode())
+        return self.seed, zlib.crc32(key.encode())
 
-    def draw(self, name: str, purpose: int, episode: int, primitive: int) -> float:
+    def draw(self, key: str, purpose: int, episode: int, primitive: int) -> float:
         """Uniform number in (0, 1) for an option and a purpose at a primitive of an episode."""
         mask = 0xFFFFFFFF
-        word, *_ = philox((primitive & mask, purpose, episode & mask, episode >> 32 & mask), self.make_key(name))
+        word, *_ = philox((primitive & mask, purpose, episode & mask, episode >> 32 & mask), self.make_key(key))
         return (word + 0.5) / 2**32
 
-    def lacks(self, name: str) -> bool:
+    def lacks(self, key: str) -> bool:
         """Return whether an option is missing."""
-        return self.draw(name, _MISSING, 0, 0) < self.missing
+        return self.draw(key, _MISSING, 0, 0) < self.missing
 
 
 class DegradedOption(Option):
     """An option whose controller or termination is made worse on purpose; see `degrade`."""
 
-    def __init__(self, inner: Option, degradation: OptionDegradation) -> None:
+    def __init__(self, inner: Option, degradation: OptionDegradation, key: str) -> None:
         super().__init__(inner.name)
-        self.inner, self.degradation = inner, degradation
+        self.inner, self.degradation, self._key = inner, degradation, key
         self.instance, self.targets, self.about = inner.instance, inner.targets, inner.about
         self.is_markov = inner.is_markov and not (degradation.failure or degradation.detour)
-        self._is_missing = degradation.lacks(inner.name)
+        self._is_missing = degradation.lacks(key)
         self._wasted, self._inner_runs = 0, False
 
     def _draw(self, purpose: int, state: RoomState) -> float:
-        return self.degradation.draw(self.name, purpose, state.noise_key, state.primitives)
+        return self.degradation.draw(self._key, purpose, state.noise_key, state.primitives)
 
     def initiation(self, state: RoomState) -> bool:
         """True wherever the other option may start; false everywhere if it is missing."""

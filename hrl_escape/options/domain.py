@@ -6,7 +6,6 @@ kind of environment adds to `info`. Derive from `OptionDomain` to show options m
 
 from __future__ import annotations
 
-import dataclasses
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
@@ -18,10 +17,12 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.kinematics import QUIET, RoomState
 from hrl_escape.env.poses import list_touched
-from hrl_escape.errors import ConfigError, OptionError, StepContractError, UnsupportedError
-from hrl_escape.options.option import FLAVOURS, Option
+from hrl_escape.env.rewards import Events
+from hrl_escape.errors import OptionError, StepContractError, UnsupportedError
+from hrl_escape.options.option import Option
+from hrl_escape.options.option_sets import DEFAULT_SET, OptionSetSource, check_option_set
 
 TERMINATIONS = 0x0971
 """Distinguishes the stream of an episode's terminations from other streams of the same seed."""
@@ -36,6 +37,7 @@ class DomainStep(NamedTuple):
     observation: Any  # of the wrapped environment, after
     rewards: tuple[float, ...]  # one a primitive; one, unless the wrapped environment has options itself
     info: Mapping[str, Any]  # of the wrapped environment, after
+    events: Events = QUIET  # what happened in a room; nothing elsewhere, and above other options
 
 
 @runtime_checkable
@@ -45,6 +47,11 @@ class RoomEnv(Protocol):
     @property
     def instance(self) -> RoomInstance:
         """Instance of the room that the environment is in now."""
+        ...
+
+    @property
+    def events(self) -> Events:
+        """What happened in the latest primitive."""
         ...
 
     def get_state(self) -> RoomState:
@@ -107,8 +114,12 @@ class OptionDomain:
             return self.lower.action_names
         return tuple(str(self.make_action(index)) for index in range(int(space.n)))
 
-    def make_default_options(self, flavour: str, planner: str) -> Any:
+    def make_default_options(self, option_set: str, planner: str) -> Any:
         """Options of an environment that comes without any, or a function that makes them.
+
+        Args:
+            option_set: name of an option set.
+            planner: method of their plans, as in `RoomPlanner`.
 
         Raises:
             UnsupportedError: it is no room, for which a planner makes options.
@@ -123,6 +134,10 @@ class OptionDomain:
             observation: last observation of the environment.
         """
         return observation
+
+    def get_events(self) -> Events:
+        """Events of the latest step: none here."""
+        return QUIET
 
     def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
         """Primitive of a decision that cannot run: the first legal one, or the one nearest to zero.
@@ -239,20 +254,34 @@ class RoomDomain(OptionDomain):
             return super().action_names
         return self.room.instance.robot.actions.names
 
-    def make_default_options(self, flavour: str, planner: str) -> Any:
-        """The function that makes the meta-actions of any room. Raises `OptionError` above options."""
+    def make_default_options(self, option_set: str, planner: str) -> Any:
+        """The function that makes the options of any room.
+
+        Raises:
+            UnknownNameError: there is no such option set.
+            OptionError: the actions below are options themselves.
+            UnsupportedError: over velocities, another option set than `press`.
+        """
+        check_option_set(option_set)
         if self.lower is not None:
             raise OptionError("planned options choose primitives, and the actions below are options themselves: give "
                               "OptionsEnv(env, options) options that choose among them")
         if isinstance(self.room, EscapeRoomContinuousEnv):
+            if option_set != DEFAULT_SET:
+                raise UnsupportedError(f"option_set = {option_set!r}: options over velocities are those of "
+                                       f"{DEFAULT_SET!r}; use an environment of primitives")
             from hrl_escape.options.tracked import TrackedSource  # loads the planners
 
             return TrackedSource.of(self.room, planner)
-        return MetaSource(flavour, planner)
+        return OptionSetSource(option_set, planner)
 
     def get_state(self, observation: Any) -> RoomState:
         """Full state of the room."""
         return self.room.get_state()
+
+    def get_events(self) -> Events:
+        """Events of the latest primitive; none above other options, whose steps are several primitives."""
+        return QUIET if self.lower is not None else self.room.events
 
     def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
         """Turn left; over options without primitives, the first legal one; over velocities, rest."""
@@ -281,8 +310,8 @@ class RoomDomain(OptionDomain):
         for step in steps:
             if self.lower is not None:
                 pressed |= step.info["pressed"]
-            else:
-                pressed[list(list_touched(step.next_state.touching & ~step.state.touching))] = 1
+            elif step.events.pressed:
+                pressed[list(list_touched(step.events.pressed))] = 1
         also_pressed, forced = pressed.copy(), np.zeros_like(pressed)
         also_pressed[list(range(len(names)) if option is None or option.targets is None else option.targets)] = 0
         forced[[names.index(name) for name in unavoidable]] = 1
@@ -326,22 +355,3 @@ def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:
             raise OptionError(f"option {option.name!r} was made for room {option.instance.id}, this one is "
                               f"{here or 'no room'}: give OptionsEnv a function that makes options for an instance")
     return made
-
-
-@dataclasses.dataclass(frozen=True)
-class MetaSource:
-    """Makes the meta-actions of any room, by a method of `RoomPlanner`. Raises `ConfigError` for an unknown flavour."""
-
-    flavour: str  # of `FLAVOURS`
-    planner: str = "auto"  # method of their plans, as in `RoomPlanner`
-
-    def __post_init__(self) -> None:
-        if self.flavour not in FLAVOURS:
-            raise ConfigError("OptionsEnv.flavour", self.flavour, " or ".join(map(repr, FLAVOURS)))
-
-    def __call__(self, instance: RoomInstance) -> Sequence[Option]:
-        """The meta-actions of a room."""
-        from hrl_escape.options.meta_actions import make_meta_options  # loads the planners
-        from hrl_escape.planning.planner import get_planner
-
-        return make_meta_options(instance, self.flavour, get_planner(instance, self.planner))

@@ -206,7 +206,8 @@ class RunningDecision:
         rewards = read_rewards(reward, self.info, self._env)
         self.rewards.extend(rewards)
         self.state = self._domain.get_state(self.observation)
-        self.steps.append(DomainStep(action, before, self.state, self.observation, rewards, self.info))
+        self.steps.append(DomainStep(action, before, self.state, self.observation, rewards, self.info,
+                                     self._domain.get_events()))
         return rewards
 
 

@@ -1,4 +1,4 @@
-"""Meta-actions made by a room's planner: `meta-01` to `meta-NN`, `meta-exit`, and their parts.
+"""Meta-actions made by a room's planner, such as `press-button-1` and `go-to-exit`, and their parts.
 
 The puzzle's symbolic model defines them (Menashe and Stone 2019, section 5.3). Each follows its plan in closed loop:
 off the plan, the rest of it is replayed from the new state, and a new plan is made if it no longer reaches the goal.
@@ -12,10 +12,21 @@ import math
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import philox
-from hrl_escape.env.puzzles.traits import Mapped
-from hrl_escape.errors import OptionError, PlanningFailed, PlanningReason, UnknownNameError
-from hrl_escape.options.option import FLAVOURS, Option, OptionAction
-from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal, PushGoal, is_reached, make_goal
+from hrl_escape.env.puzzles.mixins import Mapped
+from hrl_escape.errors import OptionError, PlanningFailed, PlanningReason
+from hrl_escape.options.option import Option, OptionAction
+from hrl_escape.options.option_sets import DEFAULT_SET, check_option_set, option_sets
+from hrl_escape.planning.goals import (
+    LEAVE,
+    ExitGoal,
+    Goal,
+    GripGoal,
+    PressGoal,
+    PushGoal,
+    is_reached,
+    make_goal,
+    name_goal,
+)
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
 from hrl_escape.planning.routes import is_way_open
@@ -24,6 +35,8 @@ PATIENCE = 40
 """Primitives without progress after which an option fails; more where primitives slip."""
 JAM, SHAKE = 8, 3
 """Under physics: primitives without progress that count as a jam, and the random primitives of the first shake."""
+PRESSING, LEAVING = 7, 9
+"""Purposes of the draws of shakes, a word of their key."""
 
 
 class GoalOption(Option):
@@ -93,9 +106,9 @@ class PlannedOption(GoalOption):
     def _draw_shake(self, state: RoomState) -> int:
         """Random primitive that presses nothing, to come free of a jam between rigid bodies."""
         self._shake -= 1
-        rules = self._planner.rules
+        rules, purpose = self._planner.rules, LEAVING if isinstance(self.goal, ExitGoal) else PRESSING
         for attempt in range(2 * len(rules.actions)):
-            word, *_ = philox((state.primitives, attempt, 0, 0), (len(self.name), 0))
+            word, *_ = philox((state.primitives, attempt, 0, 0), (purpose, 0))
             primitive = word % len(rules.actions)
             if not rules.step(state, primitive).pressed:
                 return primitive
@@ -212,7 +225,7 @@ class AncestorsOption(GoalOption):
 
 
 class AbsentOption(Option):
-    """Option of a target that this instance lacks and others of the schematic have: always masked."""
+    """Option of a target that this instance lacks and others of the room configuration have: always masked."""
 
     def initiation(self, state: RoomState) -> bool:
         """Always false: the option is never available."""
@@ -253,40 +266,57 @@ def make_option(name: str, planner: RoomPlanner, goal: Goal) -> Option:
     return PlannedOption(name, planner, goal)
 
 
-def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: RoomPlanner | None = None
+def make_meta_options(instance: RoomInstance, option_set: str = DEFAULT_SET, planner: RoomPlanner | None = None
                       ) -> tuple[Option, ...]:
-    """Make `meta-01` to `meta-NN`, one a target (or push), and `meta-exit`.
+    """Make the options of a room by the name of an option set.
 
-    All instances of a schematic have the same names; the options of targets that this room lacks are masked.
+    All instances of a room configuration have the same names; the options of targets that this room lacks are masked.
 
     Args:
         instance: the room.
-        flavour: `press` reaches that goal only; `press-with-ancestors` first carries out what the puzzle's
-            symbolic model requires before it; `press-markov` reaches it by a policy that is a function of the state,
-            where the goal is no push.
+        option_set: name of an option set. Of those that ship, `press` reaches each goal only; `press-with-ancestors`
+            first carries out what the puzzle's symbolic model requires before it; `press-reactive` reaches it by a
+            policy that is a function of the state, where the goal is no push.
         planner: the room's planner; None for the one that this process shares.
 
     Raises:
-        UnknownNameError: no such flavour.
+        UnknownNameError: there is no such option set.
     """
-    if not isinstance(flavour, str) or flavour not in FLAVOURS:
-        raise UnknownNameError("flavour", flavour, FLAVOURS)
-    planner = planner or get_planner(instance)
-    goals = list_goals(instance)
-    parts = {goal: make_option(f"meta-{n:02d}", planner, goal) for n, goal in enumerate(goals, 1)}
-    options: list[Option] = list(parts.values())
-    if flavour == "press-with-ancestors":
-        options = [option if isinstance(option, AbsentOption) else AncestorsOption(option.name, planner, goal, parts)
-                   for goal, option in parts.items()]
-    elif flavour == "press-markov":
-        options = [MarkovOption(option.name, planner, goal)
-                   if isinstance(option, PlannedOption) and not (
-                       isinstance(goal, GripGoal) and goal.action.startswith("push-")) else option
-                   for goal, option in parts.items()]
-    leave = MarkovOption if flavour == "press-markov" else PlannedOption
-    options.append(leave("meta-exit", planner, ExitGoal()))
-    for option, goal in zip(options, [*goals, ExitGoal()], strict=True):
-        option.about = name_object(goal, instance)
+    check_option_set(option_set)
+    return tuple(option_sets.get(option_set)(planner or get_planner(instance)))
+
+
+def make_presses(planner: RoomPlanner) -> tuple[Option, ...]:
+    """Reach one goal each, such as the press of one button, or the exit."""
+    return _name_objects(planner, [*_make_parts(planner).values(), PlannedOption(LEAVE, planner, ExitGoal())])
+
+
+def make_presses_with_ancestors(planner: RoomPlanner) -> tuple[Option, ...]:
+    """Carry out first what the puzzle requires before a goal, then reach the goal, as the published 2019 code does."""
+    parts = _make_parts(planner)
+    options = [option if isinstance(option, AbsentOption) else AncestorsOption(option.name, planner, goal, parts)
+               for goal, option in parts.items()]
+    return _name_objects(planner, [*options, PlannedOption(LEAVE, planner, ExitGoal())])
+
+
+def make_reactive_presses(planner: RoomPlanner) -> tuple[Option, ...]:
+    """Reach one goal each by a policy that is a function of the state, as intra-option learning requires."""
+    options = [MarkovOption(option.name, planner, goal)
+               if isinstance(option, PlannedOption) and not (
+                   isinstance(goal, GripGoal) and goal.action.startswith("push-")) else option
+               for goal, option in _make_parts(planner).items()]
+    return _name_objects(planner, [*options, MarkovOption(LEAVE, planner, ExitGoal())])
+
+
+def _make_parts(planner: RoomPlanner) -> dict[Goal, Option]:
+    room = planner.instance
+    return {goal: make_option(name_goal(goal, room), planner, goal) for goal in list_goals(room)}
+
+
+def _name_objects(planner: RoomPlanner, options: list[Option]) -> tuple[Option, ...]:
+    """Set what each option is about."""
+    for option, goal in zip(options, [*list_goals(planner.instance), ExitGoal()], strict=True):
+        option.about = name_object(goal, planner.instance)
     return tuple(options)
 
 

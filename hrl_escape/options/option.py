@@ -20,10 +20,6 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import OptionError
 from hrl_escape.planning.route import PlanningReport
 
-FLAVOURS = ("press", "press-with-ancestors", "press-markov")
-"""Kinds of meta-actions: press one target only, or its ancestors first, or press it by a policy that is a function of
-the state."""
-
 
 class Option(ABC):
     """A temporally extended action.
@@ -38,7 +34,7 @@ class Option(ABC):
     nothing of a run, so that several environments may share it.
 
     Attributes:
-        name: stable name; a verb phrase or `meta-NN`.
+        name: stable name: a verb, then what it is about, such as `press-button-1`.
         is_markov: true if policy and termination are functions of the state alone.
         instance: the room that the option was made for; None if it suits any.
         targets: indices of the targets it means to press; None if it makes no promise. All other targets that

@@ -96,12 +96,14 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     Args:
         env: the environment, wrapped or not.
         options: the options, or a function that makes them for an instance (needed where instances are resampled) or,
-            where there is no room, for `env`; None synthesises `meta-01` to `meta-NN` and `meta-exit` of a room.
+            where there is no room, for `env`; None makes the meta-actions of a room, such as
+            `press-button-1`, and `go-to-exit`.
         include_primitives: whether primitives are actions too, where the action space is Discrete.
         discount: gamma per primitive, in [0, 1]; readable as `gamma`.
         discounted_reward: return sum gamma^i r_i as the reward instead of sum r_i.
-        flavour: with `options=None`: `press` presses one button only, `press-with-ancestors` first those
-            that must be on before it (as the published code did); `press-markov` by a function of the state.
+        option_set: with `options=None`: name of an option set. `press` presses one button only, `press-with-ancestors`
+            first those that must be on before it (as the published code did), `press-reactive` one button by a
+            function of the state; see `hrl_escape.options.option_sets`.
         interruptible: return to the agent after every primitive of an option, `ended="interrupted"`.
             Choosing the same option again continues it; choosing another drops it. So the policy over
             options is asked at every primitive and every duration is 1.
@@ -133,7 +135,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         include_primitives: bool = True,
         discount: float = 0.99,
         discounted_reward: bool = False,
-        flavour: str = "press",
+        option_set: str = "press",
         interruptible: bool = False,
         max_duration: int | None = None,
         trace: bool = False,
@@ -144,7 +146,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         given: dict[str, Any] = {} if domain is None else {"domain": domain}
         RecordConstructorArgs.__init__(
             self, options=options, include_primitives=include_primitives, discount=discount,
-            discounted_reward=discounted_reward, flavour=flavour, interruptible=interruptible,
+            discounted_reward=discounted_reward, option_set=option_set, interruptible=interruptible,
             max_duration=max_duration, trace=trace, observation=observation, planner=planner,
             **given,
         )
@@ -155,7 +157,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self.interruptible, self.max_duration = interruptible, max_duration
         self._discounted, self._tracing = discounted_reward, trace
         self._source: OptionsSource = (
-            options if options is not None else self._domain.make_default_options(flavour, planner))
+            options if options is not None else self._domain.make_default_options(option_set, planner))
         self.planning_report = self.planning_total = PlanningSummary()
         self.last_steps: tuple[DomainStep, ...] = ()
         self._run: OptionExecution | None = None
@@ -414,7 +416,7 @@ def make_options_env(config: str | RoomConfig | dict[str, Any] = "paper-two-butt
     """Make an `EscapeRoomEnv` wrapped in an `OptionsEnv`; the entry point of the ids `hrl_escape/<Preset>Options-v1`.
 
     Args:
-        config: schematic of the room, see `EscapeRoomEnv`.
+        config: configuration of the room, see `EscapeRoomEnv`.
         option_features: append option features to the observation, as `OptionsEnv(observation="options")` does.
         arguments: those of `OptionsEnv` (but `observation` and `domain`), and all others of `EscapeRoomEnv`, such as
             `observation="features"`. With `render_mode="rgb_array_list"`, `render()` returns the frames of all

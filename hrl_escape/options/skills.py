@@ -1,4 +1,4 @@
-"""Skills of a finer grain than meta-actions: `go-to(pose)`, `reach(target)`, `press(target)`.
+"""Skills of a finer grain than meta-actions: go to a pose, reach a target with the hand, press a target.
 
 They nest: a press goes to a place from which the target can be reached, and then reaches.
 With an arm the last part is joint steps alone; without one it is the primitive that touches.
@@ -13,7 +13,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.options.option import Option, OptionAction
-from hrl_escape.planning.goals import Goal, PoseGoal, PressGoal, check_goal, describe_goal, parse_goal
+from hrl_escape.planning.goals import Goal, PoseGoal, PressGoal, check_goal, name_goal, parse_goal
 from hrl_escape.planning.planner import RoomPlanner
 
 ARRIVAL, ARRIVAL_NOISE = 0.02, 3.0
@@ -29,7 +29,7 @@ def make_go_to(planner: RoomPlanner, goal: Goal | str, name: str | None = None) 
     """
     goal = parse_goal(goal, planner.instance) if isinstance(goal, str) else goal
     check_goal(goal, planner.instance)
-    return PlannedOption(name or f"go-to({describe_goal(goal, planner.instance)})", planner, goal)
+    return PlannedOption(name or name_goal(goal, planner.instance), planner, goal)
 
 
 def make_reach(planner: RoomPlanner, target: int | str) -> ReachOption:
@@ -71,9 +71,9 @@ class ReachOption(Option):
     def __init__(self, planner: RoomPlanner, target: int) -> None:
         name = planner.instance.targets[target].name
         if planner.instance.dynamics.press_with != "hand":
-            raise UnsupportedError(f"reach({name}) needs an arm that presses (dynamics.press_with = 'hand'); this "
-                                   f"room's targets are pressed with the body: use press({name})")
-        super().__init__(f"reach({name})")
+            raise UnsupportedError(f"reach-{name} needs an arm that presses (dynamics.press_with = 'hand'); this "
+                                   f"room's targets are pressed with the body: use press-{name}")
+        super().__init__(f"reach-{name}")
         self.instance, self.targets = planner.instance, (target,)
         self._planner, self._target = planner, target
         self._find = lru_cache(KEPT_REACHES)(self._search)
@@ -110,12 +110,12 @@ class PressOption(Option):
 
     def __init__(self, planner: RoomPlanner, target: int) -> None:
         name = planner.instance.targets[target].name
-        super().__init__(f"press({name})")
+        super().__init__(f"press-{name}")
         self.instance, self.targets = planner.instance, (target,)
         self._planner, self._goal = planner, PressGoal(target)
         by_hand = planner.instance.dynamics.press_with == "hand"
         self._reach = ReachOption(planner, target) if by_hand else None
-        self._touch = PlannedOption(f"touch({name})", planner, self._goal)
+        self._touch = PlannedOption(f"touch-{name}", planner, self._goal)
         self._has_gone = self._is_last = False
 
     def start(self, state: RoomState) -> None:

@@ -13,7 +13,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
 from hrl_escape.options.meta_actions import AbsentOption, GoalOption, list_goals, name_object
 from hrl_escape.options.option import Option
-from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal, is_reached
+from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal, is_reached, name_goal
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.sampled import WAY_PLANNER, MotionSampler
 from hrl_escape.planning.motion.trajectory import TimedTrajectory, Tracker, make_trajectory
@@ -101,13 +101,12 @@ class TrackedSource:
         return cls(MotionLimits(**speeds), env.velocities.time_step, planner)
 
     def __call__(self, instance: RoomInstance) -> Sequence[Option]:
-        """The meta-actions of a room: `meta-01` and so on press, grip or push one target each, `meta-exit` leaves."""
+        """The meta-actions of a room: one a press, grip or push, named like its goal, and last `go-to-exit`."""
         planner, way = get_planner(instance, self.planner if self.planner in METHODS else "auto"), self.planner
         check_method(way)
         sampler = None if way in METHODS and way != "auto" else MotionSampler(
             instance, self.limits, WAY_PLANNER if way == "auto" else way)
         goals = [goal for goal in list_goals(instance) if isinstance(goal, (PressGoal, GripGoal))]
-        names = [*(f"meta-{n:02d}" for n in range(1, len(goals) + 1)), "meta-exit"]
         return [AbsentOption(name) if not isinstance(goal, ExitGoal) and goal.target >= len(instance.targets)
                 else TrackedOption(name, planner, goal, self.limits, self.time_step, sampler)
-                for name, goal in zip(names, [*goals, ExitGoal()], strict=True)]
+                for goal in (*goals, ExitGoal()) for name in (name_goal(goal, instance),)]

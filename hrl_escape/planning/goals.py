@@ -9,6 +9,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
+import re
+from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias, cast, get_args
 
 from hrl_escape.env.instance import Rectangle, RoomInstance
@@ -84,6 +86,8 @@ class GripGoal:
     action: GripAction = "grip"
 
 
+LEAVE = "go-to-exit"
+"""Name of the goal that leaves the room."""
 FARTHEST = 1e6
 """Bound of a goal's numbers, m or rad; larger ones are refused as infinite."""
 
@@ -128,39 +132,46 @@ def _is_finite(value: Any) -> bool:
 
 
 def parse_goal(text: str, instance: RoomInstance) -> Goal:
-    """Read a goal from text.
+    """Read a goal from its name, which is that of the option that reaches it.
 
     Args:
-        text: a target's name (`button-2`), `exit`, a place `x,y`, a pose `x,y,heading_deg`,
-            `block->plate` to push one prop onto another, `grip red`, `release red` or `use red` to do so at a target,
-            `push-east box-1` to push it one cell.
+        text: `press-button-2`, `go-to-exit`, `grip-red`, `release-red` or `use-red` to do so at a target,
+            `push-east-box-1` to push a target one cell, `push-block-to-plate` to push one prop onto another; or a
+            place `x,y`, or a pose `x,y,heading_deg`.
         instance: the room with the targets and props.
 
     Raises:
-        UnknownNameError: no such target or prop; the message lists the valid names.
+        UnknownNameError: no such goal; the message lists the names of this room's goals.
         GoalError: the numbers are no pose, or it is no text.
     """
     if not isinstance(text, str):
         raise GoalError(f"{show_value(text)} is no text of a goal")
     word = text.strip()
-    if word == "exit":
+    if word == LEAVE:
         return ExitGoal()
     targets = [target.name for target in instance.targets]
-    if word in targets:
-        return PressGoal(targets.index(word))
-    action, _, name = word.partition(" ")
-    if action in get_args(GripAction) and name in targets:
-        return GripGoal(targets.index(name), cast("GripAction", action))
-    if "->" in word:
-        props = [placed.prop.name for placed in instance.props]
-        pair = [part.strip() for part in word.split("->", 1)]
-        for name in pair:
-            if name not in props:
-                raise UnknownNameError("prop", name, props)
-        return PushGoal(props.index(pair[0]), props.index(pair[1]))
-    if "," in word:
-        return _parse_pose(word)
-    raise UnknownNameError("goal", text, [*targets, "exit"])
+    for action in ("press", *get_args(GripAction)):
+        name = word.removeprefix(f"{action}-")
+        if name != word and name in targets:
+            target = targets.index(name)
+            return PressGoal(target) if action == "press" else GripGoal(target, cast("GripAction", action))
+    if push := _parse_push(word, [placed.prop.name for placed in instance.props]):
+        return push
+    known = list_goal_names(instance)
+    new = find_new_name(word, known)
+    if new is None and "," in word:
+        return _parse_pose(word.removeprefix("go-to-"))
+    raise UnknownNameError("goal", text, known, closest=new)
+
+
+def _parse_push(word: str, props: Sequence[str]) -> PushGoal | None:
+    if word.startswith("push-"):
+        words = word.removeprefix("push-").split("-to-")
+        for count in range(1, len(words)):  # a prop's name may hold `-to-`
+            prop, destination = "-to-".join(words[:count]), "-to-".join(words[count:])
+            if prop in props and destination in props:
+                return PushGoal(props.index(prop), props.index(destination))
+    return None
 
 
 def _parse_pose(word: str) -> PoseGoal:
@@ -174,19 +185,44 @@ def _parse_pose(word: str) -> PoseGoal:
     return PoseGoal(numbers[0], numbers[1], heading)
 
 
-def describe_goal(goal: Goal, instance: RoomInstance) -> str:
-    """Describe a goal in the text that `parse_goal` reads (regions have none)."""
+def list_goal_names(instance: RoomInstance) -> tuple[str, ...]:
+    """List the names of the goals of a room: presses, its model's other actions, and leaving."""
+    presses = (PressGoal(target) for target in range(len(instance.targets)))
+    acts = (make_goal(operator, instance) for operator in instance.symbolic_model.operators)
+    return tuple(dict.fromkeys(name_goal(goal, instance) for goal in (*presses, *acts, ExitGoal())))
+
+
+def find_new_name(word: str, known: Sequence[str]) -> str | None:
+    """Return the name of a goal or option for a name of version 0.3, such as `meta-01`; None for any other text.
+
+    Args:
+        word: the text.
+        known: names in the order of the options, the exit's last.
+    """
+    if word in ("exit", "leave", "meta-exit"):
+        return LEAVE
+    if number := re.fullmatch(r"meta-(\d{2,})", word):
+        acts = [name for name in known if name != LEAVE]
+        return acts[int(number[1]) - 1] if 1 <= int(number[1]) <= len(acts) else None
+    dashed = re.sub(r"\((.*)\)$", r"-\1", re.sub(r"\s*->\s*|\s+onto\s+", "-to-", word)).replace(" ", "-")
+    if dashed != word:
+        return next((name for name in (dashed, f"push-{dashed}") if name in known), None)
+    return next((name for name in known if name.endswith(f"-{word}")), None) if word else None
+
+
+def name_goal(goal: Goal, instance: RoomInstance) -> str:
+    """Return the name of a goal: what is done, then with what, as `parse_goal` reads it (it reads no region)."""
     if isinstance(goal, PressGoal):
-        return instance.targets[goal.target].name
+        return f"press-{instance.frame.target_names[goal.target]}"
     if isinstance(goal, ExitGoal):
-        return "exit"
+        return LEAVE
     if isinstance(goal, GripGoal):
-        return f"{goal.action} {instance.targets[goal.target].name}"
+        return f"{goal.action}-{instance.frame.target_names[goal.target]}"
     if isinstance(goal, PushGoal):
-        return f"{instance.props[goal.prop].prop.name}->{instance.props[goal.destination].prop.name}"
+        return f"push-{instance.props[goal.prop].prop.name}-to-{instance.props[goal.destination].prop.name}"
     if isinstance(goal, RegionGoal):
-        return f"region x {goal.x_min:g} to {goal.x_max:g}, y {goal.y_min:g} to {goal.y_max:g}"
-    place = f"{goal.x:g},{goal.y:g}"
+        return f"go-to-x-{goal.x_min:g}-to-{goal.x_max:g}-y-{goal.y_min:g}-to-{goal.y_max:g}"
+    place = f"go-to-{goal.x:g},{goal.y:g}"
     return place if goal.heading is None else f"{place},{math.degrees(goal.heading):g}"
 
 

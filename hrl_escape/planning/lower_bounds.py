@@ -22,8 +22,8 @@ from hrl_escape.env.bases.rectangle import compute_base_distance
 from hrl_escape.env.geometry import Footprint, compute_distance, make_footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.puzzles.mixins import Mapped
 from hrl_escape.env.puzzles.symbolic import Operator
-from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.env.robot import make_robot
 from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import Goal, GripGoal, PressGoal

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, Kinematics, RoomState
 from hrl_escape.errors import EscapeError
-from hrl_escape.planning.goals import Goal, describe_goal
+from hrl_escape.planning.goals import Goal, name_goal
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,7 +211,7 @@ class Plan:
             "return": self.compute_return(),
             "primitives": list(self.primitives),
             "poses": [[s.x, s.y, s.heading_steps, *s.joint_steps] for s in self.states],
-            "parts": [{"name": part.name, "goal": describe_goal(part.goal, self.instance), "start": part.start,
+            "parts": [{"name": part.name, "goal": name_goal(part.goal, self.instance), "start": part.start,
                        "stop": part.stop, "also_pressed": list(part.also_pressed)} for part in self.parts],
             "planner": self.planner,
             "expansions": self.expansions,

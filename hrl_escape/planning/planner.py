@@ -20,7 +20,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
 from hrl_escape.kernels import read_clock
-from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, describe_goal, make_goal, parse_goal
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, make_goal, name_goal, parse_goal
 from hrl_escape.planning.lower_bounds import LegBounds, bound_escape
 from hrl_escape.planning.plan import Plan, PlanPart, join_parts
 from hrl_escape.planning.props import get_prop_poses
@@ -487,7 +487,7 @@ class RoomPlanner:
         here = state
         for goal in goals:
             if isinstance(goal, PushGoal):
-                raise UnsupportedError(f"{describe_goal(goal, self.instance)} cannot be planned ahead: pushing takes "
+                raise UnsupportedError(f"{name_goal(goal, self.instance)} cannot be planned ahead: pushing takes "
                                        "physics. Use pursue(env), which runs in closed loop")
             is_exit = isinstance(goal, ExitGoal)
             route = self.orders.find_exit(here, bool(legs), clock, settings) if is_exit else self.routes.find_route(
@@ -558,8 +558,7 @@ class RoomPlanner:
 
     def _make_leg(self, state: RoomState, goal: Goal, route: Route, seconds: float = 0.0) -> Plan:
         states = self.routes.follow(state, route.primitives)
-        name = describe_goal(goal, self.instance)
-        name = f"press-{name}" if isinstance(goal, PressGoal) else name
+        name = name_goal(goal, self.instance)
         others = tuple(self.instance.targets[i].name for i in route.also_pressed)
         part = PlanPart(name, goal, 0, len(route.primitives), others)
         return Plan(self.instance, name, route.primitives, states, (part,), route.method, route.expansions,

@@ -23,7 +23,7 @@ from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, check_fields
 from hrl_escape.env.poses import list_touched
-from hrl_escape.env.puzzles.traits import Mapped, get_trait
+from hrl_escape.env.puzzles.mixins import Mapped, get_mixin
 from hrl_escape.errors import ActionError, ConfigError, EscapeError, PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.floor.cost_to_go import FieldMaker
 from hrl_escape.kernels import read_clock
@@ -34,9 +34,9 @@ from hrl_escape.planning.goals import (
     PoseGoal,
     PressGoal,
     check_goal,
-    describe_goal,
     is_reached,
     list_grips,
+    name_goal,
 )
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.plan import make_planned_room
@@ -270,11 +270,12 @@ class Routes:
         if keep_out is None:
             keep_out = list_obstacles(state, self.instance)[-1]
         for count, primitive in enumerate(primitives, 1):
-            after = self.rules.step(here, primitive).state
+            step = self.rules.step(here, primitive)
+            after = step.state
             if keep_out and meets(here.x, here.y, after.x, after.y, keep_out, self._radius):
                 return None
             poses.append(get_pose(after))
-            pressed |= after.touching & ~here.touching
+            pressed |= step.events.pressed
             if is_reached(goal, here, after, self.rules):
                 others = pressed & ~(1 << goal.target) if isinstance(goal, PressGoal) else pressed
                 also = list_touched(others)
@@ -286,7 +287,7 @@ class Routes:
                      ) -> PlanningFailed:
         """Make the `PlanningFailed` of a goal (None: the escape) that could not be planned from a state."""
         pose = (state.x, state.y, self.rules.get_heading(state))
-        name = "escape" if goal is None else describe_goal(goal, self.instance)
+        name = "the escape" if goal is None else name_goal(goal, self.instance)
         return PlanningFailed(reason, name, pose, **details)
 
     def _search_round_props(self, state: RoomState, goal: Goal, clock: Clock, settings: SearchSettings
@@ -463,7 +464,7 @@ class DoorSearches:
 
 def list_cells(room: RoomInstance, state: RoomState, goal: GripGoal) -> tuple[int, ...]:
     """Numbers of the inner doors' cells in which a goal's action can be carried out now, on a map."""
-    return get_trait(room.puzzle, Mapped).list_cells(state.puzzle, goal.action, goal.target)
+    return get_mixin(room.puzzle, Mapped).list_cells(state.puzzle, goal.action, goal.target)
 
 
 def is_way_open(rules: Kinematics, state: RoomState, goal: Goal) -> bool:

@@ -22,7 +22,7 @@ from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target, check_room
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.puzzles.traits import Propped, get_trait
+from hrl_escape.env.puzzles.mixins import Propped, get_mixin
 from hrl_escape.env.robot import BASE_LINK, make_robot
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.planning.planner import RoomPlanner
@@ -205,7 +205,7 @@ class Scene:
     def _place_props(self, pairs: Sequence[PlacedProp], loose: Sequence[PlacedProp]) -> Scene:
         """Replace the props, and the puzzle by one with these props."""
         room, props = self.instance, (*pairs, *loose)
-        puzzle = get_trait(room.puzzle, Propped).with_props(tuple(placed.prop for placed in props))
+        puzzle = get_mixin(room.puzzle, Propped).with_props(tuple(placed.prop for placed in props))
         shared = room.shared
         if shared is not None and len(shared.bounds) < len(puzzle.bounds):
             shared = dataclasses.replace(shared, bounds=puzzle.bounds)

@@ -15,12 +15,12 @@ from hrl_escape.clock import Clock
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
-from hrl_escape.planning.goals import ExitGoal, Goal, PushGoal, make_goal
+from hrl_escape.planning.goals import LEAVE, ExitGoal, Goal, PushGoal, make_goal
 from hrl_escape.planning.plan import Plan
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.symbolic.pddl import clean_name, make_domain, make_problem, read_problem, run_engine
 
-START, LEAVE = "start", "leave"
+START = "start"
 DOMAIN, ESCAPED = "task-and-motion", "escaped"
 _LEAVING = Operator(LEAVE, "exit", LEAVE, frozenset(), frozenset(), frozenset(), frozenset())
 MOST_ROUNDS = 50
@@ -30,8 +30,8 @@ MOST_ROUNDS = 50
 class TaskMotionPlanner:
     """Task of one room with the costs of its motion.
 
-    Actions are called `press-button-2-from-button-1`, and `leave-from-button-2` for the way to the exit; `start` is
-    the place in the first state.
+    Actions are called `press-button-2-from-press-button-1`, and `go-to-exit-from-press-button-2` for the way to the
+    exit; `start` is the place in the first state.
 
     Args:
         planner: the room's planner.
@@ -55,7 +55,7 @@ class TaskMotionPlanner:
     # --- export of the task -----------------------------------------------------------------
 
     def compute_costs(self, state: RoomState, goals: Iterable[str] | None = None) -> dict[tuple[str, str], int]:
-        """Primitives of each leg that can be made, by (place before, operator or `leave`).
+        """Primitives of each leg that can be made, by (place before, operator or `go-to-exit`).
 
         The place before is `start` or an operator, whose leg then begins where it ends if it comes first of all, or
         else where it ends after the first operator from which it can be reached.
@@ -98,7 +98,7 @@ class TaskMotionPlanner:
         Args:
             state: first state.
             goals: facts to make true, such as `on(button-2)`; None for the escape.
-            forbidden: legs (place before, operator or `leave`) that must not be made.
+            forbidden: legs (place before, operator or `go-to-exit`) that must not be made.
 
         Raises:
             UnknownNameError: a goal is none of the puzzle's facts.

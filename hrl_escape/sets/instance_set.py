@@ -64,7 +64,7 @@ class LazySeeds(Sequence[int]):
 
 
 class InstanceSet(Pictured, Sequence[RoomInstance]):
-    """Rooms of one schematic, generated on demand and kept.
+    """Rooms of one room configuration, generated on demand and kept.
 
         rooms = load_benchmark("ladder-1")["lattice"].train
         few, rest = rooms.split(0.1, key=0)
@@ -72,7 +72,7 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
 
     Args:
         name: such as `ladder-1/lattice/train`.
-        config: the schematic.
+        config: the room configuration.
         seeds: instance seeds, in order.
         place: arguments by which `hrl_escape/Ladder-v1` finds the set, so that its environments have a `spec`.
     """
@@ -199,7 +199,7 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
         return cls(content["name"], RoomConfig.from_dict(content["config"]), [int(seed) for seed in content["seeds"]])
 
     def save(self, path: str | Path) -> None:
-        """Write the set as a JSON file of a few kB: its name, schematic and seeds."""
+        """Write the set as a JSON file of a few kB: its name, room configuration and seeds."""
         write_json(path, self.describe()["content"], indent=1)
 
     @classmethod

@@ -1,7 +1,7 @@
 """Manifests: a few kB from which a benchmark's sets of rooms are generated and by which they are verified.
 
-A manifest holds schematics, counts, the indices skipped, and one Merkle root a set. Rooms are not stored: the seed of
-room i of a set follows from the names of benchmark, rung and role and from i.
+A manifest holds room configurations, counts, the indices skipped, and one Merkle root a set. Rooms are not stored: the
+seed of room i of a set follows from the names of benchmark, rung and role and from i.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class SetRecord(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class RungRecord(Settings):
-    """Record of one rung: its schematic and its sets."""
+    """Record of one rung: its configuration and its sets."""
 
     _section = "rung"
     name: str = "rung"
@@ -49,7 +49,7 @@ class RungRecord(Settings):
     isolates: str = ""
     """Ability that the rung asks for beyond the one before."""
     config: RoomConfig = RoomConfig()
-    """Schematic of its rooms."""
+    """Room configuration of its rooms."""
     train: SetRecord = SetRecord(count=256)
     """Rooms to learn on."""
     valid: SetRecord = SetRecord()

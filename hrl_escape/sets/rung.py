@@ -1,4 +1,4 @@
-"""Rungs: a schematic, and sets of rooms to train and test on whose seeds follow from names.
+"""Rungs: a room configuration, and sets of rooms to train and test on whose seeds follow from names.
 
 Room i of a set is generated from `derive_seed(benchmark, rung, role, i)`. Where a rung holds out tasks, a tenth of all
 tasks, chosen by their hash, occurs in `test_task` only.
@@ -71,7 +71,7 @@ def is_held_out(task: str) -> bool:
 
 
 class Rung:
-    """One rung: a schematic, and the sets of rooms to train and test on.
+    """One rung: a room configuration, and the sets of rooms to train and test on.
 
     Args:
         benchmark: name of the benchmark.
@@ -82,7 +82,7 @@ class Rung:
 
     Attributes:
         isolates: ability that it asks for beyond the rung before.
-        config: schematic of its rooms.
+        config: room configuration of its rooms.
     """
 
     def __init__(self, benchmark: str, record: RungRecord, source: str = "", hidden_round: int | None = None,
@@ -188,4 +188,4 @@ def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], coun
         if len(skipped) > 10 * (count + len(kept)):
             break
     raise EscapeError(f"of the first {len(kept) + len(skipped)} rooms, {len(skipped)} look like known ones or cannot "
-                      "be generated: give the schematic more room to vary")
+                      "be generated: give the room configuration more room to vary")

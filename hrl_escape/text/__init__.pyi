@@ -8,17 +8,17 @@ from .recordings import (
     save_games,
     verify_games,
 )
-from .settings import TOLD_LEVELS
-from .told_env import RoomSession, Score, ToldEnv, ToolCall, ToolResult, Turn
+from .settings import REVEAL_LEVELS
+from .text_env import RoomSession, Score, TextEnv, ToolCall, ToolResult, Turn
 
 __all__ = [
     "Game",
-    "TOLD_LEVELS",
+    "REVEAL_LEVELS",
     "Model",
     "RecordedModel",
     "RoomSession",
     "Score",
-    "ToldEnv",
+    "TextEnv",
     "ToolCall",
     "ToolResult",
     "ToolsAgent",

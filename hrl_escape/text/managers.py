@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import FixedPolicy
 from hrl_escape.agents.text_agent import TextAgentSettings
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError
+from hrl_escape.planning.goals import LEAVE
 from hrl_escape.registry import Registry
 from hrl_escape.text.recordings import RecordedModel
-from hrl_escape.text.told_env import ToolCall, Turn, find_told_env
-from hrl_escape.text.words import LEAVE
+from hrl_escape.text.text_env import ToolCall, Turn, find_text_env
 
 Model: TypeAlias = Callable[[Sequence[Turn], Sequence[Mapping[str, Any]]], ToolCall]
 """Anything that reads a transcript and the tools' schemas and says which tool to call. If it has an attribute `rng`, an
@@ -39,6 +39,7 @@ _ON, _OUT = (re.compile(rf'("[^"]*"(?:(?:, | and )"[^"]*")*) {word}') for word i
 _HERE = re.compile(r"You are at \((-?[\d.]+), (-?[\d.]+)\)")
 _THING = re.compile(r'"([^"]*)"(?: at \((-?[\d.]+), (-?[\d.]+)\))?, (on|off)')
 _QUOTED = re.compile(r'"([^"]*)"')
+_ACT = re.compile(r"(?:push-(?:east|north|west|south)|[a-z]+)-(.*)")
 
 
 class RandomManager:
@@ -79,7 +80,7 @@ class SearchRandomManager(RandomManager):
                 _note(turn, options, tried, lit)
             before = turn.text if turn.call is None or turn.call.name != "look" else before
         fresh = [option for option in presses if option not in tried] or presses
-        dark = [option for option in fresh if option.partition(" ")[2] not in lit]
+        dark = [option for option in fresh if _get_thing(option) not in lit]
         return self._pick(dark or fresh, transcript)
 
     def _pick(self, presses: list[str], transcript: Sequence[Turn]) -> str:
@@ -95,7 +96,7 @@ class SearchNearestManager(SearchRandomManager):
                      if (found := _HERE.findall(turn.text))), None)
         if here is None:
             return super()._pick(presses, transcript)
-        return min(presses, key=lambda press: math.dist(here, places.get(press.partition(" ")[2], (math.inf, 0.0))))
+        return min(presses, key=lambda press: math.dist(here, places.get(_get_thing(press), (math.inf, 0.0))))
 
 
 class PDDLPlanner(RandomManager):
@@ -130,7 +131,7 @@ def _solve(begun: str, options: Sequence[str]) -> list[str]:
     domain, problem = begun.find("(define (domain"), begun.find("(define (problem")
     if min(domain, problem) < 0:
         raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the told model", (0.0, 0.0, 0.0),
-                             nearest="nothing told: let the session tell the level model")
+                             nearest="no symbolic model in the transcript: the session must reveal the level model")
     text, _, unlike = begun[problem:].partition("Options of actions: ")
     named = {clean_name(option): option for option in options}
     named |= dict(re.findall(r'([a-z0-9_-]+): "([^"]*)"', unlike))
@@ -143,6 +144,12 @@ def _solve(begun: str, options: Sequence[str]) -> list[str]:
 
 def _run(option: str) -> ToolCall:
     return ToolCall("run_option", {"option": option})
+
+
+def _get_thing(option: str) -> str:
+    """Name of the thing that an option presses, grips, releases, uses or pushes one cell; else empty."""
+    found = _ACT.fullmatch(option)
+    return found[1] if found else ""
 
 
 def _read_legal(text: str, options: Sequence[str]) -> list[str]:
@@ -170,7 +177,7 @@ def _note(turn: Turn, options: Sequence[str], tried: set[str], lit: set[str]) ->
     assert turn.call is not None
     noted, changed = set[str](), "came on" in turn.text or "went out" in turn.text
     for names, said in _PRESSED.findall(turn.text):
-        for press in (f"press {name}" for name in _QUOTED.findall(names)):
+        for press in (f"press-{name}" for name in _QUOTED.findall(names)):
             if press in options:
                 noted.add(press)
                 tried.add(press) if said == "nothing changed" else tried.clear()
@@ -217,11 +224,11 @@ def make_model(name: str) -> Model:
 class ToolsAgent(FixedPolicy):
     """Asks a model for a call of a tool at every decision; nothing is learned.
 
-        env = ToldEnv(OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1")), told="names")
+        env = TextEnv(OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1")), reveal="names")
         evaluate(ToolsAgent(env, model), env, episodes=20)
 
     Args:
-        env: where it acts; a `ToldEnv` is among its wrappers, and reads the calls.
+        env: where it acts; a `TextEnv` is among its wrappers, and reads the calls.
         model: transcript and tools' schemas -> call. Whatever it says, the game goes on; see `RoomSession.call`.
 
     Attributes:
@@ -233,7 +240,7 @@ class ToolsAgent(FixedPolicy):
 
     def __init__(self, env: gymnasium.Env, model: Model) -> None:
         self.settings = TextAgentSettings()
-        self.told, self.model = find_told_env(env), model
+        self.text_env, self.model = find_text_env(env), model
         self.caller = str(getattr(model, "name", None) or getattr(model, "__qualname__", type(model).__qualname__))
         self._rng = np.random.default_rng(0)
 
@@ -245,6 +252,6 @@ class ToolsAgent(FixedPolicy):
         """Action of the call in progress, or of the next; of a wrong call the first legal one, which is not taken."""
         if hasattr(self.model, "rng"):
             vars(self.model)["rng"] = rng
-        while self.told.action is None:
-            self.told.begin(self.model(self.told.transcript, self.told.tools))
-        return self.told.action if self.told.action >= 0 else int(np.flatnonzero(action_mask)[0])
+        while self.text_env.action is None:
+            self.text_env.begin(self.model(self.text_env.transcript, self.text_env.tools))
+        return self.text_env.action if self.text_env.action >= 0 else int(np.flatnonzero(action_mask)[0])

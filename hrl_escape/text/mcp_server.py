@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from hrl_escape.errors import MissingExtraError
-from hrl_escape.text.told_env import RoomSession
+from hrl_escape.text.text_env import RoomSession
 from hrl_escape.version import __version__
 
 try:

@@ -1,7 +1,7 @@
 """Recorded games: JSON Lines that anybody can replay to the same bytes, so that a score from elsewhere is verified.
 
-A game begins with a line that holds the room, the episode's seed and what was told; a line a turn follows, and the
-score ends it. A file may hold several games.
+A game begins with a line that holds the room, the episode's seed and what the text reveals; a line a turn follows, and
+the score ends it. A file may hold several games.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import Any
 from hrl_escape.agents.text_agent import Level
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.errors import EscapeError, FileReadError, UnsupportedError, VerificationError
+from hrl_escape.errors import EscapeError, FileReadError, OldFormatError, UnsupportedError, VerificationError
 from hrl_escape.files import parse_json, read_text, write_text
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.text.told_env import RoomSession, Score, ToldEnv, ToolCall, Turn
+from hrl_escape.text.text_env import RoomSession, Score, TextEnv, ToolCall, Turn
 
-_SCHEMA = 1
+_SCHEMA = 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Game:
     Attributes:
         room: the room.
         seed: of the episode.
-        told: what the caller was told.
+        reveal: what the text revealed.
         options: arguments of the `OptionsEnv` that differ from the defaults.
         turns: calls and answers, after the text that began the game.
         score: at its end.
@@ -39,7 +39,7 @@ class Game:
 
     room: RoomInstance
     seed: int
-    told: Level
+    reveal: Level
     options: Mapping[str, Any]
     turns: tuple[Turn, ...]
     score: Score
@@ -47,8 +47,8 @@ class Game:
     def to_lines(self) -> list[str]:
         """The lines of its file."""
         first, *turns = self.turns
-        begun = {"kind": "game", "schema": _SCHEMA, "seed": self.seed, "told": self.told, "options": dict(self.options),
-                 "text": first.text, "room": self.room.to_dict()}
+        begun = {"kind": "game", "schema": _SCHEMA, "seed": self.seed, "reveal": self.reveal,
+                 "options": dict(self.options), "text": first.text, "room": self.room.to_dict()}
         said = [{"call": [*turn.call], "text": turn.text, "is_error": turn.is_error} for turn in turns if turn.call]
         return [json.dumps(line) for line in (begun, *said, {"score": dataclasses.asdict(self.score)})]
 
@@ -60,11 +60,11 @@ class Game:
             raise ValueError(f"this is no game of schema {_SCHEMA}")
         turns = (Turn(None, str(begun["text"])),
                  *(Turn(ToolCall(*line["call"]), str(line["text"]), bool(line["is_error"])) for line in said))
-        return cls(RoomInstance.from_dict(begun["room"]), int(begun["seed"]), begun["told"], dict(begun["options"]),
+        return cls(RoomInstance.from_dict(begun["room"]), int(begun["seed"]), begun["reveal"], dict(begun["options"]),
                    turns, Score(**last["score"]))
 
 
-def record_game(session: RoomSession | ToldEnv) -> Game:
+def record_game(session: RoomSession | TextEnv) -> Game:
     """The game that was played since the last reset.
 
     Raises:
@@ -79,7 +79,7 @@ def record_game(session: RoomSession | ToldEnv) -> Game:
         raise UnsupportedError("a recording holds games with meta-actions, not with options of your own")
     defaults = OptionsEnv(EscapeRoomEnv(instance=env.instance))._saved_kwargs
     changed = {name: value for name, value in given.items() if value != defaults[name] and name != "observation"}
-    return Game(env.instance, env.seed, env.told, changed, tuple(env.transcript), env.score())
+    return Game(env.instance, env.seed, env.reveal, changed, tuple(env.transcript), env.score())
 
 
 def save_games(path: str | Path, games: Iterable[Game]) -> None:
@@ -92,10 +92,13 @@ def load_games(path: str | Path) -> tuple[Game, ...]:
 
     Raises:
         FileReadError: the file is missing or damaged; the message says where.
+        OldFormatError: it is of version 0.3.
     """
     games, lines = [], list[Any]()
     for number, text in enumerate(read_text(path, "recorded game").splitlines(), 1):
         lines.append(parse_json(text, f"{path}, line {number}", "recorded game"))
+        if len(lines) == 1 and isinstance(lines[0], dict) and lines[0].get("schema") == 1:
+            raise OldFormatError(path, "recorded game")
         if isinstance(lines[-1], dict) and "score" in lines[-1]:
             try:
                 games.append(Game.from_lines(lines))
@@ -111,7 +114,7 @@ def replay_game(game: Game) -> Game:
     """Play a game's calls again, in the room that it names."""
     env = OptionsEnv(EscapeRoomEnv(instance=game.room), **game.options)
     try:
-        session = RoomSession(env, game.told)
+        session = RoomSession(env, game.reveal)
         session.reset(seed=game.seed)
         for turn in game.turns[1:]:
             assert turn.call is not None

@@ -15,15 +15,13 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.marks import name_mark
-from hrl_escape.env.puzzles.traits import Barring, Depicted, Marked, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, Depicted, Marked, get_mixin
 from hrl_escape.names import join_words
+from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.meta_actions import AbsentOption
 from hrl_escape.options.option import Option
-from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal, PushGoal
 from hrl_escape.planning.props import get_prop_poses
 
-LEAVE = "leave"
-"""Name of the option that drives out through the exit."""
 LONGEST, LONGEST_SENTENCE = 60, 400
 """Characters of a name and of a puzzle's sentence, whatever a file says."""
 
@@ -40,28 +38,15 @@ def quote(name: str) -> str:
     return f'"{clean(name)}"'
 
 
-def phrase_options(options: Sequence[Option], instance: RoomInstance) -> dict[str, int]:
-    """Name in plain English -> number of the option; options of targets that the room lacks are left out."""
+def number_options(options: Sequence[Option]) -> dict[str, int]:
+    """Name, cleaned, to number of the option; options of targets that the room lacks are left out."""
     named: dict[str, int] = {}
     for number, option in enumerate(options):
         if isinstance(option, AbsentOption):
             continue
-        name = clean(tell_goal(getattr(option, "goal", None), instance) or option.name)
+        name = clean(option.name)
         named[f"{name} ({number})" if name in named else name] = number
     return named
-
-
-def tell_goal(goal: Any, instance: RoomInstance) -> str:
-    """Words for reaching a goal, such as `press button-1`; empty for a mere place, and for no goal."""
-    if isinstance(goal, ExitGoal):
-        return LEAVE
-    if isinstance(goal, PressGoal):
-        return f"press {instance.targets[goal.target].name}"
-    if isinstance(goal, GripGoal):
-        return f"{goal.action} {instance.targets[goal.target].name}"
-    if isinstance(goal, PushGoal):
-        return f"push {instance.props[goal.prop].prop.name} onto {instance.props[goal.destination].prop.name}"
-    return ""
 
 
 def place(x: float, y: float) -> str:
@@ -77,7 +62,7 @@ def tell_room(instance: RoomInstance, state: RoomState, has_places: bool,
     def locate(x: float, y: float) -> str:
         return f" at {place(x, y)}" if has_places else ""
 
-    lit, depicted, marks = puzzle.get_lit(state.puzzle), get_trait(puzzle, Depicted), get_trait(puzzle, Marked).marks
+    lit, depicted, marks = puzzle.get_lit(state.puzzle), get_mixin(puzzle, Depicted), get_mixin(puzzle, Marked).marks
     things = []
     for index, target in enumerate(instance.targets):
         sign = depicted.get_sign(state.puzzle, index)
@@ -86,7 +71,7 @@ def tell_room(instance: RoomInstance, state: RoomState, has_places: bool,
                       + (f", showing {quote(sign)}" if sign else ""))
     things += [f"{quote(placed.prop.name)}{locate(x, y)}"
                for placed, (x, y, _) in zip(instance.props, get_prop_poses(state, instance), strict=True)]
-    shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
+    shut = get_mixin(puzzle, Barring).get_shut(state.puzzle)
     things += [f"door {number + 1}{locate(door.x, door.y)}, {'shut' if shut >> number & 1 else 'open'}"
                for number, door in enumerate(instance.inner_doors)]
     lines = [f"Exit{locate(*instance.exit.centre)}: {'open' if puzzle.is_solved(state.puzzle) else 'shut'}.",
@@ -102,35 +87,31 @@ def _list_said(puzzle: Puzzle, state: Any) -> list[str]:
     return [clean(said, LONGEST_SENTENCE) for said in puzzle.describe(state)]
 
 
-def tell_changes(instance: RoomInstance, states: Sequence[RoomState]) -> list[str]:
+def tell_changes(instance: RoomInstance, steps: Sequence[DomainStep]) -> list[str]:
     """Sentences on every press and every change of what can be seen, primitive by primitive, in order."""
-    return [said for before, after in zip(states, states[1:], strict=False)
-            for said in _describe_primitive(instance, before, after)]
+    return [said for step in steps for said in _describe_primitive(instance, step)]
 
 
-def _describe_primitive(instance: RoomInstance, before: RoomState, after: RoomState) -> Iterable[str]:
-    pressed = [quote(instance.targets[i].name) for i in list_touched(after.touching & ~before.touching)]
-    if before.puzzle == after.puzzle:
-        return [f"Pressed {join_words(pressed)}: nothing changed."] if pressed else []
-    puzzle, was, now = instance.puzzle, before.puzzle, after.puzzle
+def _describe_primitive(instance: RoomInstance, step: DomainStep) -> Iterable[str]:
+    puzzle, was, now, events = instance.puzzle, step.state.puzzle, step.next_state.puzzle, step.events
     names = [quote(target.name) for target in instance.targets]
-    lit = list(zip(names, puzzle.get_lit(was), puzzle.get_lit(now), strict=True))
-    on, off = ([name for name, old, new in lit if (old, new) == pair] for pair in ((False, True), (True, False)))
+    pressed, on, off = ([names[i] for i in list_touched(bits)]
+                        for bits in (events.pressed, events.turned_on, events.turned_off))
+    if was == now:
+        return [f"Pressed {join_words(pressed)}: nothing changed."] if pressed else []
     changes = ["it " + word if each == pressed else f"{join_words(each)} {word}"
                for each, word in ((on, "came on"), (off, "went out")) if each]
     changes += ["all lights are out"] if len(off) > 1 and not any(puzzle.get_lit(now)) else []
-    sign = get_trait(puzzle, Depicted).get_sign
+    sign = get_mixin(puzzle, Depicted).get_sign
     changes += [f"{name} now shows {quote(sign(now, i) or 'nothing')}" for i, name in enumerate(names)
                 if sign(was, i) != sign(now, i)]
     changes += [said[0].lower() + said[1:].rstrip(".") for said in _list_said(puzzle, now)
                 if said not in _list_said(puzzle, was)]
-    get_shut = get_trait(puzzle, Barring).get_shut
-    for number in range(len(instance.inner_doors)):
-        shut = get_shut(now) >> number & 1
-        changes += [f"door {number + 1} {'shut' if shut else 'opened'}"] if shut != get_shut(was) >> number & 1 else []
+    for number in list_touched(events.opened | events.closed):
+        changes.append(f"door {number + 1} {'opened' if events.opened >> number & 1 else 'shut'}")
     if puzzle.is_solved(was) != puzzle.is_solved(now):
         changes.append("the exit opened" if puzzle.is_solved(now) else "the exit shut")
-    if puzzle.is_failed(now) and not puzzle.is_failed(was):
+    if events.failed:
         changes.append("the puzzle is failed")
     said = "; ".join(changes) or "nothing changed"
     return [f"Pressed {join_words(pressed)}: {said}." if pressed else f"{said[0].upper()}{said[1:]}."]

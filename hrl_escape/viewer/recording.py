@@ -1,6 +1,6 @@
 """Recordings of one episode: of a driver (the planner or a trained agent), or of a saved episode replayed.
 
-A `Recording` is plain data; `pages.offline` writes it as a page, and the cameras as a video.
+A `EpisodeRecording` is plain data; `pages.offline` writes it as a page, and the cameras as a video.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hrl_escape.viewer.watch.drivers import Driver
 
 
 @dataclasses.dataclass(frozen=True)
-class Recording:
+class EpisodeRecording:
     """One recorded episode."""
 
     instance: RoomInstance  # the room
@@ -29,7 +29,7 @@ class Recording:
     driver: str  # name of the driver, or of the file
 
 
-def record_driver(driver: Driver, seed: int = 0) -> Recording:
+def record_driver(driver: Driver, seed: int = 0) -> EpisodeRecording:
     """Record one episode of a driver without training; `UnsupportedError` where its agent has not been trained."""
     if driver.trains:
         name = driver.name.partition(",")[0]
@@ -43,7 +43,7 @@ def record_driver(driver: Driver, seed: int = 0) -> Recording:
     return _make(driver.room.instance, steps, decisions, driver.name)
 
 
-def record_saved(saved: SavedEpisode, name: str) -> Recording:
+def record_saved(saved: SavedEpisode, name: str) -> EpisodeRecording:
     """Record a saved episode by replaying it; `EpisodeFileError` where the replay differs from the file."""
     episode = Episode(saved.instance, seed=saved.seed)
     try:
@@ -55,9 +55,9 @@ def record_saved(saved: SavedEpisode, name: str) -> Recording:
 
 
 def _make(instance: RoomInstance, steps: list[PrimitiveStep], decisions: list[tuple[str, int]],
-          driver: str) -> Recording:
+          driver: str) -> EpisodeRecording:
     if not steps:
         raise UnsupportedError("there is nothing to record: no primitive ran")
-    return Recording(instance, (steps[0].before, *(step.after for step in steps)),
+    return EpisodeRecording(instance, (steps[0].before, *(step.after for step in steps)),
                      tuple(step.reward for step in steps), tuple(decisions), steps[-1].end,
                      driver)

@@ -1,4 +1,4 @@
-"""The table of the canon: every algorithm on the same rooms, held against the best searcher and its flat twin."""
+"""The table of the canon: every algorithm on the same rooms, held against the best searcher and its flat control."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.sets.room_spec import RoomSpec
+from studies.controls import chooses_presses
 from studies.figures import FIGURE_STYLE
 from studies.page import make_table
 from studies.running import NO_TRAINING, StudyArgs, refuse_failures
 from studies.statistics import Difference, compare_strata, find_lasting
 from studies.store import Store
 from studies.study import Page, Study
-from studies.twins import chooses_presses
 
 __all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "Standing", "advise", "analyse", "choose_candidate",
            "compare", "list_families", "measure", "shorten", "tell_beyond", "tell_families", "tell_given",
-           "tell_leads", "tell_lost", "tell_standing", "tell_twins"]
+           "tell_leads", "tell_lost", "tell_standing", "tell_controls"]
 
 NAMED = 3
 """Agents that a sentence names at most; tables name all."""
@@ -359,10 +359,10 @@ def tell_families(best: Mapping[str, tuple[str, float]], searcher: float) -> str
     return f"By the best of each family, {'; '.join(parts)}."
 
 
-def tell_twins(contrasts: Sequence[Contrast]) -> str:
+def tell_controls(contrasts: Sequence[Contrast]) -> str:
     """A sentence: which hierarchies gain or lose against the flat learner that chooses among the same things."""
     if not contrasts:
-        return "No hierarchy has a twin with enough rooms in every kind."
+        return "No hierarchy has a control with enough rooms in every kind."
     better, worse = ([each for each in contrasts if each.found.sign == sign] for sign in (1, -1))
     level = len(contrasts) - len(better) - len(worse)
     parts = [f"{_agree(len(better), 'gain')}{_name_most(better)}"] if better else ["none gains"]
@@ -544,13 +544,13 @@ def tell_standing(found: Standing) -> dict[str, Any]:
     if not kinds:
         return {"headline": f"Nothing is concluded yet, as the rooms with {easiest} lack runs: of every agent there "
                             f"must be {LEAST_RUNS}.", "kinds": []}
-    flat: Mapping[str, str] = data["twins"]
+    flat: Mapping[str, str] = data["controls"]
     given = {label: family.given for family in found.families if family.given for label in family.learners}
     against, told = (compare([
         (label, "the best searcher", {kind: each for kind, each in found.best.items() if fits(study, label, kind)})
         for label in found.followed if (label in given) == is_given], cells) for is_given in (False, True))
-    twins = compare([(label, twin, dict.fromkeys(kinds, twin)) for label, twin in flat.items() if label not in given],
-                    cells)
+    controls = compare([(label, control, dict.fromkeys(kinds, control)) for label, control in flat.items()
+                        if label not in given], cells)
     differences = {each.agent: each for each in [*against, *told]}
     tops = {family.what: max(((label, differences[label].found.mean) for label in own), key=lambda item: item[1])
             for family in found.families if (own := [
@@ -558,7 +558,7 @@ def tell_standing(found: Standing) -> dict[str, Any]:
                 if label in differences and all(fits(study, label, kind) for kind in kinds)])}
     moves = [label for label in found.learners if not chooses_presses(AgentSpec.parse(label))]
     sentences = [
-        tell_families(tops, found.searcher), tell_twins(twins),
+        tell_families(tops, found.searcher), tell_controls(controls),
         tell_leads({words[kind]: average_alike({label: cells[kind, label] for label in found.followed
                                                 if label not in given and fits(study, label, kind)})
                     for kind in kinds}),
@@ -580,7 +580,7 @@ def tell_standing(found: Standing) -> dict[str, Any]:
     return {
         "headline": tell_beyond(against, len(kinds)), "sentences": sentences,
         "advice": advise(against, found.best[kinds[-1]]), "tables": tables, "bars": bars, "courses": courses,
-        "twins": [f"`{each.agent}` against `{each.other}`: {tell_difference(each)}" for each in twins],
+        "controls": [f"`{each.agent}` against `{each.other}`: {tell_difference(each)}" for each in controls],
         "kinds": [f"{words[kind]} (`{kind}`)" for kind in kinds],
         "left_out": [f"{words[kind]} (`{kind}`)" for kind in words if kind not in kinds],
         "unfit": tell_unfit(found),

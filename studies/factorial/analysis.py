@@ -50,7 +50,7 @@ class Args(GridArgs):
     algorithms: tuple[str, ...] = ("sarsa",)
     """Algorithms to run: sarsa, ddpg. The page tells of all whose results are there."""
     rooms: int = 5
-    """Number of rooms, drawn from one schematic."""
+    """Number of rooms, drawn from one room configuration."""
     runs: int = 5
     """Training seeds of each agent in each room; fewer than five conclude nothing."""
     primitives: int = 4_000

@@ -92,7 +92,7 @@ def name_factorial(algorithm: str, is_fresh: bool = False) -> str:
 
 
 def make_factorial_grid(algorithm: str, rooms: int = 5, runs: int = 5, primitives: int = 4_000, first: int = 0) -> Grid:
-    """An algorithm's 24 agents in rooms drawn from one schematic.
+    """An algorithm's 24 agents in rooms drawn from one room configuration.
 
     Args:
         algorithm: one of `ALGORITHMS`.

@@ -211,7 +211,7 @@ def analyse(study: Study, lines: Sequence[SolvedRoom | PlayedRun]) -> Page:
         "never": [name for name, lengths in played[learner].items() if set(lengths) == {None}],
         "table_of_puzzles": make_table(
             ["puzzle", "exact", "fewest operators", "planner", "random", "in order", "searching", "learning",
-             "told the schematic"], rows),
+             "told the room configuration"], rows),
         "entries": [(entry, _tell_optimum(entry, rooms[entry.preset])) for entry in shown],
         "seeds": len({run.seed for run in learned}), "runs": 1 + max((run.seed for run in learned), default=0),
         "budget": max((run.primitives for run in learned), default=0),

@@ -1,11 +1,11 @@
-"""Learned hierarchies: contrasts of twins, and learned options beside planned ones that fail."""
+"""Learned hierarchies: contrasts of controls, and learned options beside planned ones that fail."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from hrl_escape.settings import read_record
-from studies import twins
+from studies import controls
 from studies.baseline import BaselineRun
 from studies.learned.dial import DialLine, DialSettings, describe_dial, measure_dial
 from studies.running import GridArgs, measure_grids
@@ -27,6 +27,6 @@ def measure(study: Study, args: GridArgs, store: Store) -> None:
 
 def analyse(study: Study, lines: Sequence[BaselineRun | DialLine]) -> Page:
     """Both halves of the page."""
-    page = twins.analyse(study, [line for line in lines if isinstance(line, BaselineRun)])
+    page = controls.analyse(study, [line for line in lines if isinstance(line, BaselineRun)])
     placed = describe_dial([line for line in lines if isinstance(line, DialLine)])
     return page._replace(values={**page.values, "placed": placed})

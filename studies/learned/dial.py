@@ -34,7 +34,7 @@ from studies.store import Store
 __all__ = ["DialLine", "DialSettings", "conclude_dial", "describe_dial", "measure_dial", "place_lines"]
 
 PLANNED = "planned"
-FLAVOUR = "press-with-ancestors"
+OPTION_SET = "press-with-ancestors"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,7 +144,7 @@ def _is_lit(instance: RoomInstance) -> Callable[[Any, Mapping[str, Any]], bool]:
 
 def _measure_planned(settings: DialSettings, instance: RoomInstance, line: DialLine) -> NDArray[np.float64]:
     assert line.failure is not None
-    degradation = OptionDegradation(failure=line.failure, seed=line.seed, flavour=FLAVOUR)
+    degradation = OptionDegradation(failure=line.failure, seed=line.seed, option_set=OPTION_SET)
     env = OptionsEnv(EscapeRoomEnv(instance=instance), degradation, include_primitives=False,
                      max_duration=settings.longest)
     return measure_option(env, env.action_names[_get_goal(instance)], _is_lit(instance), settings.calls, line.seed)
@@ -250,7 +250,7 @@ def describe_dial(lines: Sequence[DialLine]) -> dict[str, Any]:
     budgets = sorted({option.primitives for option in placed})
     cells = {option[:2]: _tell(option.place) for option in placed}
     return {
-        "conclusion": conclusion, "flavour": FLAVOUR,
+        "conclusion": conclusion, "option_set": OPTION_SET,
         "whole": np.mean([line.worth for line in lines if line.failure == 0]),
         "header": ["option of", *(f"{budget:,}" for budget in budgets)],
         "rows": [[f"`{name}`", *(cells.get((name, budget), "-") for budget in budgets)]

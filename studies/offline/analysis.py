@@ -22,9 +22,9 @@ from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.references.registry import SEARCH_BASELINES, make_reference
 from hrl_escape.comparison.statistics import compute_mean_efficiency
-from hrl_escape.data.catalogue import find_tape
+from hrl_escape.data.catalogue import find_recording
 from hrl_escape.data.materialise import load_data
-from hrl_escape.data.tape import load_tape
+from hrl_escape.data.recording import load_recording
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, ConfigError
 from hrl_escape.names import join_words
@@ -127,10 +127,10 @@ def reads_decisions(agent: str) -> bool:
 
 def run_once(agent: str, kind: str, rung: str, run: int, episodes: int) -> OfflineResult:
     """Train one learner on what a data set holds of one room, and test it there; for `BEHAVIOUR` rate the data."""
-    whole = load_tape(find_tape(f"{rung}-{kind}-v1"))
-    tape, fewest = whole.select(run), count_fewest(whole.rooms[run])
+    whole = load_recording(find_recording(f"{rung}-{kind}-v1"))
+    recording, fewest = whole.select(run), count_fewest(whole.rooms[run])
     if agent == BEHAVIOUR:
-        data = load_data(tape, observation="features").read_decisions(1.0)
+        data = load_data(recording, observation="features").read_decisions(1.0)
         ended = np.bincount(data.trajectory, data.terminated) > 0
         lengths = np.bincount(data.trajectory, data.duration)
         return OfflineResult(agent, kind, run, compute_mean_efficiency(ended, lengths, fewest, is_expected=False))
@@ -139,7 +139,7 @@ def run_once(agent: str, kind: str, rung: str, run: int, episodes: int) -> Offli
     env = whole.rooms[run : run + 1].make_env({"include_primitives": False} if options else False,
                                               observation="features")
     try:
-        result = train(name, env, data=load_data(tape, observation="features"), seed=run, eval_episodes=episodes,
+        result = train(name, env, data=load_data(recording, observation="features"), seed=run, eval_episodes=episodes,
                        settings={"values": "table", "passes": 400} | given, eval_every=2**40, progress=False,
                        observed=False)
     finally:
@@ -149,14 +149,14 @@ def run_once(agent: str, kind: str, rung: str, run: int, episodes: int) -> Offli
 
 def run_searcher(searcher: str, rung: str, run: int, episodes: int) -> OfflineResult:
     """Play a searcher in the room of a run."""
-    tape = load_tape(find_tape(f"{rung}-play-v1"))
-    recorder = StateRecorder(tape.rooms[run : run + 1].make_env(observation="features"))
+    recording = load_recording(find_recording(f"{rung}-play-v1"))
+    recorder = StateRecorder(recording.rooms[run : run + 1].make_env(observation="features"))
     env = OptionsEnv(recorder, include_primitives=False)
     try:
         found = evaluate(make_reference(searcher, env, recorder), env, episodes)
     finally:
         env.close()
-    return OfflineResult(searcher, "", run, score(found, count_fewest(tape.rooms[run])))
+    return OfflineResult(searcher, "", run, score(found, count_fewest(recording.rooms[run])))
 
 
 def measure(study: Study, args: Args, store: Store) -> None:

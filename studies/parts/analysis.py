@@ -163,7 +163,7 @@ def _find_fewest(room: RoomInstance) -> int | None:
 
 
 def make_config(room: Mapping[str, Any], buttons: int, rule: str) -> RoomConfig:
-    """Schematic of a square room, as large for many buttons as for few."""
+    """Room configuration of a square room, as large for many buttons as for few."""
     puzzle = {"count": buttons, "graph": room["graph"], "on_violation": rule, "buttons": {"width": room["button"]}}
     return RoomConfig(name=f"parts-{buttons}-{rule}", room=ShapeConfig(width=room["width"], depth=room["width"]),
                       robot=RobotConfig(body_radius=room["body"]), puzzle=ButtonsConfig.from_dict(puzzle))

@@ -44,7 +44,7 @@ def make_chain_room(buttons: int) -> RoomConfig:
 
 
 def sample_replicate_room(buttons: int, replicate: int) -> RoomInstance:
-    """Room of a replicate: so many instances of the schematic come before it, the unfit ones not counted."""
+    """Room of a replicate: so many instances of the room configuration come before it, the unfit ones not counted."""
     fit = (seed for seed in count() if seed not in _DATA["unfit"].get(str(buttons), ()))
     return generate(make_chain_room(buttons), next(islice(fit, replicate, None)))
 

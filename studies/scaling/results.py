@@ -13,7 +13,7 @@ from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.runs import get_training_folder
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 
 __all__ = ["RoomKind", "ScalingRun", "collect_scaling_runs", "compute_edge_depth"]
 
@@ -109,7 +109,7 @@ def collect_scaling_runs(comparison: Comparison, rooms: Mapping[RoomKind, RoomIn
 
 
 def _measure_depth(room: RoomInstance) -> int:
-    graph = get_trait(room.puzzle, Graphed)
+    graph = get_mixin(room.puzzle, Graphed)
     return compute_edge_depth(find_edges_that_matter(graph.edges, graph.goal_targets), graph.goal_targets)
 
 

@@ -103,7 +103,7 @@ def analyse(study: Study, lines: Sequence[FloorRun]) -> Page:
     """Sentences, table and figure."""
     data, cells = study.data, {}
     for name, agent, repeats in (
-            ("an agent that knows the schematic and remembers the floors below", data["ceiling"], True),
+            ("an agent that knows the room configuration and remembers the floors below", data["ceiling"], True),
             ("the same agent, forgetting each floor", data["ceiling"], False),
             ("the searcher that learns nothing", data["searcher"], True)):
         own = sorted((line for line in lines if (line.agent, line.repeats) == (agent, repeats)), key=lambda o: o.floor)

@@ -19,7 +19,7 @@ from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.sets.grammar import find_set
-from hrl_escape.text import Score, ToldEnv, ToolsAgent, make_model, verify_games
+from hrl_escape.text import Score, TextEnv, ToolsAgent, make_model, verify_games
 from studies.figures import FIGURE_STYLE
 from studies.page import make_table
 from studies.running import StudyArgs
@@ -87,7 +87,7 @@ LINES = (GameRun,)
 
 def play_game(manager: str, told: Level, room: RoomInstance) -> Score:
     """Let a manager play one game over options alone."""
-    env = ToldEnv(OptionsEnv(EscapeRoomEnv(instance=room), include_primitives=False), told)
+    env = TextEnv(OptionsEnv(EscapeRoomEnv(instance=room), include_primitives=False), told)
     try:
         for _ in play_episode(ToolsAgent(env, make_model(manager)), env, SEED):
             pass
@@ -112,7 +112,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     places = {room.id: place for place, room in rooms.items()}
     for path in sorted((study.folder / "recordings").glob("*.jsonl")):
         games = [(game, places.get(game.room.id)) for game in verify_games(path)]
-        store.add([GameRun.of_score(path.stem, game.told, *place, game.score, recorded=True)
+        store.add([GameRun.of_score(path.stem, game.reveal, *place, game.score, recorded=True)
                    for game, place in games if place is not None and game.seed == SEED])
         console.print(f"{path.name}: {len(games)} games replayed to the same bytes", markup=False)
 

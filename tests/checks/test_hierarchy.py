@@ -62,7 +62,7 @@ GRAPHS = {
     "the doors of h-uct": lambda: (make_door_tasks(lambda seen: 10.0 * (seen.observation == 2)), TwoDoors()),
     "options as primitives": lambda: (flat(7), ButtonGrid()),
 }
-"""For `maxq-q`, `r-maxq` and `h-uct`, which run any graph. Those made of rooms are in tests/synthesis."""
+"""For `maxq-q`, `r-maxq` and `h-uct`, which run any graph. Those made of rooms are in tests/hierarchies."""
 
 OWN = {
     "macro-q": lambda: _run(MacroQ, EmptyRoom(EDGE), make_wall_macros()),

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from hrl_escape.comparison.presets import get_grid
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from tests.command_line import call
 
 
@@ -21,5 +21,5 @@ def test_the_demo_compares_six_agents_where_numbers_do_not_give_the_order_away()
     (place,) = grid.make_places()
     assert len(grid.agents) == 6 and grid.runs >= 10, "ten runs are the fewest with a verdict"
     puzzle = place.instance.puzzle
-    edges = get_trait(puzzle, Graphed).edges
+    edges = get_mixin(puzzle, Graphed).edges
     assert puzzle.on_violation == "reset" and any(before > after for before, after in edges)

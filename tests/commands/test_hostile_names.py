@@ -21,7 +21,7 @@ def folder(tmp_path: Path, monkeypatch) -> Path:
 
 
 def write_room(folder: Path, name: str) -> str:
-    """File of a small schematic with a name."""
+    """File of a small room configuration with a name."""
     (folder / "room.json").write_text(json.dumps({"name": name, "puzzle": {"kind": "buttons", "count": 1}}))
     return "room.json"
 

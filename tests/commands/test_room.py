@@ -88,7 +88,7 @@ ARM = ("robot.kind=urdf", "robot.joints=1", "robot.body_radius=0.4", "dynamics.p
        "puzzle.buttons.centre_height=1.0")
 
 
-def test_a_bare_room_starts_from_the_defaults_of_a_schematic_and_a_preset_from_its_own(capsys):
+def test_a_bare_room_starts_from_the_defaults_of_a_room_configuration_and_a_preset_from_its_own(capsys):
     report = json.loads(call(capsys, "room", "--set", "puzzle.count=12", "--json", "--check")[1])
     room = generate(RoomConfig(puzzle=ButtonsConfig(count=12)), 0)
     assert (report["id"], report["name"], report["check"]) == (room.id, "custom", "solvable")
@@ -121,7 +121,7 @@ def test_the_robot_s_urdf_is_given_by_its_path(capsys, tmp_path, monkeypatch):
         get_preset("paper-two-button").to_dict() | {"robot": {"kind": "urdf", "joints": 1, "urdf": "arm4.urdf"}}))
     assert_refused(capsys, ["room", "--room", str(tmp_path / "mine.json")], "cannot read the URDF")
     (tmp_path / "mine.json").rename(tmp_path / "robots" / "mine.json")
-    assert call(capsys, "room", "--room", tmp_path / "robots" / "mine.json")[0] == 0, "beside the schematic"
+    assert call(capsys, "room", "--room", tmp_path / "robots" / "mine.json")[0] == 0, "beside the room configuration"
 
 
 @pytest.mark.parametrize("mesh", ["package://boom/boom.obj", "boom.obj", "/gone/boom.obj"])

@@ -29,7 +29,7 @@ def test_it_prints_the_plan_part_by_part_and_runs_it(capsys):
 
 
 def test_json_tells_what_a_program_needs(capsys):
-    code, out, _ = run(capsys, "--room", "clutter#2", "--goal", "button-2", "--json")
+    code, out, _ = run(capsys, "--room", "clutter#2", "--goal", "press-button-2", "--json")
     report = json.loads(out)
     assert code == 0 and report["reached"] and not report["escaped"]
     assert report["plan"]["cost"] == report["primitives"] == len(report["plan"]["primitives"])
@@ -50,7 +50,7 @@ def test_noise_is_met_by_looking_as_it_goes(capsys):
                        "--json")
     report = json.loads(out)
     assert code == 0 and report["escaped"] and "plan" not in report
-    assert [decision["name"] for decision in report["decisions"]] == ["meta-01", "meta-02", "meta-exit"]
+    assert [decision["name"] for decision in report["decisions"]] == ["press-button-1", "press-button-2", "go-to-exit"]
 
 
 @pytest.mark.in_turn
@@ -67,17 +67,18 @@ def test_pictures_and_pddl_are_written(capsys, tmp_path):
 
 def test_a_page_shows_the_motion_with_lights_as_they_are_before_it(tmp_path):
     page = tmp_path / "way.html"
-    assert main(["solve", "--room", "paper-one-button", "--goal", "button-1", "--draw", str(page)]) == 0
+    assert main(["solve", "--room", "paper-one-button", "--goal", "press-button-1", "--draw", str(page)]) == 0
     planner = RoomPlanner(generate(get_preset("paper-one-button"), 0))
     start = planner.rules.make_state(planner.instance.starts[0])
-    motion = make_trajectory(planner.plan(start, "button-1"))
+    motion = make_trajectory(planner.plan(start, "press-button-1"))
     assert page.read_text() == make_motion(motion, planner.instance, start)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--goal", "buton-2"), "did you mean 'button-2'"),
+        (("--goal", "pres-button-2"), "did you mean 'press-button-2'"),
+        (("--goal", "button-2"), "did you mean 'press-button-2'"),
         (("--goal", "30,30"), "goal invalid"),
         (("--planner", "RRTConect"), "RRTConnect"),
         (("--draw", "plan.doc"), ".svg"),

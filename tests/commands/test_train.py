@@ -99,10 +99,10 @@ SHORT = ["train", "random-options", "--room", "four-button-chain", "--primitives
 
 
 @pytest.mark.in_turn_for(
-    "changes0-flavour: 'press' there, 'press-with-ancestors' now", "changes1-environment.arguments.instance",
+    "changes0-option_set: 'press' there, 'press-with-ancestors' now", "changes1-environment.arguments.instance",
     "changes2-seed: 0 there, 1 now")
 @pytest.mark.parametrize(("changes", "field"), [
-    (["--flavour", "press-with-ancestors"], "flavour: 'press' there, 'press-with-ancestors' now"),
+    (["--option-set", "press-with-ancestors"], "option_set: 'press' there, 'press-with-ancestors' now"),
     (["--room", "four-button-chain#1"], "environment.arguments.instance"),
     (["--seed", "1"], "seed: 0 there, 1 now"),
     (["--observation", "state"], "environment.arguments.observation: 'features' there, 'state' now"),
@@ -139,7 +139,8 @@ def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(cap
     (["smdp-iql", "--data", "pair-play-v1", "--room", "clutter"], "--room does not go with --data"),
     (["q-learning", "--flavour", "press"],
      "--flavour is for agents that choose among options, such as smdp-q-learning"),
-    (["hamq+planned", "--flavour", "press-markov"], "--flavour is for agents that choose among options"),
+    (["hamq+planned", "--option-set", "press-reactive"],
+     "--option-set is for agents that choose among options"),
 ])
 def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)

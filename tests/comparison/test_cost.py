@@ -39,7 +39,7 @@ def test_hours_are_runs_times_primitives_times_rate():
     assert hours == pytest.approx(10 * 18 * (1.0 + 2.0 + 0.5 + 0.5) / 3600) and unknown == ["dac"]
 
 
-def test_buttons_of_a_schematic_are_counted_for_every_puzzle():
+def test_buttons_of_a_room_configuration_are_counted_for_every_puzzle():
     bench = load_benchmark("ladder-1")
     assert count_buttons(bench["pair"].config) == 2 and 6 <= count_buttons(bench["lattice"].config) <= 10
     assert all(count_buttons(rung.config) >= 1 for rung in bench)

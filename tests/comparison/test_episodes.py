@@ -74,7 +74,7 @@ def test_decisions_carry_the_names_of_primitives_and_options():
     names = {name for name, _, _ in record("random")[3]["decisions"]}
     assert names and names <= primitives
     chosen = {name for name, _, _ in record("random-options")[3]["decisions"]}
-    assert chosen - primitives and chosen - primitives <= {"meta-01", "meta-02", "meta-exit"}
+    assert chosen - primitives and chosen - primitives <= {"press-button-1", "press-button-2", "go-to-exit"}
 
 
 def test_lights_and_exit_change_where_the_room_says():

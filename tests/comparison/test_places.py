@@ -117,13 +117,13 @@ def test_sets_that_do_not_go_together_are_refused(fields, words):
     ("four-button-chain#0", {"observation": "objects", "agents": (AgentSpec("q-learning"),)}, r"such as dqn\+objects"),
     ("ladder-1/reach/test#0", {"observation": "objects"}, "has 0 joints and that of .* 3"),
 ])
-def test_sets_of_different_schematics_ask_for_what_both_can_show(test, fields, words):
+def test_sets_of_different_room_configurations_ask_for_what_both_can_show(test, fields, words):
     grid = Grid(train_rooms=("paper-two-button#0..2",), test_rooms=(test,), **{"agents": (AgentSpec("dqn"),), **fields})
     with pytest.raises(GridError, match=words):
         grid.make_runs(grid.make_places())
 
 
-def test_traits_of_agents_are_read_from_short_texts():
+def test_mixins_of_agents_are_read_from_short_texts():
     spec = AgentSpec.parse("smdp-dqn+objects+memory")
     assert spec.settings == {"network": "objects"}
     assert spec.options == OptionsView(include_primitives=False, memory=True)

@@ -34,7 +34,7 @@ def play(name: str, instance: RoomInstance, episodes: int = 2) -> tuple[Evaluati
 def test_index_order_presses_every_button_by_number_then_leaves_and_begins_again():
     _, episode = play(SWEEP, CHAIN)
     names = [name for name, _, _ in episode["decisions"]]
-    order = [*(f"meta-{number:02}" for number in range(1, len(CHAIN.targets) + 1)), "meta-exit"]
+    order = [*(f"press-button-{number}" for number in range(1, len(CHAIN.targets) + 1)), "go-to-exit"]
     assert names[:5] == order
     assert names == [order[number % 5] for number in range(len(names))]
 
@@ -43,10 +43,10 @@ def test_a_shuffled_round_presses_every_button_once_in_an_order_of_the_episode_s
     room = generate(get_preset("ten-button"), 0)
     env, recorder = make_agent_env(AgentSpec(SWEEP_RANDOM), room, "features")
     reference = make_reference(SWEEP_RANDOM, env, recorder)
-    buttons, orders = [f"meta-{number:02}" for number in range(1, 11)], []
+    buttons, orders = [f"press-button-{number}" for number in range(1, 11)], []
     for seed in (0, 1, 0):
         names = [name for name, _, _ in record_episode(reference, env, seed).decisions]
-        order = [*names[:10], "meta-exit"]
+        order = [*names[:10], "go-to-exit"]
         assert sorted(order[:10]) == buttons
         assert names == [order[number % 11] for number in range(len(names))], "round after round the same"
         orders.append(order)

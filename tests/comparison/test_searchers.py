@@ -22,7 +22,7 @@ from hrl_escape.comparison.references.bayes import (
     Ways,
     condition_on_marks,
     condition_on_room,
-    find_schematic,
+    find_config,
     iterate_outcomes,
     list_graphs,
     make_family,
@@ -32,6 +32,7 @@ from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_agent_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import QUIET
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle, SectionsConfig, ViolationRule
@@ -66,14 +67,14 @@ def relabel(room: RoomInstance, order: tuple[int, ...], rule: ViolationRule = "i
 def test_a_searcher_never_tries_again_what_failed_under_the_same_lights(name: str):
     room = relabel(generate(get_preset("four-button-chain"), 1), (2, 0, 3, 1))
     _, decisions = play(name, room)
-    order, number, failed = ["meta-03", "meta-01", "meta-04", "meta-02"], 0, set()
+    order, number, failed = ["press-button-3", "press-button-1", "press-button-4", "press-button-2"], 0, set()
     for decision in decisions[:-1]:
         assert decision not in failed | set(order[:number]), "neither what is lit nor what failed since the last light"
         if decision == order[number]:
             number, failed = number + 1, set()
         else:
             failed.add(decision)
-    assert number == 4 and decisions[-1] == "meta-exit"
+    assert number == 4 and decisions[-1] == "go-to-exit"
 
 
 @pytest.mark.in_turn
@@ -87,7 +88,7 @@ def test_the_nearest_first_needs_less_than_a_random_order_and_that_less_than_rou
 @pytest.mark.parametrize("order", [(2, 0, 3, 1), (0, 1, 2, 3), (3, 2, 1, 0), (1, 3, 0, 2)])
 def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice(order: tuple[int, ...]):
     _, decisions = play(SEARCH_BACKTRACK, relabel(generate(get_preset("four-button-chain"), 1), order, "reset"))
-    names = [f"meta-{number:02}" for number in range(1, 5)]
+    names = [f"press-button-{number}" for number in range(1, 5)]
     lit, best, failed = 0, 0, set()
     for decision in decisions[:-1]:
         pressed = names.index(decision)
@@ -99,7 +100,7 @@ def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice(ord
             assert (lit, pressed) not in failed
             failed.add((lit, pressed))
             lit = 0
-    assert lit == 4 and decisions[-1] == "meta-exit"
+    assert lit == 4 and decisions[-1] == "go-to-exit"
 
 
 @pytest.mark.in_turn_for("code")
@@ -147,11 +148,11 @@ def test_a_family_holds_every_labelling():
         make_family(ButtonsConfig(count=4, graph=GraphConfig(kind="random")), 4)
 
 
-def test_the_schematic_of_a_room_is_the_one_that_draws_its_puzzle():
-    assert find_schematic(LADDER["lattice-5"].test[0]) == LADDER["lattice-5"].config
-    assert find_schematic(generate(get_preset("paper-random"), 3)) == get_preset("paper-random")
+def test_the_room_configuration_of_a_room_is_the_one_that_draws_its_puzzle():
+    assert find_config(LADDER["lattice-5"].test[0]) == LADDER["lattice-5"].config
+    assert find_config(generate(get_preset("paper-random"), 3)) == get_preset("paper-random")
     with pytest.raises(UnsupportedError, match="is not known"):
-        find_schematic(relabel(generate(get_preset("paper-two-button"), 0), (1, 0)))
+        find_config(relabel(generate(get_preset("paper-two-button"), 0), (1, 0)))
 
 
 # --- beliefs -------------------------------------------------------------------------------
@@ -210,7 +211,7 @@ def test_the_pass_over_beliefs_gives_what_plain_recursion_gives(rule: Any, kind:
 def test_who_must_find_out_what_a_mistake_does_pays_what_was_foretold(monkeypatch: pytest.MonkeyPatch):
     """Played against each of the six orders under each of the three rules; to fail costs what the exit is worth."""
     config = dataclasses.replace(get_preset("four-button-chain"), puzzle=ButtonsConfig(count=3, on_violation="drawn"))
-    monkeypatch.setattr(bayes, "find_schematic", lambda room: config)  # the room's name is that of another
+    monkeypatch.setattr(bayes, "find_config", lambda room: config)  # the room's name is that of another
     room, orders = generate(config, 5), itertools.permutations(range(3))
     rooms = [relabel(room, order, rule) for order in orders for rule in VIOLATION_RULES]
     assert np.mean([pay(BAYES, each) for each in rooms]) == pytest.approx(foretell(room, config.puzzle), rel=0.02)
@@ -243,7 +244,7 @@ def foretell(room: RoomInstance, puzzle: Any) -> float:
     planner, count = RoomPlanner(room), len(room.targets)
     graph, ways = BeliefGraph(make_family(puzzle, count)), measure_ways(RoomPlanner(room))
     costs, start, root = graph.solve(ways), planner.rules.make_state(room.starts[0]), np.array([graph.root])
-    return min(planner.plan(start, f"button-{button + 1}").cost
+    return min(planner.plan(start, f"press-button-{button + 1}").cost
                + graph.compute_costs_after(costs, root, button, ways)[0, count * count + button]
                for button in range(count))
 
@@ -382,13 +383,14 @@ def test_two_buttons_touched_at_once_confuse_no_belief():
 def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypatch: pytest.MonkeyPatch):
     """Of two buttons touched in one move the first does not light and the second does: nothing went off."""
     config = dataclasses.replace(get_preset("four-button-chain"), puzzle=ButtonsConfig(count=3, on_violation=rule))
-    monkeypatch.setattr(bayes, "find_schematic", lambda room: config)  # the room's name is that of another
+    monkeypatch.setattr(bayes, "find_config", lambda room: config)  # the room's name is that of another
     room = relabel(generate(config, 5), (1, 0, 2))
     env, recorder = make_agent_env(AgentSpec(BAYES), room, "features")
     searcher = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
     searcher.act(observation, info["action_mask"] != 0)
     recorder.states.append(recorder.states[-1]._replace(puzzle=0b010, touching=0b011))
+    recorder.events.append(QUIET._replace(pressed=0b011, turned_on=0b010))
     searcher.act(observation, info["action_mask"] != 0)
     assert list(searcher.describe_presses().values()) == ["lights with 50%", "lit", "lights with 50%"]
     env.close()
@@ -427,7 +429,7 @@ def test_who_reads_marks_needs_less_in_the_same_rooms_than_who_cannot(monkeypatc
         marks = MarksConfig("rank", levels=4, symbols=20, shuffled=shuffled)
         config = RoomConfig(room=ShapeConfig(width=10, depth=10), robot=RobotConfig(body_radius=0.4),
                             puzzle=ButtonsConfig(count=4, marks=marks, buttons=Panels(width=1.0)))
-        monkeypatch.setattr("hrl_escape.comparison.references.bayes.find_schematic", lambda room, config=config: config)
+        monkeypatch.setattr("hrl_escape.comparison.references.bayes.find_config", lambda room, config=config: config)
         rooms = [generate(config, seed) for seed in range(5)]
         lengths[shuffled] = np.mean([play(BAYES, room)[0].mean() for room in rooms])
         nearest = np.mean([play(SEARCH_NEAREST, room)[0].mean() for room in rooms])

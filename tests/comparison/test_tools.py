@@ -16,11 +16,11 @@ from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.text import record_game, save_games
-from hrl_escape.text.told_env import find_told_env
+from hrl_escape.text.text_env import find_text_env
 from tests.comparison.small import run_quietly
 from tests.text.rooms import get_room, play_manager
 
-UNTRIED = AgentSpec(name="text-agent", label="text", settings={"model": "search-random", "told": "names"})
+UNTRIED = AgentSpec(name="text-agent", label="text", settings={"model": "search-random", "reveal": "names"})
 
 
 def test_it_scores_what_the_searcher_scores_whose_choices_it_makes():
@@ -34,7 +34,7 @@ def test_it_scores_what_the_searcher_scores_whose_choices_it_makes():
 
 @pytest.mark.slow
 def test_a_ladder_takes_it_and_reports_it_as_a_reference(tmp_path: Path):
-    told_all = AgentSpec("text-agent", settings={"model": "oracle", "told": "model"})
+    told_all = AgentSpec("text-agent", settings={"model": "oracle", "reveal": "model"})
     agents = (AgentSpec("search-random"), UNTRIED, told_all)
     for protocol in ("generalise", "per-instance"):
         grid = make_protocol_grid(load_benchmark("ladder-1"), "chain-3", protocol, agents,
@@ -47,8 +47,8 @@ def test_a_ladder_takes_it_and_reports_it_as_a_reference(tmp_path: Path):
 def test_settings_are_checked_and_decide_the_key(tmp_path: Path):
     with pytest.raises(UnknownNameError, match="models"):
         AgentSpec(name="text-agent", settings={"models": "search-random"}).resolve_settings()
-    with pytest.raises(ConfigError, match="told"):
-        AgentSpec(name="text-agent", settings={"told": "all"}).resolve_settings()
+    with pytest.raises(ConfigError, match="reveal"):
+        AgentSpec(name="text-agent", settings={"reveal": "all"}).resolve_settings()
     with pytest.raises(FileReadError, match="mine.jsonl"):
         AgentSpec(name="text-agent", settings={"model": str(tmp_path / "mine.jsonl")}).resolve_settings()
     spec = AgentSpec(name="text-agent", settings={"model": str(tmp_path / "mine.jsonl")})
@@ -67,17 +67,17 @@ def test_a_tower_is_refused():
 def test_train_takes_it_and_tells_runs_of_different_callers_apart(tmp_path: Path):
     room, keys = get_room("pair"), set()
     for model, told in (("search-random", "names"), ("search-random", "places"), ("random", "names")):
-        spec = AgentSpec(name="text-agent", settings={"model": model, "told": told})
+        spec = AgentSpec(name="text-agent", settings={"model": model, "reveal": told})
         env, recorder = make_agent_env(spec, room, "features")
         player = make_player(spec, env, recorder)
         result = train(player, env, primitives=60, seed=1, eval_episodes=1, out=tmp_path / "run-{key}", progress=False)
         keys.add(result.folder)
-        assert result.primitives >= 60 and find_told_env(env).transcript
+        assert result.primitives >= 60 and find_text_env(env).transcript
     assert len(keys) == 3
 
 
 def test_the_command_trains_and_lists_its_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["train", "text-agent", "--settings", "model=search-random", "told=names", "--primitives", "60",
+    assert main(["train", "text-agent", "--settings", "model=search-random", "reveal=names", "--primitives", "60",
                  "--eval-episodes", "1", "--out", str(tmp_path / "run")]) == 0
     assert "text-agent, seed 0" in capsys.readouterr().out
     assert main(["train", "text-agent", "--list-settings"]) == 0

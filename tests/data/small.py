@@ -1,4 +1,4 @@
-"""Small tapes for tests, recorded once a process: some thousand primitives in one or two rooms of `pair`."""
+"""Small recordings for tests, recorded once a process: some thousand primitives in one or two rooms of `pair`."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from pathlib import Path
 
 from hrl_escape.data.catalogue import DataSpec
 from hrl_escape.data.record import record
-from hrl_escape.data.tape import Tape, load_tape
+from hrl_escape.data.recording import Recording, load_recording
 
-__all__ = ["make_tape", "save_small"]
+__all__ = ["make_recording", "save_small"]
 
-_FOLDER = tempfile.TemporaryDirectory(prefix="tapes-")
+_FOLDER = tempfile.TemporaryDirectory(prefix="recordings-")
 
 
 @cache
 def save_small(kind: str = "play", rung: str = "pair", primitives: int = 2_000) -> Path:
-    """File of a small tape."""
+    """File of a small recording."""
     path = Path(_FOLDER.name) / f"{rung}-{kind}-{primitives}.npz"
     record(DataSpec(rung, kind), path, primitives=primitives)
     return path
 
 
-def make_tape(kind: str = "play", rung: str = "pair", primitives: int = 2_000) -> Tape:
-    """The tape in it."""
-    return load_tape(save_small(kind, rung, primitives))
+def make_recording(kind: str = "play", rung: str = "pair", primitives: int = 2_000) -> Recording:
+    """The recording in it."""
+    return load_recording(save_small(kind, rung, primitives))

@@ -7,13 +7,13 @@ import pytest
 
 from hrl_escape.data.export import to_minari, to_ogbench
 from hrl_escape.data.materialise import load_data
-from hrl_escape.data.record import make_played_tape
+from hrl_escape.data.record import make_played_recording
 from hrl_escape.errors import UnsupportedError
-from tests.data.small import make_tape
+from tests.data.small import make_recording
 
 
 def test_ogbench_files_have_a_row_a_state_and_one_trajectory_in_ten_is_for_validation(tmp_path):
-    data = load_data(make_tape("stitch"), observation="features")
+    data = load_data(make_recording("stitch"), observation="features")
     whole = data.read()
     training, validation = (dict(np.load(path)) for path in to_ogbench(data, tmp_path))
     trajectories = int(whole.trajectory[-1]) + 1
@@ -29,18 +29,18 @@ def test_ogbench_files_have_a_row_a_state_and_one_trajectory_in_ten_is_for_valid
 
 
 def test_few_trajectories_leave_one_for_validation_and_a_single_one_is_refused(tmp_path):
-    data = load_data(make_tape(primitives=200), observation="features")
+    data = load_data(make_recording(primitives=200), observation="features")
     count = int(data.read().trajectory[-1]) + 1
     assert 1 < count < 10
     training, validation = (dict(np.load(path)) for path in to_ogbench(data, tmp_path))
     assert (training["terminals"].sum(), validation["terminals"].sum()) == (count - 1, 1)
     with pytest.raises(UnsupportedError, match="two or more"):
-        to_ogbench(load_data(make_tape(primitives=5), observation="features"), tmp_path)
+        to_ogbench(load_data(make_recording(primitives=5), observation="features"), tmp_path)
 
 
 def test_ogbenchs_own_loader_gives_the_transitions(tmp_path):
     utils = pytest.importorskip("ogbench.utils")
-    data = load_data(make_tape(), observation="features")
+    data = load_data(make_recording(), observation="features")
     whole = data.read()
     training, _ = to_ogbench(data, tmp_path)
     found = utils.load_dataset(str(training), ob_dtype=np.float32, action_dtype=np.int32)
@@ -54,7 +54,7 @@ def test_ogbenchs_own_loader_gives_the_transitions(tmp_path):
 def test_minari_reads_both_sets_recovers_their_environments_and_normalises_scores(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     minari = pytest.importorskip("minari")
-    data = load_data(make_tape(), observation="features")
+    data = load_data(make_recording(), observation="features")
     decisions, whole = data.read(), data.read_primitives()
     to_minari(data)
     primitives = minari.load_dataset("hrl_escape/pair/play-primitives-v1")
@@ -72,7 +72,7 @@ def test_minari_reads_both_sets_recovers_their_environments_and_normalises_score
     seen, _ = env.reset(seed=0)
     assert seen.shape == episode.observations.shape[1:]
     assert primitives.recover_environment().action_space.n == 6
-    scores = data.tape.about["scores"]
+    scores = data.recording.about["scores"]
     returns = np.array([scores["chance"], scores["best_known"]])
     assert minari.get_normalized_score(options, returns) == pytest.approx([0, 1])
 
@@ -80,7 +80,7 @@ def test_minari_reads_both_sets_recovers_their_environments_and_normalises_score
 def test_the_sets_lie_in_the_folder_that_is_given(tmp_path, monkeypatch):
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "own"))
-    made = to_minari(load_data(make_tape(), observation="features"), folder=tmp_path / "there")
+    made = to_minari(load_data(make_recording(), observation="features"), folder=tmp_path / "there")
     assert not (tmp_path / "own").exists() and list((tmp_path / "there").rglob("*.hdf5"))
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "there"))
     assert {each.spec.dataset_id for each in made} == set(minari.list_local_datasets())
@@ -89,14 +89,14 @@ def test_the_sets_lie_in_the_folder_that_is_given(tmp_path, monkeypatch):
 def test_decisions_of_primitives_alone_are_a_set_over_primitives(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     pytest.importorskip("minari")
-    for made in to_minari(load_data(make_tape("explore"), observation="features")):
+    for made in to_minari(load_data(make_recording("explore"), observation="features")):
         assert made.recover_environment().action_space.n == made.action_space.n == 6
 
 
 def test_d3rlpy_learns_from_the_exported_decisions(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     minari, d3rlpy = pytest.importorskip("minari"), pytest.importorskip("d3rlpy")
-    _, options = to_minari(load_data(make_tape("expert"), observation="features"))
+    _, options = to_minari(load_data(make_recording("expert"), observation="features"))
     episodes = [d3rlpy.dataset.Episode(each.observations[:-1], each.actions.reshape(-1, 1),
                                        each.rewards.reshape(-1, 1), bool(each.terminations[-1]))
                 for each in minari.load_dataset(options.spec.dataset_id)]
@@ -112,6 +112,6 @@ def test_rooms_of_no_rung_have_no_environment_that_minari_could_recover(tmp_path
     pytest.importorskip("minari")
     from tests.data.test_played import play
 
-    tape = make_played_tape("mine", "paper-two-button#0", [play(tmp_path / "a.json")])
+    recording = make_played_recording("mine", "paper-two-button#0", [play(tmp_path / "a.json")])
     with pytest.raises(UnsupportedError, match="no rung"):
-        to_minari(load_data(tape, observation="features"))
+        to_minari(load_data(recording, observation="features"))

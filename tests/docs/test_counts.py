@@ -16,8 +16,8 @@ def test_bytes_per_primitive_are_within_what_the_page_says():
     page = (DOCS / "data.md").read_text()
     (low, high), = re.findall(r"([\d.]+) to ([\d.]+) bytes per primitive", page)
     sizes = {"": 1e5, "1m": 1e6, "10m": 1e7}
-    shares = [tape.bytes / sizes[(re.search(r"-(\d+m)-v\d+$", name) or [None, ""])[1]]
-              for name, tape in read_published().items()]
+    shares = [recording.bytes / sizes[(re.search(r"-(\d+m)-v\d+$", name) or [None, ""])[1]]
+              for name, recording in read_published().items()]
     assert len(shares) > 50 and (round(min(shares), 1), round(max(shares), 1)) == (float(low), float(high))
 
 

@@ -44,7 +44,7 @@ def test_a_page_that_is_wrong_fails_the_build(tmp_path: Path):
     assert done.returncode != 0 and "nowhere.md" in done.stderr
 
 
-PACKAGES = ("env", "env.pictures", "planning", "options", "agents", "synthesis", "sets", "data", "comparison",
+PACKAGES = ("env", "env.pictures", "planning", "options", "agents", "hierarchies", "sets", "data", "comparison",
             "checks")
 """The packages whose exported names are public."""
 
@@ -107,7 +107,7 @@ TUTORIALS = {
     "own_environment": r"fetch: 11 primitives, reached.* smdp-q-learning: mean return (?:19|2\d)\.\d after .* "
                        r"q-learning: mean return -200.0 .* random-options: mean return -?1?\d\.\d",
     "planned_options": r"plan: (\d+) primitives, return \d+ .*by options: escaped True, return \d+ with noise .* True",
-    "smdp_q_learning": r"episode 0: return .*greedy: return 64 by meta-01, then meta-02, then meta-exit",
+    "smdp_q_learning": r"episode 0: return .*greedy: return 64 by press-button-1, then press-button-2, then go-to-exit",
     "maxq_taxi": r"optimum of the graph 7.93, of all policies 7.93 maxq-q: mean return (7\.[5-9]|8\.[0-3])",
     "goals": r"primitive 11: on\(button-1\) primitive 21: touch\(button-2\) .* primitive 34: exit "
              r"left to go: \[3. 0.\] left to go: \[2. 0.\] option-keyboard: first escape after \d+ primitives",
@@ -147,7 +147,8 @@ def count_words_before_a_picture(page: str) -> int:
 
 def test_no_tutorial_and_no_guide_keeps_its_first_screen_without_a_picture(site: Path):
     """Some 110 words fill half of a laptop's screen."""
-    guides = ("index", "quickstart", "options", "hierarchies", "planners", "ladder", "schematic", "puzzles", "viewer")
+    guides = ("index", "quickstart", "options", "hierarchies", "planners", "ladder", "room-configuration", "puzzles",
+              "viewer")
     pages = [f"tutorials/{name}" for name in TUTORIALS] + list(guides) + ["results/index"]
     words = {page: count_words_before_a_picture((site / f"{page}.html").read_text("utf-8")) for page in pages}
     assert {page: count for page, count in words.items() if count > 110} == {}

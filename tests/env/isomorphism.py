@@ -100,7 +100,7 @@ def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain | Reference
         reference: the domain.
         pairs: largest number of pairs that are tried; of more, so many are drawn.
         seed: of that draw.
-        goals: texts of the goals that a domain's actions are, such as `grip place-a`; None where action i presses
+        goals: texts of the goals that a domain's actions are, such as `grip-place-a`; None where action i presses
             target i.
 
     Returns:

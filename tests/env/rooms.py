@@ -1,4 +1,4 @@
-"""Schematics that reach into every corner of the knobs, for tests that walk over rooms."""
+"""Room configurations that reach into every corner of the knobs, for tests that walk over rooms."""
 
 import dataclasses
 
@@ -53,6 +53,6 @@ def make_ordered_chain() -> RoomConfig:
     return dataclasses.replace(preset, puzzle=dataclasses.replace(preset.puzzle, graph=graph))
 
 
-def all_schematics() -> dict[str, RoomConfig]:
+def all_configs() -> dict[str, RoomConfig]:
     """Every preset and every extreme, by name."""
     return {name: get_preset(name) for name in PRESETS} | EXTREMES

@@ -1,4 +1,4 @@
-"""The schematic: every field refuses what is below, above or of another type, and says so."""
+"""The room configuration: every field refuses what is below, above or of another type, and says so."""
 
 import math
 import types
@@ -23,7 +23,7 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.places import Capsule
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.settings import Settings, describe_fields
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 
 PARTS: list[type[Settings]] = [
     RoomConfig, ShapeConfig, RobotConfig, ObstaclesConfig, StartConfig, ExitConfig, RewardConfig, DynamicsConfig,
@@ -97,11 +97,11 @@ def test_a_value_of_another_type_is_refused_by_name(where, value):
     assert field.name in error.value.field
 
 
-@pytest.mark.parametrize("name", sorted(all_schematics()))
-def test_a_schematic_survives_its_dict(name):
+@pytest.mark.parametrize("name", sorted(all_configs()))
+def test_a_room_configuration_survives_its_dict(name):
     import json
 
-    config = all_schematics()[name]
+    config = all_configs()[name]
     assert RoomConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 

@@ -21,15 +21,15 @@ from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.sampling.generation import generate
 from tests.covering import thin
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 
-KINEMATIC = sorted(name for name, config in all_schematics().items() if config.dynamics.kind == "kinematic")
+KINEMATIC = sorted(name for name, config in all_configs().items() if config.dynamics.kind == "kinematic")
 
 
 @pytest.mark.in_turn_for("puddle-world")
 @pytest.mark.parametrize("name", thin(KINEMATIC, 2))
 def test_the_batched_engine_agrees_with_the_scalar_rules(name):
-    found = compare([generate(all_schematics()[name], 0)], 300, copies=10)
+    found = compare([generate(all_configs()[name], 0)], 300, copies=10)
     assert found.primitives >= 300
     assert not found.disagreements, found.disagreements[0]
     assert found.close_calls <= 1
@@ -50,7 +50,7 @@ def test_the_engines_agree_on_every_puzzle_over_a_hundred_thousand_primitives(na
 @pytest.mark.in_turn_for("arm-two-button", "clutter", "noisy")
 @pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button", "clutter", "noisy"])
 def test_the_batched_engine_agrees_with_the_bullet_engine(name):
-    instance = generate(all_schematics()[name], 1)
+    instance = generate(all_configs()[name], 1)
     batch, bullet = TensorRoom(Rooms(instance=instance), autoreset="disabled"), BulletRoom(instance)
     batch.reset(torch.tensor([4]))
     bullet.set_state(batch.get_room_state(0))

@@ -30,17 +30,17 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.mixins import Doored
 from hrl_escape.env.puzzles.places import Pads
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Doored
 from hrl_escape.env.sampling.certificate import find_unmet, make_floors
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, PlanningFailed, UnsupportedError
+from hrl_escape.hierarchies.situation import Situations
 from hrl_escape.options import OptionsEnv
 from hrl_escape.planning import RoomPlanner, find_best_known
 from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.sets.keys import compute_task_key
-from hrl_escape.synthesis.situation import Situations
 
 CONFIG = get_preset("inner-doors")
 SEEDS = range(4)
@@ -149,7 +149,7 @@ def test_options_behind_shut_doors_are_masked_and_ancestors_open_the_way():
     env = OptionsEnv(EscapeRoomEnv(instance=room), include_primitives=False)
     _, info = env.reset(seed=0)
     assert info["action_mask"].tolist() == [not way for way in room.ways]
-    env = OptionsEnv(EscapeRoomEnv(instance=room), flavour="press-with-ancestors", include_primitives=False)
+    env = OptionsEnv(EscapeRoomEnv(instance=room), option_set="press-with-ancestors", include_primitives=False)
     _, info = env.reset(seed=0)
     assert info["action_mask"][behind]
     _, _, _, _, info = env.step(behind)
@@ -161,8 +161,8 @@ def test_a_goal_behind_a_shut_door_is_no_plan_and_one_behind_an_open_door_is():
     behind = next(target for target in range(5) if room.ways[target])
     opened = sum(1 << get_puzzle(room).doors[door] for door in room.ways[behind])
     with pytest.raises(PlanningFailed):
-        planner.plan(begin(room), f"button-{behind + 1}")
-    assert planner.plan(begin(room)._replace(puzzle=opened), f"button-{behind + 1}").cost > 0
+        planner.plan(begin(room), f"press-button-{behind + 1}")
+    assert planner.plan(begin(room)._replace(puzzle=opened), f"press-button-{behind + 1}").cost > 0
 
 
 def test_large_puzzles_are_ordered_by_pairs_of_operators():

@@ -16,9 +16,9 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 
-QUICK = sorted(set(all_schematics()) - {"largest", "push-block"})
+QUICK = sorted(set(all_configs()) - {"largest", "push-block"})
 FORWARD, BACK, LEFT, RIGHT, TURN_LEFT, TURN_RIGHT = range(6)
 
 
@@ -34,7 +34,7 @@ def play(kinematics, state, actions):
 @settings(max_examples=20)
 @given(st.sampled_from(QUICK), st.integers(0, 5), st.integers(0, 2**32))
 def test_the_body_keeps_its_clearance_whatever_it_does(name, seed, episode):
-    instance = generate(all_schematics()[name], seed)
+    instance = generate(all_configs()[name], seed)
     kinematics = Kinematics(instance)
     rng = np.random.default_rng(episode)
     state = kinematics.make_state(instance.starts[0], episode)
@@ -187,7 +187,7 @@ def test_slip_does_nothing_with_its_probability_and_noise_has_its_size():
 
 
 def test_the_door_blocks_until_the_puzzle_is_solved():
-    instance = generate(all_schematics()["door"], 1)
+    instance = generate(all_configs()["door"], 1)
     kinematics = Kinematics(instance)
     door = instance.door
     solved = (1 << instance.puzzle.count) - 1
@@ -205,7 +205,7 @@ def test_the_door_blocks_until_the_puzzle_is_solved():
 @settings(max_examples=20)
 @given(st.sampled_from(QUICK), st.integers(0, 3), st.integers(0, 2**32))
 def test_kinematics_are_a_pure_function_of_state_and_action(name, seed, episode):
-    instance = generate(all_schematics()[name], seed)
+    instance = generate(all_configs()[name], seed)
     kinematics = Kinematics(instance)
     rng = np.random.default_rng(episode)
     actions = rng.integers(len(kinematics.actions), size=30).tolist()

@@ -359,7 +359,7 @@ def test_no_bound_of_goals_in_order_is_above_their_plan(corridor, words, is_near
     """Wherever a thing lies, is carried or put down on the way, for each objective."""
     planner, state = corridor
     state = move_near(planner, state) if is_near else state
-    goals = tuple(parse_goal(f"{word} {'door-1' if word == 'use' else 'key-1'}", planner.instance) for word in words)
+    goals = tuple(parse_goal(f"{word}-{'door-1' if word == 'use' else 'key-1'}", planner.instance) for word in words)
     bound = LegBounds(planner.instance).bound_goals(state, goals)
     for objective in ("primitives", "length"):
         request = PlanningRequest(state, goals, objective=objective)

@@ -1,4 +1,4 @@
-"""The observation `objects`: rows that name no order, padded to the schematic's largest number."""
+"""The observation `objects`: rows that name no order, padded to the room configuration's largest number."""
 
 import dataclasses
 import math

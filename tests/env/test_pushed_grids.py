@@ -243,7 +243,7 @@ def test_two_boxes_in_exchanged_cells_have_routes_of_their_own():
     rules, puzzle = Kinematics(room), room.puzzle
     planner, state = RoomPlanner(room), rules.make_state(room.starts[0])
     exchanged = state._replace(puzzle=puzzle.encode(puzzle.decode(state.puzzle)[::-1]))
-    first, second = (planner.plan(begin, "push-south box-1") for begin in (state, exchanged))
+    first, second = (planner.plan(begin, "push-south-box-1") for begin in (state, exchanged))
     assert first.states[-1].x != second.states[-1].x
 
 

@@ -1,4 +1,4 @@
-"""Ranges in a schematic: each instance draws its numbers, and all of them share one space and one scale."""
+"""Ranges in a room configuration: each instance draws its numbers, and all of them share one space and one scale."""
 
 import json
 import math
@@ -60,7 +60,7 @@ def test_a_zero_below_zero_is_plain_zero():
     assert rooms[0].id == rooms[1].id
 
 
-def test_a_schematic_with_ranges_survives_json_and_pickling():
+def test_a_room_configuration_with_ranges_survives_json_and_pickling():
     assert RoomConfig.from_dict(json.loads(json.dumps(VARIED.to_dict()))) == VARIED
     assert pickle.loads(pickle.dumps(VARIED)) == VARIED
     assert VARIED.to_dict()["puzzle"]["count"] == "2..5" and VARIED.to_dict()["room"]["width"] == "12.0..18.0"
@@ -162,7 +162,7 @@ def test_options_of_absent_buttons_are_masked_and_cost_one_primitive(rooms):
     for number, room in enumerate(rooms):
         env = OptionsEnv(EscapeRoomEnv(instance=room), include_primitives=False)
         mask = env.reset(seed=number)[1]["action_mask"]
-        assert env.action_names == batched.action_names == (*(f"meta-{n:02d}" for n in range(1, 6)), "meta-exit")
+        assert env.action_names == batched.action_names == (*(f"press-button-{n}" for n in range(1, 6)), "go-to-exit")
         assert mask.tolist() == [1] * len(room.targets) + [0] * (6 - len(room.targets))
         assert np.array_equal(batched.action_mask[number].numpy(), mask)
         if len(room.targets) < 5:

@@ -234,7 +234,7 @@ def test_hand_link_of_a_generated_arm_is_checked_too():
         make_robot(RobotConfig(joints=2, hand_link="claw"))
 
 
-def test_user_s_robot_without_a_urdf_is_no_schematic():
+def test_user_s_robot_without_a_urdf_is_no_room_configuration():
     with pytest.raises(ConfigError, match=r"robot\.urdf"):
         RobotConfig(kind="urdf", joints=2)
 

@@ -1,4 +1,5 @@
-"""A new field of a schematic, with a default that means what was so before, leaves the ids of rooms as they are."""
+"""A new field of a room configuration, with a default that means what was so before, leaves the ids of rooms as they
+are."""
 
 import json
 
@@ -19,10 +20,10 @@ import importlib.machinery, json, re, sys
 
 OLD = importlib.machinery.SourceFileLoader.get_code
 CLASSES = {
-    "hrl_escape.env.config": "class RobotConfig(Schematic):",
+    "hrl_escape.env.config": "class RobotConfig(HashedSettings):",
     "hrl_escape.env.puzzles.buttons": "class ButtonsPuzzle(Doored, Marked, GraphPuzzle):",
-    "hrl_escape.env.puzzles.places": "class Panels(Schematic):",
-    "hrl_escape.env.instance": "class RoomInstance(Pictured, Schematic):",
+    "hrl_escape.env.puzzles.places": "class Panels(HashedSettings):",
+    "hrl_escape.env.instance": "class RoomInstance(Pictured, HashedSettings):",
 }
 
 
@@ -50,7 +51,7 @@ room = generate(config, 0)
 assert room.antennae == room.robot.antennae == room.puzzle.antennae == config.puzzle.buttons.antennae == 0
 rooms = [generate(get_preset(name), seed) for name in PRESETS for seed in SEEDS]
 print(json.dumps({"ids": [room.id for room in rooms], "other": other.id, "robot": other.to_dict()["robot"]["antennae"],
-                  "schematics": [get_preset(name).to_dict() for name in PRESETS]}))
+                  "room configurations": [get_preset(name).to_dict() for name in PRESETS]}))
 """
 
 
@@ -61,7 +62,7 @@ def test_new_fields_change_no_id_until_they_say_something():
     assert done.returncode == 0, done.stderr
     said, ids = json.loads(done.stdout), [generate(get_preset(name), seed).id for name in PRESETS for seed in SEEDS]
     assert said["ids"] == ids and len(ids) == 20 and len(set(ids)) >= 14  # some presets have one room
-    assert said["schematics"] == json.loads(json.dumps([get_preset(name).to_dict() for name in PRESETS]))
+    assert said["room configurations"] == json.loads(json.dumps([get_preset(name).to_dict() for name in PRESETS]))
     assert said["robot"] == 2 and said["other"] not in ids
 
 

@@ -15,7 +15,7 @@ from hrl_escape.env.presets import PRESETS
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import StateError
 from tests.covering import thin
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 
 IMPOSSIBLE = [
     ("x", math.nan), ("x", 50.0), ("x", 9.9), ("x", "1"), ("y", -math.inf), ("y", None), ("heading_steps", 36),
@@ -53,9 +53,9 @@ def test_what_is_no_state_is_refused(env, value):
 
 
 @pytest.mark.in_turn_for("many-obstacles")
-@pytest.mark.parametrize("name", thin(sorted(set(all_schematics()) - {"largest"}), 3))
+@pytest.mark.parametrize("name", thin(sorted(set(all_configs()) - {"largest"}), 3))
 def test_every_state_that_an_episode_reaches_passes(name):
-    config = all_schematics()[name]
+    config = all_configs()[name]
     if config.dynamics.kind == "physics":
         return
     rules = Kinematics(generate(config, 0))
@@ -97,7 +97,7 @@ def test_every_state_that_physics_reaches_passes_and_parts_of_another_room_do_no
 
 
 def test_the_batched_engine_refuses_the_same_states():
-    instance = generate(all_schematics()["arm-two-button"], 0)
+    instance = generate(all_configs()["arm-two-button"], 0)
     room = TensorRoom(Rooms(2, instance=instance))
     room.reset(torch.tensor([0, 1]))
     state = room.get_room_state(1)

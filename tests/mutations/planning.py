@@ -188,7 +188,7 @@ MUTATIONS = [
     ),
     Mutation(
         "what one way of many makes true is a landmark",
-        "synthesis/synthesise.py",
+        "hierarchies/synthesise.py",
         "else before[literal] & led",
         "else before[literal] | led",
         "planning/symbolic/test_landmarks.py::test_they_are_those_without_which_the_goal_is_out_of_reach",
@@ -287,11 +287,11 @@ MUTATIONS = [
         "floor/test_dijkstra.py::test_a_corridor_holds_the_cells_within_its_width_of_a_path",
     ),
     Mutation(
-        "a tape may have a decision of no primitive",
-        "data/tape.py",
-        "(int(tape.duration.min()) < 1 or int(tape.decisions.min()) < 1)",
-        "int(tape.decisions.min()) < 1",
-        "data/test_tape.py",
+        "a recording may have a decision of no primitive",
+        "data/recording.py",
+        "(int(recording.duration.min()) < 1 or int(recording.decisions.min()) < 1)",
+        "int(recording.decisions.min()) < 1",
+        "data/test_recording.py",
     ),
     Mutation(
         "a sampled motion may press other targets on its way",

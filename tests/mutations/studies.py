@@ -117,10 +117,10 @@ MUTATIONS = [
     ),
     Mutation(
         "a room under two names counts twice",
-        "studies/twins.py",
+        "studies/controls.py",
         "rooms = [room for room in shown if room not in repeated]",
         "rooms = shown",
-        "studies/test_twins.py",
+        "studies/test_controls.py",
     ),
     Mutation(
         "the best of several cells is told as if it were alone",

@@ -5,17 +5,17 @@ from tests.mutations.mutation import Mutation
 SESSION, PLAY = "text/test_session.py", "text/test_same_play.py"
 
 MUTATIONS = [
-    Mutation("looking is free however often", "text/told_env.py", 'if self._looks >= MOST_LOOKS else ""',
+    Mutation("looking is free however often", "text/text_env.py", 'if self._looks >= MOST_LOOKS else ""',
              'if False else ""', f"{SESSION}::test_looking_is_free_ten_times_between_two_moves"),
-    Mutation("an option that cannot start is no wrong call", "text/told_env.py", "if not self._mask[self.action]:",
+    Mutation("an option that cannot start is no wrong call", "text/text_env.py", "if not self._mask[self.action]:",
              "if False:", f"{SESSION}::test_an_option_that_cannot_start_costs_what_a_masked_one_does"),
-    Mutation("rewards of a move are not discounted", "text/told_env.py", "reward + discount * part.reward",
+    Mutation("rewards of a move are not discounted", "text/text_env.py", "reward + discount * part.reward",
              "reward + part.reward", f"{SESSION}::test_a_move_repeats_and_stops_when_something_changes"),
-    Mutation("a wrong call is not counted", "text/told_env.py", "self._invalid += bool(self._wrong)",
+    Mutation("a wrong call is not counted", "text/text_env.py", "self._invalid += bool(self._wrong)",
              "self._invalid += 0", f"{SESSION}::test_a_wrong_call_costs_one_primitive_and_says_what_would_be_valid"),
     Mutation("names from files are said as they are", "text/words.py", '"[^A-Za-z0-9 .,:;+#@()/_-]"', '"[%]"',
              f"{SESSION}::test_names_from_files_are_quoted_and_are_neither_markup_nor_instructions"),
-    Mutation("places are told with the names", "text/told_env.py", 'self.state, self.told != "names"',
+    Mutation("places are told with the names", "text/text_env.py", 'self.state, self.reveal != "names"',
              "self.state, True", f"{SESSION}::test_levels_tell_more_and_more"),
     Mutation("the goal is listed first", "text/words.py", "for index, target in enumerate(instance.targets):",
              "for index, target in sorted(enumerate(instance.targets), key=lambda t: t[0] != puzzle.goal):",

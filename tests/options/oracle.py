@@ -1,6 +1,6 @@
-"""An independent model of `OptionsEnv`: a twin environment in which the primitives of every decision run one by one.
+"""An independent model of `OptionsEnv`: a copied environment in which the primitives of every decision run one by one.
 
-Options are given by their three functions, which are deterministic here. The twin runs them by the definition of an
+Options are given by their three functions, which are deterministic here. The copied runs them by the definition of an
 option (Sutton, Precup and Singh 1999, section 2), with nothing of this package.
 """
 
@@ -49,9 +49,9 @@ class Replayed(NamedTuple):
     masked: int
 
 
-def compare_with_twin(make: Callable[[], gymnasium.Env], skills: Sequence[Skill], *, decisions: int, seed: int = 0,
+def compare_with_copy(make: Callable[[], gymnasium.Env], skills: Sequence[Skill], *, decisions: int, seed: int = 0,
                       gamma: float = 0.9, weights: Sequence[float] | None = None) -> Replayed:
-    """Run random legal decisions in an `OptionsEnv` and make each again in a twin; raises AssertionError.
+    """Run random legal decisions in an `OptionsEnv` and make each again in a copied; raises AssertionError.
 
     Compared are observations, the mask, the primitives, k, the sum of rewards, the discounted sum R, gamma^k, and
     whether the episode terminated or was truncated.
@@ -65,7 +65,7 @@ def compare_with_twin(make: Callable[[], gymnasium.Env], skills: Sequence[Skill]
         weights: relative frequency of each action, primitives first; all alike by default.
     """
     env = OptionsEnv(make(), [skill.make_option() for skill in skills], discount=gamma, trace=True)
-    twin, rng = make(), np.random.default_rng(seed)
+    copied, rng = make(), np.random.default_rng(seed)
     primitives = env.primitive_count
     share = np.ones(primitives + len(skills)) if weights is None else np.asarray(weights, float)
     over, longest, terminations, truncations, masked, returns = True, 0, 0, 0, 0, set()
@@ -74,7 +74,7 @@ def compare_with_twin(make: Callable[[], gymnasium.Env], skills: Sequence[Skill]
     for _ in range(decisions):
         if over:
             observation, info = env.reset(seed=seed)
-            expected, _ = twin.reset(seed=seed)
+            expected, _ = copied.reset(seed=seed)
             assert_same(observation, expected)
             seed, mask = seed + 1, info["action_mask"]
         legal = np.array([1] * primitives + [skill.starts(observation) for skill in skills])
@@ -82,7 +82,7 @@ def compare_with_twin(make: Callable[[], gymnasium.Env], skills: Sequence[Skill]
         masked += int(not legal.all())
         action = int(rng.choice(len(legal), p=share * legal / (share * legal).sum()))
         seen, reward, terminated, truncated, info = env.step(action)
-        ran = run_in_twin(twin, observation, skills[action - primitives] if action >= primitives else action)
+        ran = run_in_copy(copied, observation, skills[action - primitives] if action >= primitives else action)
         expected, rewards, actions, *ends = ran
         k = len(rewards)
         assert [terminated, truncated] == ends
@@ -100,20 +100,20 @@ def compare_with_twin(make: Callable[[], gymnasium.Env], skills: Sequence[Skill]
         returns.add(round(reward, 6))
         observation, mask, over = seen, info["action_mask"], terminated or truncated
     env.close()
-    twin.close()
+    copied.close()
     return Replayed(decisions, longest, terminations, truncations, len(returns), masked)
 
 
-def run_in_twin(twin: gymnasium.Env, observation: Any, choice: Skill | int
+def run_in_copy(copied: gymnasium.Env, observation: Any, choice: Skill | int
                 ) -> tuple[Any, list[float], list[Any], bool, bool]:
     """Run a primitive, or a skill to its end: last observation, rewards, primitives, terminated, truncated."""
     rewards: list[float] = []
     actions: list[Any] = []
     while True:
         action = choice.policy(observation) if isinstance(choice, Skill) else choice
-        if isinstance(twin.action_space, gymnasium.spaces.Box):
-            action = np.asarray(action, twin.action_space.dtype)
-        observation, reward, terminated, truncated, _ = twin.step(action)
+        if isinstance(copied.action_space, gymnasium.spaces.Box):
+            action = np.asarray(action, copied.action_space.dtype)
+        observation, reward, terminated, truncated, _ = copied.step(action)
         actions.append(action)
         rewards.append(float(reward))
         if terminated or truncated or not isinstance(choice, Skill) or choice.ends(observation):

@@ -1,4 +1,4 @@
-"""`OptionsEnv` over other people's environments makes the transitions that a twin makes, primitive by primitive."""
+"""`OptionsEnv` over other people's environments makes the transitions that a copied makes, primitive by primitive."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from tests.options.oracle import Skill, compare_with_twin
+from tests.options.oracle import Skill, compare_with_copy
 
 LEFT, RIGHT, FORWARD, TOGGLE = 0, 1, 2, 5
 FREE = (1, 8)
@@ -30,7 +30,7 @@ FEW_PRIMITIVES = [*(1,) * 7, 8, 3, 8]
 @pytest.mark.parametrize("name", ["MiniGrid-Empty-5x5-v0", "MiniGrid-LavaGapS5-v0", "BabyAI-GoToObj-v0"])
 def test_grids(name):
     pytest.importorskip("minigrid")
-    replayed = compare_with_twin(lambda: gymnasium.make(name, max_steps=24), GRID_SKILLS, decisions=200,
+    replayed = compare_with_copy(lambda: gymnasium.make(name, max_steps=24), GRID_SKILLS, decisions=200,
                                  weights=FEW_PRIMITIVES)
     assert replayed.longest > 2 and replayed.truncated and replayed.masked
     assert replayed.terminated or name.startswith("BabyAI")  # there a turn or a single step ends the mission, too
@@ -47,7 +47,7 @@ def is_falling(seen) -> bool:
 
 
 def test_a_lander_of_box2d():
-    replayed = compare_with_twin(make_lander, [
+    replayed = compare_with_copy(make_lander, [
         Skill("brake", lambda seen: 2, lambda seen: not is_falling(seen), is_falling),
         Skill("fall", lambda seen: 0, lambda seen: seen[1] < 0.2),
         Skill("right-itself", lambda seen: 3 if seen[4] > 0 else 1, lambda seen: abs(seen[4]) < 0.05),
@@ -57,7 +57,7 @@ def test_a_lander_of_box2d():
 
 
 def test_a_lander_of_continuous_actions():
-    replayed = compare_with_twin(lambda: make_lander(continuous=True), [
+    replayed = compare_with_copy(lambda: make_lander(continuous=True), [
         Skill("brake", lambda seen: [min(1.0, -seen[3]), 0.0], lambda seen: not is_falling(seen)),
         Skill("fall", lambda seen: np.zeros(2), is_falling),
         Skill("lean", lambda seen: [0.0, -2 * seen[4]], lambda seen: abs(seen[4]) < 0.02),

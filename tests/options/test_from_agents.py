@@ -27,8 +27,8 @@ from hrl_escape.agents.registry import list_agents
 from hrl_escape.checks import check_option
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import OptionError, RunMismatchError
+from hrl_escape.hierarchies import HierarchyEnv
 from hrl_escape.options import LearnedOption, OptionsEnv, make_learned_options
-from hrl_escape.synthesis import HierarchyEnv
 from tests.agents.hierarchy.four_rooms_tasks import make_walks
 from tests.agents.hierarchy.taxi_program import drive, read
 from tests.agents.hierarchy.taxi_tasks import GRAPH, SEE, UNTIL, make_taxi_tasks

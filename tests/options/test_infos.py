@@ -207,7 +207,7 @@ def test_nine_primitives_give_nine_frames(tmp_path):
     small = {"render_size": (64, 48)}
     flat = gymnasium.make("hrl_escape/PaperTwoButton-v1", render_mode="rgb_array", **small)
     flat.reset(seed=0)
-    plan = get_planner(flat.unwrapped.instance).plan(flat.unwrapped.get_state(), "button-1")
+    plan = get_planner(flat.unwrapped.instance).plan(flat.unwrapped.get_state(), "press-button-1")
     frames = [flat.render()]
     for primitive in plan.primitives:
         flat.step(primitive)

@@ -194,7 +194,8 @@ def test_a_lower_option_that_cannot_begin_ends_its_caller():
 def test_options_over_the_planned_options_of_a_room():
     lower = OptionsEnv(EscapeRoomEnv("paper-two-button"), discount=GAMMA)
     names = lower.action_names
-    script = ScriptedOption("escape", [names.index(name) for name in ("meta-01", "meta-02", "meta-exit")])
+    order = "press-button-1", "press-button-2", "go-to-exit"
+    script = ScriptedOption("escape", [names.index(name) for name in order])
     env = OptionsEnv(lower, [script], discount=GAMMA, trace=True)
     env.reset(seed=0)
     _, reward, terminated, _, info = env.step(len(names))

@@ -22,7 +22,7 @@ def test_every_preset_has_an_id_whose_environment_passes_the_checker(name):
     try:
         _, info = env.reset(seed=0)
         inner = env.get_wrapper_attr("action_names")
-        assert inner[-1] == "meta-exit"
+        assert inner[-1] == "go-to-exit"
         assert env.action_space.n == len(inner) == len(info["action_mask"])
         if not name.startswith("hrl_escape/PushBlock"):  # its options take minutes of physics under random choice
             with warnings.catch_warnings():

@@ -38,7 +38,7 @@ def clutter() -> tuple[EscapeRoomEnv, list[RoomState]]:
 
 
 def make_markov(env: EscapeRoomEnv) -> list[MarkovOption]:
-    options = make_meta_options(env.instance, "press-markov", RoomPlanner(env.instance))
+    options = make_meta_options(env.instance, "press-reactive", RoomPlanner(env.instance))
     assert all(isinstance(option, MarkovOption) and option.is_markov for option in options)
     return [option for option in options if isinstance(option, MarkovOption)]
 
@@ -78,7 +78,7 @@ def test_they_press_their_target_in_as_many_primitives_as_a_plan(clutter):
 def test_noise_and_slip_need_no_replanning():
     config = get_preset("paper-two-button")
     config = dataclasses.replace(config, dynamics=DynamicsConfig(noise=0.1, slip=0.1))
-    env = OptionsEnv(EscapeRoomEnv(config), flavour="press-markov", include_primitives=False)
+    env = OptionsEnv(EscapeRoomEnv(config), option_set="press-reactive", include_primitives=False)
     for seed in range(5):
         env.reset(seed=seed)
         for choice in (0, 1, 2):
@@ -88,17 +88,17 @@ def test_noise_and_slip_need_no_replanning():
 
 
 def test_a_primitive_teaches_all_options_that_would_have_done_the_same():
-    for flavour, most in (("press-markov", 3), ("press", 0)):
-        env = OptionsEnv(EscapeRoomEnv("paper-two-button"), flavour=flavour, include_primitives=False, trace=True)
+    for option_set, most in (("press-reactive", 3), ("press", 0)):
+        env = OptionsEnv(EscapeRoomEnv("paper-two-button"), option_set=option_set, include_primitives=False, trace=True)
         env.reset(seed=0)
         counts = [len(item.consistent) for choice in (0, 1, 0) for item in env.step(choice)[4]["trace"]]
-        assert max(counts) <= most and (min(counts) >= 1) == (flavour == "press-markov")
-        assert (max(counts) > 1) == (flavour == "press-markov"), "some primitives lead to several goals"
+        assert max(counts) <= most and (min(counts) >= 1) == (option_set == "press-reactive")
+        assert (max(counts) > 1) == (option_set == "press-reactive"), "some primitives lead to several goals"
 
 
 def test_meta_actions_keep_their_names_and_pushes_their_plans():
     room = EscapeRoomEnv("push-block", instance_seed=1).instance
-    plain, markov = (make_meta_options(room, flavour) for flavour in ("press", "press-markov"))
+    plain, markov = (make_meta_options(room, option_set) for option_set in ("press", "press-reactive"))
     assert [option.name for option in plain] == [option.name for option in markov]
     assert [option.about for option in plain] == [option.about for option in markov]
     assert not markov[0].is_markov and isinstance(markov[-1], MarkovOption) and isinstance(plain[-1], PlannedOption)

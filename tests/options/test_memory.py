@@ -107,9 +107,9 @@ def test_a_memory_can_be_pickled_amid_an_episode():
     env = make_env(make_config())
     env.reset(seed=0)
     env.step(1)
-    twin = pickle.loads(pickle.dumps(env))
+    copied = pickle.loads(pickle.dumps(env))
     for action in (0, 2, 1):
-        step, other = env.step(action), twin.step(action)
+        step, other = env.step(action), copied.step(action)
         np.testing.assert_array_equal(step[0], other[0])
         assert step[1:4] == other[1:4]
     assert read(env, step[0])[2].any(), "what was tried is remembered"

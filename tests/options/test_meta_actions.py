@@ -15,14 +15,14 @@ from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
-from hrl_escape.env.puzzles.traits import Mapped
+from hrl_escape.env.puzzles.mixins import Mapped
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from hrl_escape.options.meta_actions import list_goals, make_meta_options
-from hrl_escape.options.option import FLAVOURS
+from hrl_escape.options.option_sets import option_sets
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.options.skills import make_go_to, make_press, make_reach
-from hrl_escape.planning.goals import GripGoal, PressGoal
+from hrl_escape.planning.goals import GripGoal, PressGoal, name_goal, parse_goal
 from hrl_escape.planning.planner import get_planner
 from tests.covering import cover, thin
 from tests.env.rooms import make_ordered_chain
@@ -57,32 +57,34 @@ def run_meta_actions(config: RoomConfig, runs: int, seed: int = 0) -> Counter:
 @pytest.mark.parametrize("name", thin([*PRESETS], 3, 2))
 def test_every_preset_has_a_meta_action_for_everything_there_is_to_do(name):
     instance = generate(get_preset(name), 0)
-    grips = {(op.target, op.action) for op in instance.puzzle.symbolic.make_symbolic_model().operators
-             if op.action not in ("press", "push")}
-    pressed = 0 if isinstance(instance.puzzle, Mapped) else len(instance.targets)
-    count = pressed + len(grips) or len(instance.props) // 2
-    names = [option.name for option in make_meta_options(instance)]
-    assert names == [*(f"meta-{i:02d}" for i in range(1, count + 1)), "meta-exit"]
+    operators = instance.puzzle.symbolic.make_symbolic_model().operators
+    acts = {f"{op.action}-{op.target}" + (f"-to-{op.destination}" if op.action == "push" else "")
+            for op in operators if op.action != "press"}
+    presses = [] if isinstance(instance.puzzle, Mapped) else [f"press-{target.name}" for target in instance.targets]
+    *names, last = [option.name for option in make_meta_options(instance)]
+    assert names[:len(presses)] == presses and sorted(names[len(presses):]) == sorted(acts) and last == "go-to-exit"
+    assert [name_goal(parse_goal(name, instance), instance) for name in (*names, last)] == [*names, last]
 
 
-ALL_FLAVOURS = ("four-button-chain", "clutter", "arm-two-button", "lights-out", "hanoi", "door-key")
-"""Rooms of each kind, in which other flavours than `press` are checked too."""
+SETS = option_sets.names()
+EVERY_SET_IN = ("four-button-chain", "clutter", "arm-two-button", "lights-out", "hanoi", "door-key")
+"""Rooms of each kind, in which other option sets than `press` are checked too."""
 LONG = ("ten-button", "twenty-button", "random-lights")
 """Chains, and boxes as in light-box."""
 
 
 @pytest.mark.in_turn_for(
-    "lights-out-press", "four-button-chain-press-with-ancestors", "clutter-press-markov",
-    "hanoi-press-with-ancestors", "potions-press", "puddle-world-press", "lights-out-press-markov")
-@pytest.mark.parametrize(("name", "flavour"), [
+    "lights-out-press", "four-button-chain-press-with-ancestors", "clutter-press-reactive",
+    "hanoi-press-with-ancestors", "potions-press", "puddle-world-press", "lights-out-press-reactive")
+@pytest.mark.parametrize(("name", "option_set"), [
     *thin([(name, "press") for name in KINEMATIC if name not in LONG], 5),
-    *cover(ALL_FLAVOURS, [flavour for flavour in FLAVOURS if flavour != "press"])])
-def test_meta_actions_keep_the_option_contract(name, flavour):
+    *cover(EVERY_SET_IN, [option_set for option_set in SETS if option_set != "press"])])
+def test_meta_actions_keep_the_option_contract(name, option_set):
     env = EscapeRoomEnv(name)
     env.reset(seed=0)
     plan = get_planner(env.instance).solve(env.get_state())
     states = [plan.states[part.start] for part in plan.parts]
-    for option in make_meta_options(env.instance, flavour):
+    for option in make_meta_options(env.instance, option_set):
         if name in (*GRIPPED, "deep-sea", "key-chest") and not any(map(option.initiation, states)):
             continue  # for another passenger, worm or door, or an exit that is everywhere
         check_option(option, env, runs=2, states=states)
@@ -113,10 +115,10 @@ def test_a_meta_action_presses_its_button_and_no_other(name):
     assert done == {"taxi": pads + 1, "foraging": pads + 1, "sokoban": 2}.get(name, len(goals))
 
 
-@pytest.mark.parametrize("flavour", FLAVOURS)
-def test_a_key_is_fetched_from_where_it_was_put_down(flavour):
+@pytest.mark.parametrize("option_set", SETS)
+def test_a_key_is_fetched_from_where_it_was_put_down(option_set):
     room = EscapeRoomEnv("door-key")
-    env = OptionsEnv(room, include_primitives=False, flavour=flavour)
+    env = OptionsEnv(room, include_primitives=False, option_set=option_set)
     *_, leave = (option.name for option in env.options)
     index = {goal.action: number for number, goal in enumerate(list_goals(room.instance)) if isinstance(goal, GripGoal)}
     _, info = env.reset(seed=0)
@@ -131,11 +133,11 @@ def test_a_key_is_fetched_from_where_it_was_put_down(flavour):
     assert terminated and info["is_success"]
 
 
-@pytest.mark.parametrize("flavour", FLAVOURS)
-def test_doors_are_needed_on_the_way_to_where_a_key_lies_now(flavour):
+@pytest.mark.parametrize("option_set", SETS)
+def test_doors_are_needed_on_the_way_to_where_a_key_lies_now(option_set):
     """With a key in the corridor no door is; with one behind another shut door that one is, and it is opened first."""
     room = EscapeRoomEnv("key-corridor")
-    env = OptionsEnv(room, include_primitives=False, flavour=flavour)
+    env = OptionsEnv(room, include_primitives=False, option_set=option_set)
     planner, puzzle = get_planner(room.instance), room.instance.puzzle
     state = planner.rules.make_state(room.instance.starts[0])
     key = puzzle.target_names.index("key-1")
@@ -197,21 +199,21 @@ def test_a_button_that_cannot_be_avoided_is_pressed_and_named():
     assert not info["also_pressed"].any() and not info["unavoidable"].any()
 
 
-@pytest.mark.parametrize(("name", "meta", "flavour", "published"), [
-    ("larg-2019", "meta-01", "press", 17),
-    ("larg-2019", "meta-02", "press-with-ancestors", 37),
-    ("larg-2019", "meta-exit", "press", 15),
+@pytest.mark.parametrize(("name", "meta", "option_set", "published"), [
+    ("larg-2019", "press-button-1", "press", 17),
+    ("larg-2019", "press-button-2", "press-with-ancestors", 37),
+    ("larg-2019", "go-to-exit", "press", 15),
 ])
-def test_meta_actions_cost_no_more_than_the_published_codes(name, meta, flavour, published):
+def test_meta_actions_cost_no_more_than_the_published_codes(name, meta, option_set, published):
     """Costs from the start of seed 14, handicap 6, measured by running the published 2019 code."""
-    env = OptionsEnv(EscapeRoomEnv(name), flavour=flavour)
+    env = OptionsEnv(EscapeRoomEnv(name), option_set=option_set)
     env.reset(seed=0)
     info = env.step(env.action_names.index(meta))[4]
     assert info["option"]["ended"] == "reached" and info["duration"] <= published
 
 
 def test_with_ancestors_presses_what_must_be_on_before():
-    env = OptionsEnv(EscapeRoomEnv(make_ordered_chain()), flavour="press-with-ancestors", include_primitives=False)
+    env = OptionsEnv(EscapeRoomEnv(make_ordered_chain()), option_set="press-with-ancestors", include_primitives=False)
     env.reset(seed=0)
     info = env.step(2)[4]
     assert info["pressed"].tolist() == [1, 1, 1, 0]
@@ -295,7 +297,7 @@ def test_a_block_is_pushed_onto_its_plate():
     assert env.step(1)[2], "and the exit is open"
 
 
-def test_an_unknown_flavour_is_refused():
+def test_an_unknown_option_set_is_refused():
     with pytest.raises(UnknownNameError, match="press-with-ancestors"):
         make_meta_options(generate(get_preset("paper-two-button"), 0), "pres")
 

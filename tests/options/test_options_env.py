@@ -22,6 +22,7 @@ from hrl_escape.errors import (
     PlanningFailed,
     PlanningReason,
     ResetNeededError,
+    UnknownNameError,
     UnsupportedError,
 )
 from hrl_escape.options.learned import LearnedOption
@@ -259,7 +260,7 @@ def test_trap_15_an_option_is_consistent_only_where_it_may_start():
 def test_the_trace_is_a_chain_from_the_state_before_to_the_state_reached():
     env = OptionsEnv(make_env(), trace=True)
     first, _ = begin(env)
-    observation, reward, _, _, info = env.step(env.action_names.index("meta-01"))
+    observation, reward, _, _, info = env.step(env.action_names.index("press-button-1"))
     trace = info["trace"]
     assert len(trace) == info["duration"] and sum(step.reward for step in trace) == reward
     np.testing.assert_array_equal(trace[0].observation, first)
@@ -275,9 +276,9 @@ def test_the_trace_is_a_chain_from_the_state_before_to_the_state_reached():
 def test_info_tells_what_ran_and_how_it_ended():
     env = OptionsEnv(make_env(name="paper-two-button"))
     _, info = begin(env)
-    assert env.action_names[6:] == ("meta-01", "meta-02", "meta-exit")
+    assert env.action_names[6:] == ("press-button-1", "press-button-2", "go-to-exit")
     *_, info = env.step(6)
-    assert info["option"]["name"] == "meta-01" and info["option"]["index"] == 6
+    assert info["option"]["name"] == "press-button-1" and info["option"]["index"] == 6
     assert info["option"]["ended"] == "reached" and env.planning_report.planner_calls == 1
     assert env.planning_report.planner_seconds > 0 and info["also_pressed"].tolist() == [0, 0]
     assert info["pressed"].tolist() == [1, 0] and info["buttons_on"].tolist() == [1, 0]
@@ -512,7 +513,7 @@ def test_numbers_and_names_stay_when_rooms_are_resampled():
     for seed in range(3):
         begin(env, seed)
         rooms.add(env.unwrapped.instance.id)
-        assert env.step(env.action_names.index("meta-01"))[4]["pressed"][0] == 1
+        assert env.step(env.action_names.index("press-button-1"))[4]["pressed"][0] == 1
         assert env.action_names == names
     assert len(rooms) == 3
 
@@ -527,7 +528,7 @@ def test_options_made_for_another_room_are_refused():
 
 def test_without_primitives_the_options_are_numbered_from_zero():
     env = OptionsEnv(make_env(), include_primitives=False)
-    assert env.action_names == ("meta-01", "meta-exit") and env.action_space.n == 2
+    assert env.action_names == ("press-button-1", "go-to-exit") and env.action_space.n == 2
     begin(env)
     *_, terminated, _, info = env.step(0)
     assert terminated and info["duration"] == 9
@@ -552,7 +553,7 @@ def test_option_features_are_appended_to_the_observation():
         ({"discount": 1.5}, ConfigError),
         ({"max_duration": 0}, ConfigError),
         ({"observation": "state"}, ConfigError),
-        ({"flavour": "push"}, ConfigError),
+        ({"option_set": "push"}, UnknownNameError),
         ({"options": [make_walk(1), make_walk(2)]}, OptionError),
         ({"options": [], "include_primitives": False}, OptionError),
     ],
@@ -567,7 +568,7 @@ def test_an_environment_that_is_no_room_comes_without_options():
         OptionsEnv(gymnasium.make("CartPole-v1"))
 
 
-@pytest.mark.parametrize("action", [-1, 9, 1.5, "meta-01"])
+@pytest.mark.parametrize("action", [-1, 9, 1.5, "press-button-1"])
 def test_an_action_outside_the_space_is_refused(action):
     env = OptionsEnv(make_env(name="paper-two-button"))
     begin(env)
@@ -613,7 +614,7 @@ def test_vector_environments_run_options_in_step():
     assert info["action_mask"].shape == (3, 9)
     *_, info = env.step(np.array([0, 6, 7]))
     assert info["duration"][0] == 1 and info["duration"][1] > 1
-    assert info["option"]["name"].tolist() == ["forward", "meta-01", "meta-02"]
+    assert info["option"]["name"].tolist() == ["forward", "press-button-1", "press-button-2"]
     env.close()
 
 
@@ -699,7 +700,7 @@ def test_pressed_means_the_same_in_the_flat_room_under_options_and_in_the_batch(
     for meta in (6, 7):
         assert info["pressed"].tolist() == batch_info["pressed"][0].tolist()
         assert info["pressed"].dtype == flat_info["pressed"].dtype == batch_info["pressed"].dtype == np.int8
-        plan = get_planner(options.unwrapped.instance).plan(options.unwrapped.get_state(), f"button-{meta - 5}")
+        plan = get_planner(options.unwrapped.instance).plan(options.unwrapped.get_state(), f"press-button-{meta - 5}")
         _, _, _, _, info = options.step(meta)
         _, _, _, _, batch_info = batch.step([meta])
         seen = np.zeros(2, np.int8)

@@ -41,7 +41,7 @@ def test_a_plan_never_crosses_a_block_that_must_stay():
     run, _ = escape(env, 32)
     solved = next(state for state in run.states if env.instance.puzzle.is_solved(state.puzzle))
     planner = get_planner(env.instance)
-    plan = planner.plan(solved, "exit")
+    plan = planner.plan(solved, "go-to-exit")
     (block,) = list_blocks(solved, env.instance, only_done=True)
     x, y = plan.path[len(plan.path) // 2].tolist()
     in_the_way = (block._replace(x=x, y=y),)

@@ -138,7 +138,7 @@ def test_a_run_leaves_nothing_in_the_option():
 @pytest.mark.parametrize("make_options", [
     lambda instance: make_meta_options(instance),
     lambda instance: make_meta_options(instance, "press-with-ancestors"),
-    lambda instance: make_meta_options(instance, "press-markov"),
+    lambda instance: make_meta_options(instance, "press-reactive"),
     OptionDegradation(detour=3, seed=1),
 ], ids=["planned", "with ancestors", "markov", "degraded"])
 def test_planned_options_of_a_room_may_run_in_two_rooms_at_once(make_options):

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.trajectories import drive, list_schematics
+from benchmarks.trajectories import drive, list_configs
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
@@ -25,7 +25,7 @@ def change(preset: str, **dynamics):
                                     change("paper-two-button", noise=0.1)])
 def test_random_options_escape_and_each_presses_its_own_target(config):
     env = OptionsEnv(EscapeRoomContinuousEnv(config), discount=0.999)
-    assert env.action_names == ("meta-01", "meta-02", "meta-exit")
+    assert env.action_names == ("press-button-1", "press-button-2", "go-to-exit")
     _, info = env.reset(seed=0)
     rng = np.random.default_rng(0)
     for _ in range(40):
@@ -33,7 +33,7 @@ def test_random_options_escape_and_each_presses_its_own_target(config):
         _, reward, terminated, truncated, info = env.step(choice)
         option, name = info["option"], env.action_names[choice]
         assert option["ended"] == "reached" and not info["also_pressed"].any()
-        assert np.flatnonzero(info["pressed"]).tolist() == ([] if name == "meta-exit" else [int(name[-1]) - 1])
+        assert np.flatnonzero(info["pressed"]).tolist() == ([] if name == "go-to-exit" else [int(name[-1]) - 1])
         bonus = 100.0 if terminated else 0.0
         assert reward == pytest.approx(bonus - 0.1 * info["duration"])
         assert info["discount"] == pytest.approx(0.999 ** info["duration"])
@@ -84,7 +84,7 @@ def test_targets_are_pressed_under_physics():
     ("arm-two-button", 14),  # a joint that physics left beyond its limit
 ])
 def test_every_option_of_an_escape_ends_as_planned_under_physics(name, seed):
-    escaped, faults, _ = drive(list_schematics()[name], seed, "auto")
+    escaped, faults, _ = drive(list_configs()[name], seed, "auto")
     assert escaped and not any(faults)
 
 

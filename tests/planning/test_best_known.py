@@ -84,8 +84,8 @@ def test_options_are_no_better_than_primitives_and_bounds_hold(name):
     instance = generate(get_preset(name), 0)
     start = make_start(instance)
     free = find_best_known(instance, start)
-    press, ancestors = (find_best_with_options(instance, start, flavour).value
-                        for flavour in ("press", "press-with-ancestors"))
+    press, ancestors = (find_best_with_options(instance, start, option_set).value
+                        for option_set in ("press", "press-with-ancestors"))
     assert ancestors <= free.value and press <= free.value <= free.upper_bound
     assert press >= plan_by_legs(RoomPlanner(instance), start).compute_return()
 

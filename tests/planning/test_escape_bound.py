@@ -123,7 +123,7 @@ def test_a_thing_that_was_put_down_elsewhere_is_not_bounded_by_its_first_place()
     assert puzzle.list_cells(near.puzzle, "grip", 1) == (cells.index(0),)
     far, close = (find_best_known(room, each) for each in (state, near))
     assert far.value <= far.upper_bound < close.value <= close.upper_bound
-    goals = tuple(parse_goal(goal, room) for goal in ("grip key-1", "use door-1"))
+    goals = tuple(parse_goal(goal, room) for goal in ("grip-key-1", "use-door-1"))
     bounds, costs = ([count(each) for each in (state, near)] for count in (
         lambda each: LegBounds(room).bound_goals(each, goals),
         lambda each: planner.answer(PlanningRequest(each, goals)).cost))

@@ -36,6 +36,7 @@ from hrl_escape.errors import (
     UnsupportedError,
 )
 from hrl_escape.options.closed_loop import pursue
+from hrl_escape.options.options_env import make_options_env
 from hrl_escape.planning import routes
 from hrl_escape.planning.goals import (
     ExitGoal,
@@ -43,8 +44,8 @@ from hrl_escape.planning.goals import (
     PressGoal,
     PushGoal,
     RegionGoal,
-    describe_goal,
     is_reached,
+    name_goal,
     parse_goal,
 )
 from hrl_escape.planning.planner import RoomPlanner, get_planner
@@ -122,7 +123,7 @@ def test_a_goal_reached_already_takes_nothing(planner, start):
 
 
 def test_a_plan_begun_in_the_middle_of_an_episode_counts_on_from_there(planner, start):
-    plan = planner.plan(start._replace(primitives=17, noise_key=5), "button-1")
+    plan = planner.plan(start._replace(primitives=17, noise_key=5), "press-button-1")
     assert [state.primitives for state in plan.states] == list(range(17, 18 + plan.cost))
     assert plan.states[-1].puzzle == 1
 
@@ -141,7 +142,7 @@ def test_pursuit_escapes_under_noise_and_slip():
 def test_pursuit_of_one_goal_ends_there():
     env = EscapeRoomEnv("paper-two-button")
     env.reset(seed=0)
-    run = pursue(env, "button-2")
+    run = pursue(env, "press-button-2")
     assert run.is_reached and not run.escaped and env.get_state().touching == 2
     assert len(run.states) == len(run.rewards) + 1
 
@@ -221,7 +222,7 @@ def test_a_target_too_high_for_the_hand_has_no_posture():
     planner = RoomPlanner(dataclasses.replace(instance, targets=high))
     state = planner.rules.make_state(instance.starts[0])
     assert fail(planner, state, "button-1").reason is PlanningReason.NO_POSTURE
-    assert planner.plan(state, "button-2").cost > 0
+    assert planner.plan(state, "press-button-2").cost > 0
 
 
 def test_a_budget_that_runs_out_says_so_at_the_same_place_every_time():
@@ -236,11 +237,11 @@ def test_a_time_limit_that_passes_says_so_and_is_not_remembered():
     instance = generate(get_preset("clutter"), 0)
     planner = RoomPlanner(instance)
     state = planner.rules.make_state(instance.starts[0])
-    planner.plan(state, "button-1")
+    planner.plan(state, "press-button-1")
     planner.routes.time_limit = 0.0
     assert fail(planner, state, "button-4").reason is PlanningReason.TIMEOUT
     planner.routes.time_limit = 60.0
-    assert planner.plan(state, "button-4").cost > 0
+    assert planner.plan(state, "press-button-4").cost > 0
 
 
 def test_an_escape_that_cannot_be_names_the_part_that_fails(planner, start):
@@ -274,11 +275,27 @@ def test_a_goal_that_is_none_is_refused(planner, start, text, error):
         planner.plan(start, text)
 
 
+@pytest.mark.parametrize(("room", "old", "new"), [
+    ("paper-two-button", "button-2", "press-button-2"), ("paper-two-button", "press button-2", "press-button-2"),
+    ("paper-two-button", "press(button-2)", "press-button-2"), ("paper-two-button", "meta-02", "press-button-2"),
+    ("paper-two-button", "exit", "go-to-exit"), ("paper-two-button", "leave", "go-to-exit"),
+    ("paper-two-button", "meta-exit", "go-to-exit"), ("taxi", "grip red", "grip-red"),
+    ("taxi", "meta-06", "release-red"), ("sokoban", "push-east box-1", "push-east-box-1"),
+    ("push-block", "block-1->plate-1", "push-block-1-to-plate-1"),
+    ("push-block", "push block-1 onto plate-1", "push-block-1-to-plate-1"),
+])
+def test_a_name_of_an_earlier_version_is_refused_with_the_name_of_today(room, old, new):
+    instance = generate(get_preset(room), 0)
+    with pytest.raises(UnknownNameError, match=rf"unknown goal '.*'; did you mean '{new}'\?"):
+        parse_goal(old, instance)
+    assert name_goal(parse_goal(new, instance), instance) == new in make_options_env(room).action_names
+
+
 @pytest.mark.parametrize(("field", "value"), [("heading_steps", 36), ("heading_steps", 10**9), ("x", math.nan),
                                               ("x", 50.0), ("touching", -1), ("puzzle", "on"), ("joint_steps", (1,))])
 def test_a_state_that_cannot_be_is_refused_by_its_field_at_every_door(planner, start, field, value):
     state = start._replace(**{field: value})
-    for ask in (lambda: planner.plan(state, "button-1"), lambda: planner.solve(state),
+    for ask in (lambda: planner.plan(state, "press-button-1"), lambda: planner.solve(state),
                 lambda: planner.order_goals(state), lambda: planner.routes.find_route(state, ExitGoal()),
                 lambda: planner.orders.find_ancestors(state, PressGoal(0)),
                 lambda: planner.make_plan(state, (0,), [ExitGoal()], "mine")):
@@ -316,7 +333,7 @@ def test_memory_of_routes_is_bounded_however_they_are_learnt(monkeypatch, by):
 
     def ask(state, primitive: int) -> None:
         if by == "plan":
-            planner.plan(state, "exit")
+            planner.plan(state, "go-to-exit")
             return
         after = planner.rules.step(state, primitive).state
         place = PoseGoal(after.x, after.y, planner.rules.get_heading(after), 0.1 + 1e-6 * float(state.x))
@@ -372,7 +389,7 @@ def test_a_path_planner_is_chosen_by_name(planner, start):
 
 def test_goals_and_their_words_belong_together(planner):
     for goal in (PressGoal(1), ExitGoal(), PoseGoal(1.5, -2.0), PoseGoal(1.0, 2.0, np.radians(90))):
-        assert parse_goal(describe_goal(goal, planner.instance), planner.instance) == goal
+        assert parse_goal(name_goal(goal, planner.instance), planner.instance) == goal
 
 
 def test_failures_survive_pickling(planner, start):
@@ -385,7 +402,7 @@ def test_failures_survive_pickling(planner, start):
 
 
 def test_a_plan_is_not_executed_elsewhere(planner, start):
-    plan = planner.plan(start, "button-1")
+    plan = planner.plan(start, "press-button-1")
     env = EscapeRoomEnv("paper-two-button")
     env.reset(seed=0)
     env.step(0)
@@ -431,7 +448,7 @@ def test_what_is_remembered_belongs_to_the_whole_pose_and_the_door():
     """One place, but another heading, another touch, another door: each as a planner without memory answers."""
     planner = RoomPlanner(generate(get_preset("clutter"), 0))
     rules = planner.rules
-    start = planner.plan(rules.make_state(planner.instance.starts[0]), "button-2").states[-1]
+    start = planner.plan(rules.make_state(planner.instance.starts[0]), "press-button-2").states[-1]
     solved = next(puzzle for puzzle in range(16) if planner.instance.puzzle.is_solved(puzzle))
     states = [start, start._replace(heading_steps=(start.heading_steps + 4) % 36), start._replace(touching=0),
               start._replace(puzzle=solved)]
@@ -519,4 +536,4 @@ def test_a_button_beyond_the_arm_is_refused_with_the_reason():
     instance = dataclasses.replace(instance, targets=(high, *instance.targets[1:]))
     planner = RoomPlanner(instance)
     with pytest.raises(PlanningFailed, match=r"no posture.*too high: button-1 hangs from 4\.80 m up"):
-        planner.plan(Kinematics(instance).make_state(instance.starts[0]), "button-1")
+        planner.plan(Kinematics(instance).make_state(instance.starts[0]), "press-button-1")

@@ -37,9 +37,9 @@ def start(planner):
 
 
 def test_an_answer_is_the_plan_of_plan_and_solve(planner, start):
-    one = planner.answer(PlanningRequest(start, "button-2"))
+    one = planner.answer(PlanningRequest(start, "press-button-2"))
     assert one.status == "reached" and one.plan is not None
-    assert one.plan.primitives == planner.plan(start, "button-2").primitives
+    assert one.plan.primitives == planner.plan(start, "press-button-2").primitives
     assert one.cost == one.plan.cost >= one.lower_bound > 0 and one.gap == one.cost / one.lower_bound - 1
     assert (one.method, one.seed, one.cut_short) == ("fields", 0, False) and one.spent > 0
     escape = planner.answer(PlanningRequest(start))
@@ -49,8 +49,8 @@ def test_an_answer_is_the_plan_of_plan_and_solve(planner, start):
 
 
 def test_several_goals_are_reached_in_the_order_given(planner, start):
-    result = planner.answer(PlanningRequest(start, ("button-1", "0,-5", PressGoal(0))))
-    assert result.plan is not None and [part.name for part in result.plan.parts] == ["press-button-1", "0,-5",
+    result = planner.answer(PlanningRequest(start, ("press-button-1", "0,-5", PressGoal(0))))
+    assert result.plan is not None and [part.name for part in result.plan.parts] == ["press-button-1", "go-to-0,-5",
                                                                                      "press-button-1"]
     assert result.plan.name == "press-button-1, 0,-5, press-button-1"
     env = EscapeRoomEnv(instance=planner.instance)
@@ -60,10 +60,10 @@ def test_several_goals_are_reached_in_the_order_given(planner, start):
 
 
 def test_a_failure_is_a_result_with_its_reason(planner, start):
-    result = planner.answer(PlanningRequest(start, "exit", budget=50))
+    result = planner.answer(PlanningRequest(start, "go-to-exit", budget=50))
     assert result.plan is None and result.status is PlanningReason.UNREACHABLE_PROVEN
     assert result.cost == math.inf and result.failure is not None and result.to_dict()["cost"] is None
-    assert planner.answer(PlanningRequest(start, "button-3", budget=1)).status is PlanningReason.BUDGET_EXHAUSTED
+    assert planner.answer(PlanningRequest(start, "press-button-3", budget=1)).status is PlanningReason.BUDGET_EXHAUSTED
 
 
 def test_requests_that_make_no_sense_are_refused(planner, start):
@@ -71,7 +71,7 @@ def test_requests_that_make_no_sense_are_refused(planner, start):
         with pytest.raises(ConfigError):
             PlanningRequest(start, **wrong)
     with pytest.raises(UnknownNameError):
-        planner.answer(PlanningRequest(start, "button-1", method="RRRT"))
+        planner.answer(PlanningRequest(start, "press-button-1", method="RRRT"))
     with pytest.raises(GoalError):
         planner.answer(PlanningRequest(start, PressGoal(99)))
     with pytest.raises(ConfigError, match="limits.speed"):
@@ -84,8 +84,8 @@ def test_requests_that_make_no_sense_are_refused(planner, start):
 @pytest.mark.in_turn_for("length-True", "clearance-True")
 @pytest.mark.parametrize(("objective", "wins"), [("length", True), ("clearance", True), ("time", False)])
 def test_each_objective_improves_on_the_fewest_primitives_and_keeps_its_bound(planner, start, objective, wins):
-    result = planner.answer(PlanningRequest(start, "button-3", objective=objective))
-    plain = compute_plan_cost(planner.plan(start, "button-3"), result.request)
+    result = planner.answer(PlanningRequest(start, "press-button-3", objective=objective))
+    plain = compute_plan_cost(planner.plan(start, "press-button-3"), result.request)
     assert result.plan is not None and result.cost == compute_plan_cost(result.plan, result.request)
     assert result.lower_bound <= result.cost <= plain and (result.cost < plain or not wins)
 
@@ -160,7 +160,7 @@ def test_improvement_ends_when_the_search_nodes_of_its_budget_are_spent(name):
 
 
 def test_nodes_of_a_search_that_failed_count_as_spent(planner, start):
-    result = planner.answer(PlanningRequest(start, "button-1", budget=5))
+    result = planner.answer(PlanningRequest(start, "press-button-1", budget=5))
     assert result.status is PlanningReason.BUDGET_EXHAUSTED and 0 < result.spent <= 5
     assert result.failure is not None and pickle.loads(pickle.dumps(result.failure)).expansions == result.spent
 
@@ -191,7 +191,7 @@ SLOW = PoseGoal(-5.84, 1.29, 4.22, tolerance=0.02)
 def test_a_call_is_cancelled_from_another_thread_at_once(method):
     planner = RoomPlanner(generate(get_preset("clutter"), 0))
     start = planner.rules.make_state(planner.instance.starts[0])
-    planner.plan(start, "button-1", method)
+    planner.plan(start, "press-button-1", method)
     waits = []
     for delay in (0.0, 0.02, 0.05, 0.1):
         stop = threading.Event()
@@ -211,7 +211,7 @@ def test_a_call_is_cancelled_from_another_thread_at_once(method):
 def test_a_call_that_is_cancelled_before_it_begins_is_cut_short(planner, start, method):
     stop = threading.Event()
     stop.set()
-    result = planner.answer(PlanningRequest(start, "button-1", method=method), stop=stop)
+    result = planner.answer(PlanningRequest(start, "press-button-1", method=method), stop=stop)
     assert result.status is PlanningReason.CANCELLED and result.cut_short and result.plan is None
 
 
@@ -223,14 +223,15 @@ def test_a_cancelled_call_keeps_the_best_plan_and_the_planner_its_answers(planne
         seen.append(result)
         stop.set()
 
-    result = planner.answer(PlanningRequest(start, "button-1", objective="clearance"), stop=stop, on_improvement=look)
+    request = PlanningRequest(start, "press-button-1", objective="clearance")
+    result = planner.answer(request, stop=stop, on_improvement=look)
     assert result.plan is not None and result.cut_short and len(seen) == 1
-    again = RoomPlanner(planner.instance).answer(PlanningRequest(start, "button-1", objective="clearance"))
+    again = RoomPlanner(planner.instance).answer(request)
     assert planner.answer(again.request).cost == again.cost, "nothing that was cut short is remembered"
 
 
 def test_calls_of_one_planner_from_several_threads_are_those_of_one(planner, start):
-    requests = [PlanningRequest(start, f"button-{n}") for n in (1, 2, 3)]
+    requests = [PlanningRequest(start, f"press-button-{n}") for n in (1, 2, 3)]
     with ThreadPoolExecutor(3) as pool:
         results = list(pool.map(planner.answer, requests))
     assert [result.plan.parts[0].goal for result in results] == [PressGoal(0), PressGoal(1), PressGoal(2)]

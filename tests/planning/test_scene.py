@@ -122,7 +122,7 @@ def test_props_and_targets_move_and_the_room_follows():
     scene = Scene.of(generate(get_preset("paper-two-button"), 0))
     state = scene.planner.rules.make_state(scene.instance.starts[0])
     near = scene.move("button-1", y=0.8, yaw=0.0)
-    assert near.planner.plan(state, "button-1").cost < scene.planner.plan(state, "button-1").cost
+    assert near.planner.plan(state, "press-button-1").cost < scene.planner.plan(state, "press-button-1").cost
 
 
 def test_a_block_on_its_side_keeps_its_yaw():
@@ -218,7 +218,7 @@ def test_where_the_robot_is_may_replace_the_start():
         there = rules.step(there, primitive).state
     start = instance.starts[0]
     covered = Scene.of(instance, there).add("table", Solid("box", start.x, start.y, 0.3, 0.3))
-    assert covered.planner.plan(there, "button-1").cost > 0
+    assert covered.planner.plan(there, "press-button-1").cost > 0
 
 
 # --- the hand ----------------------------------------------------------------------------------
@@ -251,9 +251,10 @@ def test_a_held_object_is_a_link_in_every_library_and_goes_where_the_hand_goes()
 
     env = EscapeRoomEnv(instance=held.instance)
     env.reset(options={"state": state})
-    run = held.planner.plan(state, "button-1").execute(env)
+    run = held.planner.plan(state, "press-button-1").execute(env)
     assert run.as_predicted
-    assert held.planner.plan(state, "button-1").primitives == scene.planner.plan(state, "button-1").primitives
+    plans = [each.planner.plan(state, "press-button-1") for each in (held, scene)]
+    assert plans[0].primitives == plans[1].primitives
     env.close()
 
 

@@ -34,9 +34,9 @@ def test_fast_downward_minimises_the_primitives_of_all_legs():
                 total += costs.get((before, op.name), float("inf")) if op.is_applicable(facts) else float("inf")
                 facts, before = op.apply(facts), op.name
             if model.goal <= facts:
-                least = min(least, total + costs[before, "leave"])
+                least = min(least, total + costs[before, "go-to-exit"])
     plan = tasks.solve(start)
-    names = ["start", *(part.name for part in plan.parts[:-1]), "leave"]
+    names = ["start", *(part.name for part in plan.parts[:-1]), "go-to-exit"]
     assert sum(costs[leg] for leg in itertools.pairwise(names)) == least
     env = EscapeRoomEnv(instance=room)
     env.reset(options={"state": start})
@@ -54,8 +54,8 @@ def test_our_problem_goes_out_and_a_strangers_plan_comes_in():
     with OneshotPlanner(name="fast-downward") as stranger:
         answer = stranger.solve(problem).plan
     plan = tasks.follow(start, answer)
-    assert [part.name for part in plan.parts] == ["press-button-1", "press-button-2", "exit"]
-    assert tasks.follow(start, ["press-button-1", "press-button-2", "leave"]).primitives == plan.primitives
+    assert [part.name for part in plan.parts] == ["press-button-1", "press-button-2", "go-to-exit"]
+    assert tasks.follow(start, ["press-button-1", "press-button-2", "go-to-exit"]).primitives == plan.primitives
     with pytest.raises(PlanningFailed) as failed:
         tasks.follow(start, ["press-button-2"])
     assert failed.value.reason is PlanningReason.PRECONDITION_UNMET
@@ -84,7 +84,7 @@ def test_what_motion_cannot_do_is_no_action():
     caged = TaskMotionPlanner(RoomPlanner(scene.instance))
     assert not any(name == "press-button-3" for _, name in caged.compute_costs(start))
     assert "press-button-3-from" not in caged.export(start)[0]
-    assert caged.solve(start).parts[-1].name == "exit"
+    assert caged.solve(start).parts[-1].name == "go-to-exit"
     with pytest.raises(PlanningFailed) as failed:
         caged.solve(start, ["on(button-3)"])
     assert failed.value.reason is PlanningReason.PRECONDITION_UNMET

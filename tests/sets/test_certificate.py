@@ -98,7 +98,7 @@ def test_rooms_that_look_like_known_ones_are_skipped_and_listed():
     assert list(chosen.values()) == [compute_keys(room) for room in planted["one"].valid]
 
 
-def test_a_schematic_that_cannot_vary_is_refused():
+def test_a_room_configuration_that_cannot_vary_is_refused():
     fixed = get_preset("paper-one-button")
     known = {compute_keys(generate(fixed, 0)).layout}
     with pytest.raises(EscapeError, match="more room to vary") as refused:
@@ -225,7 +225,8 @@ def test_every_rung_gives_relabelled_rooms_of_one_shape(source, name):
 
 
 def test_rungs_that_were_there_before_others_keep_their_rooms():
-    """Roots and schematics of the fourteen rungs of before, to the last bit: seeds come from names, not from places."""
+    """Roots and room configurations of the fourteen rungs of before, to the last bit: seeds come from names, not from
+    places."""
     before = ("doormat", "pair", "reach", "chain-3", "chain-4", "chain", "lattice-5", "drift", "lattice-6", "lattice-7",
               "clutter", "lattice-8", "lattice", "house")
     bench = load_benchmark("ladder-1")

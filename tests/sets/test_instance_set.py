@@ -122,7 +122,7 @@ def test_a_batch_holds_every_room_of_the_set(rooms):
     decisions = rooms[:3].make_vec(8, options={"include_primitives": False})
     assert isinstance(decisions, BatchedOptionsEnv)
     decisions.reset(torch.arange(8))
-    assert decisions.action_names[-1] == "meta-exit" and decisions.actions == 7
+    assert decisions.action_names[-1] == "go-to-exit" and decisions.actions == 7
 
 
 @pytest.mark.in_turn_for("house", "clutter")
@@ -134,11 +134,11 @@ def test_rooms_of_a_rung_offer_the_same_goals_in_the_same_order(rung):
     assert all(other == goals[0] for other in goals)
 
 
-@pytest.mark.parametrize("flavour", ["press", "press-with-ancestors"])
-def test_options_over_rooms_of_two_and_three_blocks_are_learned_from_and_the_missing_ones_are_masked(flavour):
+@pytest.mark.parametrize("option_set", ["press", "press-with-ancestors"])
+def test_options_over_rooms_of_two_and_three_blocks_are_learned_from_and_the_missing_ones_are_masked(option_set):
     rooms = load_benchmark("ladder-1")["freight"].train[:4]
     assert {len(room.targets) for room in rooms} == {2, 3}
-    env = rooms.make_env(options={"include_primitives": False, "flavour": flavour})
+    env = rooms.make_env(options={"include_primitives": False, "option_set": option_set})
     for seed in range(6):
         _, info = env.reset(seed=seed)
         missing = [index for index, goal in enumerate(list_goals(env.unwrapped.instance))

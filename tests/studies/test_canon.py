@@ -119,7 +119,7 @@ def test_the_searcher_that_is_best_in_a_kind_is_the_bar():
     assert "No learner is shown to beat the best searcher" in page  # each alone has 0.55 at most
 
 
-def test_hierarchies_are_held_against_their_flat_twins():
+def test_hierarchies_are_held_against_their_flat_controls():
     page = read(change({CRITIC: 0.6, DAC: 0.1}))
     assert ("- Of 23 hierarchies held against the flat learner that chooses among the same presses, 1 gains: "
             f"`{CRITIC}` (+0.1") in page
@@ -277,7 +277,7 @@ def test_every_learner_has_three_settings_that_exist_and_differ():
     for label, family in LEARNERS.items():
         made = [dict(settings) for settings in family.learners[label]]
         assert len(made) == 3 and all(made.count(settings) == 1 for settings in made), label
-    assert set(STUDY.data["twins"]) <= LEARNERS.keys() and set(STUDY.data["twins"].values()) <= LEARNERS.keys()
+    assert set(STUDY.data["controls"]) <= LEARNERS.keys() and set(STUDY.data["controls"].values()) <= LEARNERS.keys()
 
 
 def test_trials_are_in_rooms_that_no_result_is_from():

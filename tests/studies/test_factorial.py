@@ -89,7 +89,7 @@ def test_agents_differ_in_the_factors_their_labels_say_and_in_nothing_else(algor
                 assert agent.options.include_primitives == (level == "0")
 
 
-def test_rooms_are_drawn_from_one_schematic_and_relabelled():
+def test_rooms_are_drawn_from_one_room_configuration_and_relabelled():
     rooms = make_factorial_grid("sarsa", rooms=8).make_places()
     assert len({room.name for room in rooms}) == 8
     assert len({room.instance.puzzle.edges for room in rooms}) > 2, "numbers say nothing of the order"

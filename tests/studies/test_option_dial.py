@@ -11,14 +11,14 @@ from hrl_escape.options import OptionDegradation, OptionsEnv
 from studies.learned.option_dial import measure_option, place_on_dial
 
 LENGTH = 9
-"""Primitives of meta-01 in the paper's rooms."""
+"""Primitives of press-button-1 in the paper's rooms."""
 WHOLE = 0.99**LENGTH
 CURVE = {failure: [(1 - failure) * WHOLE] * 10 for failure in (0.0, 0.25, 0.5, 1.0)}
 
 
 def press(calls, seed=0, **degradation):
     env = OptionsEnv(EscapeRoomEnv("paper-two-button"), OptionDegradation(seed=seed, **degradation))
-    return measure_option(env, "meta-01", lambda observation, info: bool(info["buttons_on"][0]), calls, seed)
+    return measure_option(env, "press-button-1", lambda observation, info: bool(info["buttons_on"][0]), calls, seed)
 
 
 @pytest.fixture(scope="module")

@@ -317,7 +317,7 @@ def test_rooms_are_relabelled_chains_in_which_presses_can_be_efficient():
     assert [sample_replicate_room(4, number).seed for number in range(4)] == [1, 2, 3, 5]
 
 
-def test_every_flat_learner_has_its_twin_and_trials_are_in_other_rooms():
+def test_every_flat_learner_has_its_control_and_trials_are_in_other_rooms():
     labels = {contestant.label: contestant for contestant in CONTESTANTS}
     for flat, options in PAIRS.items():
         assert labels[options].agent == f"smdp-{labels[flat].agent}"

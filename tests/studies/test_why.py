@@ -292,7 +292,7 @@ def test_an_option_is_imagined_up_to_the_touch_or_the_way_in_that_has_not_happen
     agent = make_lookahead("options", room, model, 0, {"warmup": 10**6})
     room.reset(seed=5)
     begin = room.unwrapped.get_state()
-    button, leave = (room.action_names.index(name) for name in ("meta-01", "meta-exit"))
+    button, leave = (room.action_names.index(name) for name in ("press-button-1", "go-to-exit"))
 
     def imagine(state, option):
         agent._choose_way = lambda action_mask: [option]

@@ -13,7 +13,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.sets import make_room
-from hrl_escape.text import RoomSession, ToldEnv, ToolsAgent, make_model
+from hrl_escape.text import RoomSession, TextEnv, ToolsAgent, make_model
 
 RUNGS = ("doormat", "pair", "chain-3", "doors", "lattice-5", "drift", "code", "freight", "clutter", "switchboard",
          "lattice")
@@ -29,26 +29,26 @@ def make_env(room: RoomInstance, **options: Any) -> tuple[OptionsEnv, StateRecor
     return OptionsEnv(recorder, **options), recorder
 
 
-def make_session(room: RoomInstance, told: Any = "places", seed: int = 0, **options: Any) -> RoomSession:
-    session = RoomSession(make_env(room, **options)[0], told)
+def make_session(room: RoomInstance, reveal: Any = "places", seed: int = 0, **options: Any) -> RoomSession:
+    session = RoomSession(make_env(room, **options)[0], reveal)
     session.reset(seed=seed)
     return session
 
 
-def play_reference(name: str, room: RoomInstance, seed: int, told: Any = None
-                   ) -> tuple[list[RoomState], ToldEnv | None]:
-    """States of a reference's episode, with its transcript where something is told."""
+def play_reference(name: str, room: RoomInstance, seed: int, reveal: Any = None
+                   ) -> tuple[list[RoomState], TextEnv | None]:
+    """States of a reference's episode, with its transcript where it has one."""
     env, recorder = make_env(room)
-    outer = env if told is None else ToldEnv(env, told)
+    outer = env if reveal is None else TextEnv(env, reveal)
     for _ in play_episode(make_reference(name, env, recorder), outer, seed):
         pass
-    return recorder.states, None if told is None else outer  # type: ignore[return-value]
+    return recorder.states, None if reveal is None else outer  # type: ignore[return-value]
 
 
-def play_manager(name: str, room: RoomInstance, seed: int, told: Any) -> tuple[list[RoomState], ToldEnv]:
+def play_manager(name: str, room: RoomInstance, seed: int, reveal: Any) -> tuple[list[RoomState], TextEnv]:
     """States and transcript of an episode in which a manager calls the tools."""
     env, recorder = make_env(room)
-    outer = ToldEnv(env, told)
+    outer = TextEnv(env, reveal)
     for _ in play_episode(ToolsAgent(outer, make_model(name)), outer, seed):
         pass
     return recorder.states, outer

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import hrl_escape.text.told_env as told_env
+import hrl_escape.text.text_env as text_env
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.graphs import find_ancestors
@@ -31,10 +31,10 @@ def list_rooms(rung: str, count: int) -> list[RoomInstance]:
     return list(find_set(f"ladder-1/{rung}/train#0..{count}"))
 
 
-def say_before_the_first_press(room: RoomInstance, told: Any) -> str:
+def say_before_the_first_press(room: RoomInstance, reveal: Any) -> str:
     """The first text, tools, a look, a wrong call and a move: all that can be had without a press."""
     env = EscapeRoomEnv(instance=room)
-    session = RoomSession(env, told)
+    session = RoomSession(env, reveal)
     said = [session.reset(seed=0), repr(session.tools()), session.call("look").text, session.call("fly").text,
             session.call("move", {"primitive": "turn-left"}).text, session.call("run_option", {"option": "x"}).text]
     env.close()
@@ -57,9 +57,9 @@ def compute_information(pairs: Sequence[tuple[Hashable, Hashable]]) -> float:
     return sum(n / total * math.log2(n * total / (ones[one] * others[other])) for (one, other), n in both.items())
 
 
-def measure_information(rooms: Sequence[RoomInstance], told: Any) -> float:
+def measure_information(rooms: Sequence[RoomInstance], reveal: Any) -> float:
     """Information between text and order given the room, the mean over rooms, bits."""
-    return float(np.mean([compute_information([(say_before_the_first_press(each, told), order)
+    return float(np.mean([compute_information([(say_before_the_first_press(each, reveal), order)
                                                for order, each in with_every_order(room).items()]) for room in rooms]))
 
 
@@ -69,16 +69,16 @@ def test_information_is_that_of_known_tables():
     assert compute_information([(0, 0)] * 3 + [(1, 1)]) == pytest.approx(-0.75 * math.log2(0.75) + 0.5)
 
 
-@pytest.mark.parametrize("told", ["names", "places"])
-def test_what_is_said_holds_no_information_on_the_order(told: str):
-    assert measure_information(list_rooms("pair", 20), told) == 0.0
-    assert measure_information(list_rooms("chain-3", 4), told) == 0.0
+@pytest.mark.parametrize("reveal", ["names", "places"])
+def test_what_is_said_holds_no_information_on_the_order(reveal: str):
+    assert measure_information(list_rooms("pair", 20), reveal) == 0.0
+    assert measure_information(list_rooms("chain-3", 4), reveal) == 0.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("told", ["names", "places"])
-def test_it_holds_none_in_400_rooms(told: str):
-    assert measure_information(list_rooms("pair", 400), told) == 0.0
+@pytest.mark.parametrize("reveal", ["names", "places"])
+def test_it_holds_none_in_400_rooms(reveal: str):
+    assert measure_information(list_rooms("pair", 400), reveal) == 0.0
 
 
 def test_the_symbolic_model_tells_all_of_it_as_it_declares():
@@ -103,7 +103,7 @@ def with_index(describe: Callable[..., str]) -> Callable[..., str]:
 
 @pytest.mark.parametrize("leak", [by_order, with_index], ids=["order of listing", "index"])
 def test_a_planted_leak_is_seen(leak: Callable[..., Any], monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(told_env, "tell_room", leak(told_env.tell_room))
+    monkeypatch.setattr(text_env, "tell_room", leak(text_env.tell_room))
     assert measure_information(list_rooms("pair", 3), "places") == 1.0
     assert measure_information(list_rooms("chain-3", 1), "names") > 1.0
 

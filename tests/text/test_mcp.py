@@ -24,8 +24,8 @@ def test_a_client_sees_the_session():
 
     room, heard = get_room("pair", 3), []
     session, twin = make_session(room), make_session(room)
-    calls = [("run_option", {"option": "press button-1"}), ("fly", {"x": 1}), ("move", {"primitive": "forward"}),
-             ("look", {}), ("run_option", {"option": "leave"})]
+    calls = [("run_option", {"option": "press-button-1"}), ("fly", {"x": 1}), ("move", {"primitive": "forward"}),
+             ("look", {}), ("run_option", {"option": "go-to-exit"})]
 
     async def talk() -> None:
         async with Client(make_server(session)) as client:
@@ -47,17 +47,17 @@ def test_the_command_serves_a_rung_on_standard_input_and_records_the_game(tmp_pa
     import anyio
     from mcp import Client, StdioServerParameters, stdio_client
 
-    words = ["mcp", "--room", "ladder-1/pair/test#3", "--told", "names", "--record", str(tmp_path / "game.jsonl")]
+    words = ["mcp", "--room", "ladder-1/pair/test#3", "--reveal", "names", "--record", str(tmp_path / "game.jsonl")]
 
     async def talk() -> None:
         server = StdioServerParameters(command=sys.executable, args=["-m", "hrl_escape.cli", *words])
         async with Client(stdio_client(server)) as client:
-            for option in ("press button-1", "press button-2", "press button-1", "leave"):
+            for option in ("press-button-1", "press-button-2", "press-button-1", "go-to-exit"):
                 await client.call_tool("run_option", {"option": option})
 
     anyio.run(talk)
     (game,) = verify_games(tmp_path / "game.jsonl")
-    assert game.room == get_room("pair", 3) and game.told == "names" and game.score.escaped
+    assert game.room == get_room("pair", 3) and game.reveal == "names" and game.score.escaped
 
 
 @pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")

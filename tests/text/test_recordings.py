@@ -13,7 +13,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.text import (
     RecordedModel,
     RoomSession,
-    ToldEnv,
+    TextEnv,
     ToolCall,
     ToolsAgent,
     load_games,
@@ -27,13 +27,13 @@ from tests.text.rooms import get_room, make_env, make_session, play_manager
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Games on four rungs at three levels, one of them with wrong calls and moves."""
-    games = [record_game(play_manager(name, get_room(rung), seed, told)[1])
-             for name, rung, seed, told in (("search-random", "pair", 1, "names"),
+    games = [record_game(play_manager(name, get_room(rung), seed, text)[1])
+             for name, rung, seed, text in (("search-random", "pair", 1, "names"),
                                             ("search-nearest", "drift", 2, "places"),
                                             ("random", "freight", 4, "model"))]
-    session = make_session(get_room("code"), seed=5, include_primitives=True, flavour="press-with-ancestors")
+    session = make_session(get_room("code"), seed=5, include_primitives=True, option_set="press-with-ancestors")
     for call in (("fly", [1, {"x": "\ud800"}]), ("look", {}), ("move", {"primitive": "forward", "times": 3}),
-                 ("run_option", {"option": "press digit-1"})):
+                 ("run_option", {"option": "press-digit-1"})):
         session.call(*call)
     path = tmp_path_factory.mktemp("games") / "games.jsonl"
     save_games(path, [*games, record_game(session)])
@@ -43,7 +43,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.in_turn
 def test_games_replay_to_the_same_bytes(file: Path, tmp_path: Path):
     games = verify_games(file)
-    assert games == load_games(file) and len(games) == 4 and games[3].options == {"flavour": "press-with-ancestors"}
+    assert games == load_games(file) and len(games) == 4 and games[3].options == {"option_set": "press-with-ancestors"}
     save_games(tmp_path / "again.jsonl", games)
     assert (tmp_path / "again.jsonl").read_bytes() == file.read_bytes()
     assert [game.score.escaped for game in games[:2]] == [True, True]
@@ -53,7 +53,7 @@ def test_games_replay_to_the_same_bytes(file: Path, tmp_path: Path):
 @pytest.mark.parametrize(("change", "problem"), [
     (lambda lines: lines[:1] + [lines[1].replace("Took ", "Took 1")] + lines[2:], "differs"),
     (lambda lines: [lines[0].replace("a closed room", "an open room", 1), *lines[1:]], "differs"),
-    (lambda lines: [lines[0].replace('"told": "names"', '"told": "places"', 1), *lines[1:]], "differs"),
+    (lambda lines: [lines[0].replace('"reveal": "names"', '"reveal": "places"', 1), *lines[1:]], "differs"),
     (lambda lines: [*lines[:1], *lines[2:]], "differs"),
     (lambda lines: [line.replace('"efficiency": 0', '"efficiency": 1') for line in lines], "differs"),
 ])
@@ -87,37 +87,37 @@ def test_a_file_cut_in_the_middle_is_refused(file: Path, tmp_path: Path):
 def test_a_recorded_model_plays_the_game_again_and_no_other(file: Path):
     game = load_games(file)[1]
     env, recorder = make_env(game.room)
-    told = ToldEnv(env, game.told)
-    told.reset(seed=game.seed)
-    agent = ToolsAgent(told, RecordedModel(file))
-    while not told.is_over:
-        told.step(agent.act(None, told._mask))
-    assert record_game(told) == game
-    told.reset(seed=99)
+    text = TextEnv(env, game.reveal)
+    text.reset(seed=game.seed)
+    agent = ToolsAgent(text, RecordedModel(file))
+    while not text.is_over:
+        text.step(agent.act(None, text._mask))
+    assert record_game(text) == game
+    text.reset(seed=99)
     with pytest.raises(VerificationError, match="after"):
-        while not told.is_over:
-            told.step(agent.act(None, told._mask))
+        while not text.is_over:
+            text.step(agent.act(None, text._mask))
 
 
 def test_a_script_scores_the_same_through_either_door():
     room = get_room("pair", 3)
-    names = "press button-2", "press button-1", "press button-2"
+    names = "press-button-2", "press-button-1", "press-button-2"
     calls = [ToolCall("run_option", {"option": name}) for name in names]
-    calls += [ToolCall("fly", {}), ToolCall("look", {}), ToolCall("run_option", {"option": "leave"})]
+    calls += [ToolCall("fly", {}), ToolCall("look", {}), ToolCall("run_option", {"option": "go-to-exit"})]
     session = make_session(room, "names", include_primitives=False)
     for call in calls:
         session.call(*call)
     env, _ = make_env(room, include_primitives=False)
-    told = ToldEnv(env, "names")
+    text = TextEnv(env, "names")
 
     def call_in_order(transcript, tools):
         """The calls of the list, whatever the room says."""
         return calls[sum(turn.call is not None for turn in transcript)]
 
-    found = evaluate(ToolsAgent(told, call_in_order), told, episodes=1)
+    found = evaluate(ToolsAgent(text, call_in_order), text, episodes=1)
     assert found.returns[0] == session.score().reward and found.lengths[0] == session.score().primitives
     assert found.decision_counts[0] == session.score().decisions == 5 and found.successes[0]
-    assert told.score().invalid_calls == 1
+    assert text.score().invalid_calls == 1
 
 
 def test_what_cannot_be_replayed_is_not_recorded():

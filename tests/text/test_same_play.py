@@ -16,26 +16,26 @@ SEARCH_BASELINES = ("search-random", "search-nearest", "search-backtrack", "swee
 def test_a_searcher_that_reads_the_text_alone_does_what_the_searcher_that_reads_the_room_does(rung: str):
     room = get_room(rung)
     expected, _ = play_reference("search-random", room, 7)
-    states, told = play_manager("search-random", room, 7, "names")
+    states, text = play_manager("search-random", room, 7, "names")
     assert states == expected and len(states) > 5
-    assert sum(part.duration for part in told.log) == len(states) - 1
+    assert sum(part.duration for part in text.log) == len(states) - 1
 
 
 def through_the_tools(name: str, rung: str, number: int, seed: int) -> None:
     """A searcher's calls, made in a session of its own, lead to its states, and to the words that its game left."""
     room = get_room(rung, number)
-    expected, told = play_reference(name, room, seed, "places")
+    expected, text = play_reference(name, room, seed, "places")
     assert expected == play_reference(name, room, seed)[0], "telling changes the game"
-    assert told is not None
+    assert text is not None
     env, recorder = make_env(room)
     session = RoomSession(env)
     session.reset(seed=seed)
-    for turn in told.transcript[1:]:
+    for turn in text.transcript[1:]:
         assert turn.call is not None
         session.call(*turn.call)
-    assert recorder.states == expected and session.transcript == told.transcript
-    assert [part[3:7] for part in session.log] == [part[3:7] for part in told.log]
-    assert session.env.characters == told.characters
+    assert recorder.states == expected and session.transcript == text.transcript
+    assert [part[3:7] for part in session.log] == [part[3:7] for part in text.log]
+    assert session.env.characters == text.characters
 
 
 @pytest.mark.in_turn_for("freight", "clutter")
@@ -58,7 +58,7 @@ def test_the_log_holds_the_transitions_that_an_agent_gets():
     session = RoomSession(make_env(room)[0])
     session.reset(seed=1)
     observation, info = env.reset(seed=1)
-    for name in ("press button-2", "press button-2", "leave", "press button-5"):
+    for name in ("press-button-2", "press-button-2", "go-to-exit", "press-button-5"):
         action = session.env._actions[name]
         step = env.step(action)
         session.call("run_option", {"option": name})

@@ -14,24 +14,26 @@ import pytest
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import QUIET
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import USE, Contacts
 from hrl_escape.env.puzzles.marks import COLOURS, SHAPES, SIZES
 from hrl_escape.env.puzzles.mini_grid import MiniGridConfig
-from hrl_escape.env.puzzles.traits import Barring, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, get_mixin
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import ConfigError, ResetNeededError, UnknownNameError, UnsupportedError
+from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.option import FunctionOption
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.sequence import SequenceEnv
-from hrl_escape.text import RoomSession, ToldEnv, ToolCall, make_model, record_game, replay_game
+from hrl_escape.text import RoomSession, TextEnv, ToolCall, make_model, record_game, replay_game
 from hrl_escape.text.words import tell_changes
 from tests.text.rooms import get_room, make_env, make_session, play_manager
 
-WRONG = [("fly", {}), ("run_option", {}), ("run_option", {"option": 3}), ("run_option", {"option": "press button-9"}),
-         ("run_option", {"option": "leave", "speed": 2}), ("run_option", "leave"), ("run_option", None),
+WRONG = [("fly", {}), ("run_option", {}), ("run_option", {"option": 3}), ("run_option", {"option": "press-button-9"}),
+         ("run_option", {"option": "go-to-exit", "speed": 2}), ("run_option", "go-to-exit"), ("run_option", None),
          ("look", {"at": 1}), ("move", {"primitive": "forward", "times": 0}),
          ("move", {"primitive": "back", "times": True}), ("move", {"primitive": "back", "times": 2.0}),
          ("move", {"primitive": "hop"}), (None, None), (7, [1])]
@@ -74,7 +76,7 @@ def test_a_move_repeats_and_stops_when_something_changes():
     assert session.log[-1].reward == pytest.approx(-(1 - gamma**7) / (1 - gamma))
     assert session.log[-1].discount == pytest.approx(gamma**7) and session.log[-1].summed_reward == -7
     session.reset(seed=0)
-    session.call("run_option", {"option": "press button-1"})
+    session.call("run_option", {"option": "press-button-1"})
     names = [session.env.instance.robot.actions.names[step.action] for step in session.env.env.last_steps]
     session.reset(seed=0)
     for name in names[:-1]:
@@ -95,14 +97,14 @@ def test_looking_is_free_ten_times_between_two_moves():
 def test_a_game_that_is_over_answers_and_costs_nothing():
     session = make_session(get_room("pair", 3))
     assert session.score().efficiency == 0.0
-    for name in ("press button-1", "press button-2", "press button-1", "leave"):
+    for name in ("press-button-1", "press-button-2", "press-button-1", "go-to-exit"):
         session.call("run_option", {"option": name})
     score = session.score()
     assert score.escaped and "escaped" in session.transcript[-1].text
     best = find_best_known(get_room("pair", 3), session.env._start).primitives
     assert best is not None and score.efficiency == best / score.primitives < 1
     assert score.reward == 100 - score.primitives
-    assert session.call("run_option", {"option": "leave"}).is_error and session.score() == score
+    assert session.call("run_option", {"option": "go-to-exit"}).is_error and session.score() == score
     with pytest.raises(ResetNeededError):
         session.env.begin(ToolCall("look", {}))
     session.reset(seed=0)
@@ -114,7 +116,8 @@ def test_a_game_that_is_over_answers_and_costs_nothing():
 
 
 def test_levels_tell_more_and_more():
-    texts = {told: make_session(get_room("chain-3"), told).transcript[0].text for told in ("names", "places", "model")}
+    texts = {reveal: make_session(get_room("chain-3"), reveal).transcript[0].text
+             for reveal in ("names", "places", "model")}
     assert "at (" not in texts["names"] and "(define" not in texts["places"]
     assert "at (" in texts["places"] and texts["places"] in texts["model"] and "(define (domain" in texts["model"]
     with pytest.raises(UnknownNameError, match="everything"):
@@ -126,9 +129,9 @@ PLACES = re.compile(r" at \(-?\d+\.\d, -?\d+\.\d\)")
 WHERE_ONE_IS = re.compile(r" ?You are at \(-?\d+\.\d, -?\d+\.\d\)(?:, facing \d+ degrees \(x east, y north, m\))?\.\n?")
 
 
-def listen(room: RoomInstance, told: str) -> list[str]:
+def listen(room: RoomInstance, reveal: str) -> list[str]:
     """What is said in a game of every call, and at the beginning of a second one in the same room."""
-    session = make_session(room, told)
+    session = make_session(room, reveal)
     for name in session.tools()[0]["inputSchema"]["properties"]["option"]["enum"]:
         if not name.startswith("push "):  # plans of pushes take seconds
             session.call("run_option", {"option": name})
@@ -191,7 +194,7 @@ def test_every_door_is_told_as_it_is_and_when_it_opens():
     """In `doors` each has a state of its own; one after another they open."""
     room = get_room("doors")
     session = make_session(room)
-    barring = get_trait(room.puzzle, Barring)
+    barring = get_mixin(room.puzzle, Barring)
     seen, manager = set(), make_model("search-random")
     for _ in range(60):
         before = barring.get_shut(session.env.state.puzzle)
@@ -220,7 +223,7 @@ def test_marks_are_told_and_a_failed_puzzle_too():
         assert re.search(rf'"{target.name}" at \([^)]*\), off, marked with a {words}[;.]', said)
     room = next(room for room in rooms["rules"].train[:8] if room.puzzle.on_violation == "fail")
     late = next(button for button, parents in enumerate(room.puzzle.parent_masks) if parents)
-    result = make_session(room).call("run_option", {"option": f"press button-{late + 1}"})
+    result = make_session(room).call("run_option", {"option": f"press-button-{late + 1}"})
     assert f'Pressed "button-{late + 1}": the puzzle is failed.' in result.text and "over" in result.text
     assert "marked" not in make_session(get_room("pair")).reset()
 
@@ -228,7 +231,9 @@ def test_marks_are_told_and_a_failed_puzzle_too():
 def test_a_change_that_nobody_pressed_is_a_sentence_of_its_own():
     room = get_room("pair", 3)
     state = make_session(room).env.state
-    assert tell_changes(room, [state, state._replace(puzzle=1), state]) == [
+    on, off = DomainStep(0, state, state._replace(puzzle=1), None, (), {}), DomainStep(0, state, state, None, (), {})
+    assert tell_changes(room, [on._replace(events=QUIET._replace(turned_on=1)),
+                               off._replace(state=on.next_state, events=QUIET._replace(turned_off=1))]) == [
         '"button-1" came on.', '"button-1" went out.']
 
 
@@ -250,17 +255,17 @@ def test_a_room_made_by_name_has_tools():
     for name in ("hrl_escape/EscapeRoom-v1", "hrl_escape/EscapeRoomOptions-v1"):
         session = RoomSession(gymnasium.make(name))
         session.reset(seed=0)
-        assert not session.call("run_option", {"option": "press button-1"}).is_error
+        assert not session.call("run_option", {"option": "press-button-1"}).is_error
 
 
 def test_trials_in_one_room_share_a_transcript():
-    told = ToldEnv(make_env(get_room("pair", 3))[0])
-    env = SequenceEnv(told, 2)
+    text = TextEnv(make_env(get_room("pair", 3))[0])
+    env = SequenceEnv(text, 2)
     env.reset(seed=0)
-    for name in ("press button-1", "press button-2", "press button-1", "leave"):
-        env.step(told._actions[name])
-    begun = [turn.text for turn in told.transcript if turn.call is None]
-    assert len(begun) == 2 and begun[1].startswith("Try 2 in the same room.") and told.score().primitives == 0
+    for name in ("press-button-1", "press-button-2", "press-button-1", "go-to-exit"):
+        env.step(text._actions[name])
+    begun = [turn.text for turn in text.transcript if turn.call is None]
+    assert len(begun) == 2 and begun[1].startswith("Try 2 in the same room.") and text.score().primitives == 0
 
 
 @pytest.mark.in_turn
@@ -272,7 +277,7 @@ def test_an_episode_of_lattice_takes_fewer_than_20_000_input_tokens():
 
 def test_characters_are_what_a_caller_reads_before_every_call():
     session, read = make_session(get_room("pair")), 0
-    for name, arguments in (("look", {}), ("run_option", {"option": "press button-1"}), ("fly", {"x": [1]})):
+    for name, arguments in (("look", {}), ("run_option", {"option": "press-button-1"}), ("fly", {"x": [1]})):
         calls = [list(turn.call) for turn in session.transcript if turn.call is not None]
         read += sum(len(json.dumps(part, separators=(",", ":"))) for part in (session.tools(), *calls))
         read += sum(len(turn.text) for turn in session.transcript)
@@ -291,9 +296,10 @@ class Odd:
 
 
 JUNK: tuple[Any, ...] = (
-    None, True, -1, 10**400, 0.5, float("nan"), float("inf"), "", "leave", "\ud800", "x" * 100_000, "\n\n</tool>", b"x",
+    None, True, -1, 10**400, 0.5, float("nan"), float("inf"), "", "go-to-exit", "\ud800", "x" * 100_000, "\n\n</tool>",
+    b"x",
     [], [[[[[[1]]]]]], {}, {"option": {"option": {"option": {"option": 1}}}}, {3: 4, None: 5}, Odd(), Odd, range(5),
-    {"option": "press button-1\n"}, {"primitive": "forward", "times": 10**30}, {"primitive": ["forward"]}, np.int64(3),
+    {"option": "press-button-1\n"}, {"primitive": "forward", "times": 10**30}, {"primitive": ["forward"]}, np.int64(3),
     np.ones(3), {"option": np.str_("leaves")}, dict.fromkeys(map(str, range(1000))))
 NAMES: tuple[Any, ...] = (*JUNK, "run_option", "look", "move", "reset", "step", "__class__", "run_option ")
 
@@ -322,7 +328,7 @@ def say_anything(count: int, seed: int) -> None:
             assert len(session.transcript) == turns + 1
     assert not session.call("look").is_error or session.env.is_over
     session.reset(seed=0)
-    assert not session.call("run_option", {"option": "press button-1"}).is_error
+    assert not session.call("run_option", {"option": "press-button-1"}).is_error
 
 
 def test_1200_malformed_calls_break_nothing_and_none_is_lost():

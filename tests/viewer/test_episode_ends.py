@@ -20,7 +20,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.batched.vector_env import OptionsVectorEnv
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.text.told_env import RoomSession
+from hrl_escape.text.text_env import RoomSession
 from hrl_escape.viewer.pages.offline import make_replay
 from hrl_escape.viewer.play.commands import Command, carry_out
 from hrl_escape.viewer.play.episode import Episode, load_episode, save_episode

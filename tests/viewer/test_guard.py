@@ -196,7 +196,7 @@ def test_the_largest_message_is_small(server: Server):
 
 
 def test_clicks_and_keys_wait_in_a_queue_of_bounded_length(server: Server, game: PlayPage):
-    undo, meta = find_control(server, "Undo"), find_control(server, "meta-01")
+    undo, meta = find_control(server, "Undo"), find_control(server, "press-button-1")
     save = next(h for h in server.gui._gui_input_handle_from_uuid.values() if isinstance(h, viser.GuiButtonHandle))
     threads = threading.active_count()
     with open_socket(server) as page:
@@ -204,7 +204,7 @@ def test_clicks_and_keys_wait_in_a_queue_of_bounded_length(server: Server, game:
         page.send(msgspec.msgpack.encode(CAMERA))
         assert wait_until(server.get_clients)
         for _ in range(200):
-            send(page, type="GuiUpdateMessage", uuid=meta._impl.uuid, updates={"value": "meta-01"})
+            send(page, type="GuiUpdateMessage", uuid=meta._impl.uuid, updates={"value": "press-button-1"})
             send(page, type="GuiUpdateMessage", uuid=undo._impl.uuid, updates={"value": "Undo"})
             send(page, type="GuiUpdateMessage", uuid=save._impl.uuid, updates={"value": True})
         assert page.ping().wait(600)

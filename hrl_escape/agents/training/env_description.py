@@ -70,8 +70,8 @@ OWN = frozenset({
     "hrl_escape.sets.instance_set:InstanceSetEnv",
     "hrl_escape.sets.room_schedule:RoomSchedule",
     "hrl_escape.sets.sequence:SequenceEnv",
-    "hrl_escape.synthesis.hierarchy_env:HierarchyEnv",
-    "hrl_escape.text.told_env:ToldEnv",
+    "hrl_escape.hierarchies.hierarchy_env:HierarchyEnv",
+    "hrl_escape.text.text_env:TextEnv",
 })
 """Parts of this package, each imported when it is asked for."""
 

@@ -95,7 +95,7 @@ def train(
             instead of episodes. With `data` it is the one to be tested in, by default the data set's.
         primitives: budget, of all streams together. The decision that reaches it is the last. With `data` those
             learned from, counted at each pass; by default as many as the agent's `passes` say.
-        data: data set, by name, by the path of a tape, or from `hrl_escape.data.load_data`, for agents that learn
+        data: data set, by name, by the path of a recording, or from `hrl_escape.data.load_data`, for agents that learn
             offline. Agents over options, such as `smdp-iql`, learn from decisions, others from primitives.
         decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
         seed: 0 or more; fixes the agent (if named) and every training episode.

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.commands.room_choice import refuse_options
-from hrl_escape.env.presets import describe_schematic
+from hrl_escape.env.presets import describe_config
 from hrl_escape.errors import ConfigError
 from hrl_escape.ladder.references import RungReferences, load_references
 from hrl_escape.sets.benchmark import load_benchmark
@@ -46,7 +46,7 @@ def run_list(args: LadderListArgs) -> None:
     rows = [{
         "rung": rung.name,
         "isolates": rung.isolates,
-        "rooms": describe_schematic(rung.config),
+        "rooms": describe_config(rung.config),
         "horizon": rung.config.horizon,
         "sets": {role: record.count for role in ROLES if (record := getattr(rung.record, role))},
         "skipped": sum(len(record.skipped) for role in ROLES if (record := getattr(rung.record, role))),
@@ -107,7 +107,7 @@ class ShowArgs:
 
 
 def run_show(args: ShowArgs) -> None:
-    """Show a rung: its schematic, its sets and their roots; draw or save one of its rooms.
+    """Show a rung: its configuration, its sets and their roots; draw or save one of its rooms.
 
     Examples:
         hrl-escape ladder show lattice
@@ -125,13 +125,13 @@ def run_show(args: ShowArgs) -> None:
         print(json.dumps(report, indent=2))
         return
     console = Console(soft_wrap=True, highlight=False, width=120)  # a root has 64 digits
-    console.print(f"[bold]{rung.name}[/bold]: {rung.isolates}; {describe_schematic(rung.config)}")
+    console.print(f"[bold]{rung.name}[/bold]: {rung.isolates}; {describe_config(rung.config)}")
     table = Table("set", "rooms", "tasks", "skipped", "root", box=None, pad_edge=False)
     for role, row in report["sets"].items():
         table.add_row(role, str(row["rooms"]), str(row["tasks"]), str(row["skipped"]), row["root"])
     console.print(table)
     console.print(f"Test rooms whose task occurs in training: {rung.record.task_overlap:.0%}")
-    console.print(f"Schematic: {json.dumps(report['config'])}")
+    console.print(f"Room configuration: {json.dumps(report['config'])}")
     for path in report.get("files", []):
         console.print(f"wrote {path}")
 

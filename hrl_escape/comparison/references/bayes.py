@@ -1,22 +1,23 @@
 """The Bayes planner, given how graphs are drawn: fewest expected primitives until the exit, without learning.
 
-It knows the schematic, what marks mean included, the room and what every press showed, and nothing else of the graph.
-Up to six buttons (one fewer where wrong presses do more than nothing, and where some marks deceive, unless the graphs
-are few) its choices are optimal in expectation over the schematic's graphs and rules, with the lengths of ways from
-button to button as the planner finds them; a puzzle that is failed costs as much as the exit is worth. With more it
-takes the button with the best odds per primitive, odds estimated by a sample of graphs.
+It knows the room configuration, what marks mean included, the room and what every press showed, and nothing else of the
+graph. Up to six buttons (one fewer where wrong presses do more than nothing, and where some marks deceive, unless the
+graphs are few) its choices are optimal in expectation over the room configuration's graphs and rules, with the lengths
+of ways from button to button as the planner finds them; a puzzle that is failed costs as much as the exit is worth.
+With more it takes the button with the best odds per primitive, odds estimated by a sample of graphs.
 
 Its mean is a lower bound, in expectation, for any agent that has to discover the graph within one episode, up to the
 approximation of path lengths. An agent that keeps what it found in earlier episodes of the room can need fewer.
 
-Every graph and rule that a schematic can draw is listed with its exact probability by running the schematic's own
-generator once for each sequence of outcomes that its draws can have, so that a change to the generator is a change here
-too. Which buttons are lit and which of them agree with all presses so far is the searcher's belief. A press divides it:
-the button lights and opens the exit, lights alone, or does not light, after which nothing has changed, all is off, or
-the episode is over. Beliefs (Astrom 1965; Kaelbling, Littman and Cassandra 1998) form a graph without cycles where
-presses are the only news, and one pass backwards gives the optimal expected cost. Graphs too many to list are sampled
-by sequential Monte Carlo with moves (Chopin 2002; Gilks and Berzuini 2001): those that a press contradicts are
-replaced, and Metropolis steps exchange the labels of two buttons, under which every graph is as likely as before.
+Every graph and rule that a room configuration can draw is listed with its exact probability by running the room
+configuration's own generator once for each sequence of outcomes that its draws can have, so that a change to the
+generator is a change here too. Which buttons are lit and which of them agree with all presses so far is the searcher's
+belief. A press divides it: the button lights and opens the exit, lights alone, or does not light, after which nothing
+has changed, all is off, or the episode is over. Beliefs (Astrom 1965; Kaelbling, Littman and Cassandra 1998) form a
+graph without cycles where presses are the only news, and one pass backwards gives the optimal expected cost. Graphs too
+many to list are sampled by sequential Monte Carlo with moves (Chopin 2002; Gilks and Berzuini 2001): those that a press
+contradicts are replaced, and Metropolis steps exchange the labels of two buttons, under which every graph is as likely
+as before.
 """
 
 from __future__ import annotations
@@ -141,9 +142,10 @@ def list_graphs(config: GraphConfig, count: int) -> dict[Edges, float]:
 
 @lru_cache(maxsize=16)
 def make_family(config: ButtonsConfig, count: int) -> GraphFamily:
-    """Every labelled graph that a schematic can give to a room with so many buttons, under each rule that it can draw.
+    """List the labelled graphs that a configuration gives to rooms with so many buttons, under each of its rules.
 
-    The schematic's `count` and `graph.max_parents` may be ranges. `UnsupportedError` for more than `MOST_BUTTONS`.
+    The room configuration's `count` and `graph.max_parents` may be ranges. `UnsupportedError` for more than
+    `MOST_BUTTONS`.
     """
     if count > MOST_BUTTONS:
         raise UnsupportedError(f"the graphs of {count} buttons are too many to list; {MOST_BUTTONS} are the most")
@@ -183,9 +185,10 @@ def _measure_depths(family: GraphFamily) -> NDArray[np.int64]:
 
 def condition_on_room(family: GraphFamily, config: ButtonsConfig, room: RoomInstance,
                       odds: NDArray[np.float64] | None = None) -> GraphFamily:
-    """The graphs of a schematic's family that may be a room's before its first press, by its marks and places.
+    """The graphs of a room configuration's family that may be a room's before its first press, by its marks and places.
 
-    `config` is the schematic's puzzle, `odds` the probability of each motif of marks, (motifs,); all alike by default.
+    `config` is the room configuration's puzzle, `odds` the probability of each motif of marks, (motifs,); all alike by
+    default.
     """
     assert isinstance(room.puzzle, ButtonsPuzzle)
     return condition_on_places(condition_on_marks(family, config.marks, room.puzzle.marks, odds), config.sections,
@@ -215,7 +218,7 @@ def condition_on_marks(family: GraphFamily, rules: MarksConfig, marks: tuple[int
 
 
 def condition_on_places(family: GraphFamily, rules: SectionsConfig, targets: Sequence[Target]) -> GraphFamily:
-    """The graphs that the places of a room's buttons allow by the schematic's sections, whose ranking is known."""
+    """The graphs that the places of a room's buttons allow by the configuration's sections, whose ranking is known."""
     if not rules.count:
         return family
     places = [(target.x, target.y) for target in targets]
@@ -228,16 +231,16 @@ def _reweigh(family: GraphFamily, likelihood: NDArray[np.float64]) -> GraphFamil
     return family.select(kept, weights[kept] / weights.sum())
 
 
-def find_schematic(instance: RoomInstance) -> RoomConfig:
-    """The schematic that a room was drawn from: the preset or the rung of its name that draws its puzzle."""
-    for config in _list_schematics(instance.name):
+def find_config(instance: RoomInstance) -> RoomConfig:
+    """The room configuration that a room was drawn from: the preset or the rung of its name that draws its puzzle."""
+    for config in _list_configs(instance.name):
         if instance.seed is not None and sample_puzzle(config, instance.seed)[1] == instance.puzzle:
             return config
-    raise UnsupportedError(f"which schematic room {instance.id} ({instance.name}) was drawn from is not known: take a "
-                           "preset, a rung of the ladder, or an InstanceSet, which holds its schematic")
+    raise UnsupportedError(f"the configuration of room {instance.id} ({instance.name}) is not known: take a "
+                           "preset, a rung of the ladder, or an InstanceSet, which holds its configuration")
 
 
-def _list_schematics(name: str) -> Iterator[RoomConfig]:
+def _list_configs(name: str) -> Iterator[RoomConfig]:
     from hrl_escape.env.presets import get_preset
     from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
 
@@ -257,10 +260,10 @@ in which no graph is left can still find one."""
 
 
 class GraphParticles:
-    """Graphs of a schematic, likely in the light of presses.
+    """Graphs of a room configuration, likely in the light of presses.
 
     Args:
-        config: the schematic's puzzle.
+        config: the room configuration's puzzle.
         count: number of buttons in the room.
         rng: draws and moves.
         marks: of the room's buttons; none without marks.
@@ -357,7 +360,7 @@ class GraphParticles:
 
 
 def _draw_graph(config: ButtonsConfig, count: int, rng: np.random.Generator) -> tuple[Edges, int]:
-    """A graph of the schematic for a room with so many buttons."""
+    """A graph of the room configuration for a room with so many buttons."""
     most: Any = config.graph.max_parents
     if isinstance(most, Between):
         most = int(rng.integers(int(most.low), int(most.high), endpoint=True))
@@ -520,13 +523,13 @@ _NO_WAY = 1e4
 
 
 class BayesPlanner(Searcher):
-    """Fewest expected primitives, over the graphs that the room's schematic can draw.
+    """Fewest expected primitives, over the graphs that the room's configuration can draw.
 
-    The first decision raises `UnsupportedError` where the puzzle is not of buttons that stay on, or the schematic is
-    not known.
+    The first decision raises `UnsupportedError` where the puzzle is not of buttons that stay on, or the room
+    configuration is not known.
     """
 
-    RULE = "needs the fewest expected primitives over the graphs that the schematic can draw"
+    RULE = "needs the fewest expected primitives over the graphs that the room configuration can draw"
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
@@ -534,7 +537,7 @@ class BayesPlanner(Searcher):
         self._odds: NDArray[np.float64] | None = None
 
     def expect(self, odds: NDArray[np.float64] | None) -> None:
-        """Set the odds of the motifs of marks for rooms to come, (motifs,); None for the schematic's."""
+        """Set the odds of the motifs of marks for rooms to come, (motifs,); None for the room configuration's."""
         self._odds, self._mind = odds, None
 
     def infer_motif(self) -> NDArray[np.float64] | None:
@@ -545,7 +548,7 @@ class BayesPlanner(Searcher):
         if self._mind is None or self._mind.room.id != self._room.instance.id:
             rooms = getattr(self._room, "rooms", None)
             self._mind = _Mind(self._room.instance,
-                               find_schematic(self._room.instance) if rooms is None else rooms.config, self._odds)
+                               find_config(self._room.instance) if rooms is None else rooms.config, self._odds)
         if is_new:
             self._mind.forget()
 
@@ -570,8 +573,8 @@ class BayesPlanner(Searcher):
 class _Mind:
     """Knowledge of one room: its ways, and the graphs that agree with the presses."""
 
-    def __init__(self, room: RoomInstance, schematic: RoomConfig, odds: NDArray[np.float64] | None) -> None:
-        puzzle, config = room.puzzle, schematic.puzzle
+    def __init__(self, room: RoomInstance, room_config: RoomConfig, odds: NDArray[np.float64] | None) -> None:
+        puzzle, config = room.puzzle, room_config.puzzle
         if not isinstance(puzzle, ButtonsPuzzle) or puzzle.allow_off or puzzle.locks:
             raise UnsupportedError(f"bayes knows rooms of buttons that stay on and do not lock each other; in "
                                    f"{room.name} take search-backtrack")
@@ -590,7 +593,7 @@ class _Mind:
             self._costs = self._graph.solve(self._ways)
 
     def forget(self) -> None:
-        """Return to the schematic's odds."""
+        """Return to the room configuration's odds."""
         self._last: int | None = None  # button pressed last
         if self._graph is not None:
             self._graphs = np.arange(len(self._family.weights), dtype=np.int32)

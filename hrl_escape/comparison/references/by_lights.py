@@ -135,8 +135,9 @@ class Searcher(Reference):
     def _read_on(self, states: Sequence[RoomState]) -> None:
         """Note the presses since the last decision, and its option if it pressed nothing."""
         noted = set()
-        for before, after in zip(states[self._read - 1:], states[self._read:], strict=False):
-            for target in list_touched(after.touching & ~before.touching):
+        begin, events = self._read - 1, self._recorder.events
+        for before, after, happened in zip(states[begin:], states[begin + 1:], events[begin:], strict=False):
+            for target in list_touched(happened.pressed):
                 press = self._get_press(target)
                 if press is not None:
                     self._note(press, before, after)

@@ -7,8 +7,8 @@
 | `search-random` | presses what is unlit and untried since the lights last changed, in random order | lights |
 | `search-nearest` | the same, the nearest first | lights, places |
 | `search-backtrack` | the same, and goes back by known presses to where something is untried | lights, places |
-| `bayes` | fewest expected primitives over the graphs that the schematic can draw | lights, places, schematic |
-| `oracle` | follows the best known plan | everything |
+| `bayes` | fewest expected primitives over the graphs that the room configuration can draw | lights, places, room
+configuration | | `oracle` | follows the best known plan | everything |
 
 A search baseline is given neither the graph nor how rooms are drawn, and starts every episode anew. The Bayes planner,
 `bayes`, is given how rooms are drawn and plans for the fewest expected primitives. A learner that trains in the

@@ -37,7 +37,7 @@ from hrl_escape.comparison.summary import PROFILE, AgentSummary, Curve, RoomSumm
 from hrl_escape.comparison.verdict import Sentence, find_leader, write_verdict
 from hrl_escape.env.pictures.maps import make_map
 from hrl_escape.env.pictures.moving_map import PLAYER, PLAYER_COLOURS, describe_room
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.files import write_text
 from hrl_escape.names import tell_seconds
 from hrl_escape.sets.places import RunPlace
@@ -245,8 +245,8 @@ def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
                == (replay["agent"], place.id, replay["seed"]))
     arguments = shlex.join([str(get_training_folder(comparison.out, run)),
                             "--room", str(get_room_file(comparison.out, place.instance.id))])
-    flavour = run.agent.options.flavour
-    arguments += f" --flavour {flavour}" if run.agent.chooses_options and flavour != "press" else ""
+    option_set = run.agent.options.option_set
+    arguments += f" --option-set {option_set}" if run.agent.chooses_options and option_set != "press" else ""
     return [f"hrl-escape watch {arguments}", f"hrl-escape record {arguments} --out escape.html"]
 
 
@@ -258,7 +258,7 @@ def describe_kind(spec: AgentSpec) -> str:
         actions = "primitives only"
     else:
         actions = "options and primitives" if spec.options.include_primitives else "options only"
-        actions += ", with ancestors" if spec.options.flavour == "press-with-ancestors" else ""
+        actions += ", with ancestors" if spec.options.option_set == "press-with-ancestors" else ""
     kind = "reference, " if spec.is_reference else "" if spec.learns else "random policy, "
     return kind + actions + (f", settings {spec.recipe}" if spec.recipe != DEFAULT_RECIPE else "")
 
@@ -323,7 +323,7 @@ def _describe_room(room: RoomSummary, number: int, entries: Sequence[_Entry]) ->
     scores = [(float(compute_iqm([entry.agent.efficiencies[number]])), entry) for entry in entries
               if len(entry.agent.efficiencies[number])]
     puzzle = instance.puzzle
-    edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in get_trait(puzzle, Graphed).edges]
+    edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in get_mixin(puzzle, Graphed).edges]
     words = [f"{2 * instance.half_width:.3g} \N{MULTIPLICATION SIGN} {2 * instance.half_depth:.3g} m"]
     words += [", ".join(edges)] if 0 < len(edges) <= 6 else []
     split = "" if room.place.split is None else f" One of the rooms tested in: {describe_place(room.place)}."

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from hrl_escape.env.instance import InstanceForm, RoomInstance, read_instance
-from hrl_escape.env.presets import SchematicForm, read_schematic
+from hrl_escape.env.presets import ConfigForm, read_config
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError
 
@@ -38,7 +38,7 @@ class Rooms:
         config: preset name, `RoomConfig`, or the dict form of one.
         instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
         instance_seed: instance seed of the first instance.
-        num_instances: number of instances of the schematic, with seeds from `instance_seed` on.
+        num_instances: number of instances of the room configuration, with seeds from `instance_seed` on.
         observation: name of a vector observation.
         resample_instance: every episode draws one of the instances.
         device: device of the rooms.
@@ -49,7 +49,7 @@ class Rooms:
     """
 
     num_envs: int = 1
-    config: SchematicForm = "paper-two-button"
+    config: ConfigForm = "paper-two-button"
     _: KW_ONLY
     instance: InstanceSource | None = None
     instance_seed: int = 0
@@ -70,8 +70,8 @@ class Rooms:
     def instances(self) -> tuple[RoomInstance, ...]:
         """The instances, read or generated when first asked for."""
         if self.instance is None:
-            schematic = read_schematic(self.config)
-            return tuple(generate(schematic, self.instance_seed + i) for i in range(self.num_instances))
+            config = read_config(self.config)
+            return tuple(generate(config, self.instance_seed + i) for i in range(self.num_instances))
         if isinstance(self.instance, Sequence) and not isinstance(self.instance, str):
             if not self.instance:
                 raise ConfigError("instance", self.instance, "at least one RoomInstance")

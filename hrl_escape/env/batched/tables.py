@@ -20,7 +20,7 @@ from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.primitives import ActionTable
 from hrl_escape.env.puzzles.marks import make_mark_rows
-from hrl_escape.env.puzzles.traits import Mapped, Marked, Pushing, get_trait
+from hrl_escape.env.puzzles.mixins import Mapped, Marked, Pushing, get_mixin
 from hrl_escape.env.rewards import RewardConfig
 from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.env.sight import list_hiders
@@ -35,7 +35,7 @@ INSTEAD = "use the Bullet engine: gymnasium.make(...), or make_vec(..., vectoriz
 class Layout:
     """Properties that all rooms of a batch share; one compiled kernel serves all batches of one layout."""
 
-    robot: RobotConfig  # the robot's schematic
+    robot: RobotConfig  # the robot's room configuration
     actions: ActionTable  # its action table
     dynamics: DynamicsConfig  # noise, slip, and the part of the robot that presses
     puzzle: str  # kind of the puzzle
@@ -165,7 +165,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool, velocities: V
                                     len(other.frame.target_names)),
                                    ("reward", *(None if one.reward.is_sparse else one.reward
                                                 for one in (first, other))),
-                                   ("marks on targets", *(bool(get_trait(one.puzzle, Marked).marks)
+                                   ("marks on targets", *(bool(get_mixin(one.puzzle, Marked).marks)
                                                           for one in (first, other)))):
             if mine != theirs:
                 raise UnsupportedError(f"instance {index} of a batch differs from instance 0 in {what} ({theirs} "
@@ -278,5 +278,5 @@ def list_ways(instance: RoomInstance, targets: int) -> list[int]:
 
 def _stack_marks(instances: Sequence[RoomInstance], targets: int) -> np.ndarray:
     """Marks of every instance, 0 for targets that it lacks, (targets, `MARK_WORDS`, instances)."""
-    rows = [make_mark_rows(get_trait(instance.puzzle, Marked).marks) for instance in instances]
+    rows = [make_mark_rows(get_mixin(instance.puzzle, Marked).marks) for instance in instances]
     return np.stack([np.pad(row, ((0, targets - len(row)), (0, 0))) for row in rows], axis=-1)

@@ -13,7 +13,7 @@ from hrl_escape.env.engine import Renderer
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchView, Observer, clip, register_observation
 from hrl_escape.env.puzzles.marks import MARK_WORDS, make_mark_rows
-from hrl_escape.env.puzzles.traits import Mapped, Marked, get_trait
+from hrl_escape.env.puzzles.mixins import Mapped, Marked, get_mixin
 from hrl_escape.env.sight import SIGHT_SLACK, Scanner, list_hiders
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class EgocentricObserver(Observer):
     def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
         super().__init__(rules)
         instance, frame = self._instance, self._frame
-        self._marks = make_mark_rows(get_trait(instance.puzzle, Marked).marks).tolist()
+        self._marks = make_mark_rows(get_mixin(instance.puzzle, Marked).marks).tolist()
         words = ("range", "sin", "cos", "lit", *(MARK_WORDS if self._marks else ()))
         per_target = tuple(f"{name}-{word}" for name in frame.target_names for word in words)
         things = (*(placed.prop.name for placed in instance.props), "exit")

@@ -13,7 +13,7 @@ from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchView, Observer, register_observation
 from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.puzzles.marks import MARK_WORDS, make_mark_rows
-from hrl_escape.env.puzzles.traits import Marked, get_trait
+from hrl_escape.env.puzzles.mixins import Marked, get_mixin
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -41,7 +41,7 @@ class ObjectObserver(Observer):
         instance, frame = self._instance, self._frame
         props, exit_ = instance.props, instance.exit
         self.rows = rows = (*frame.target_names, *(placed.prop.name for placed in props), "exit")
-        marks = make_mark_rows(get_trait(instance.puzzle, Marked).marks)
+        marks = make_mark_rows(get_mixin(instance.puzzle, Marked).marks)
         self.words = words = OBJECT_WORDS + MARK_WORDS[: marks.shape[1]]
         self.names = (*(f"{row}-{word}" for row in rows for word in words), *self._joint_names)
         self._diagonal = 2 * math.hypot(frame.reach_x, frame.reach_y)

@@ -12,7 +12,7 @@ from matplotlib.patches import Circle, FancyArrowPatch
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.marks import compute_depths
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 
 _ROWS_A_COLUMN, _NODES_A_ROW = 12, 8
 _LARGEST_CELL = 38.0  # points
@@ -64,7 +64,7 @@ def shorten(name: str) -> str:
 
 def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
     """Draw the dependencies between a puzzle's targets, coloured by state; dots lock, the goal has a second ring."""
-    graph = get_trait(puzzle, Graphed)
+    graph = get_mixin(puzzle, Graphed)
     places = compute_layout(len(puzzle.target_names), graph.edges)
     right, bottom = (max((p[i] for p in places), default=0.0) for i in (0, 1))
     inches = np.array((axes.bbox.width, axes.bbox.height)) / axes.figure.dpi

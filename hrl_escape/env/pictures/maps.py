@@ -32,7 +32,7 @@ from hrl_escape.env.pictures import palette
 from hrl_escape.env.pictures.graph import draw_graph
 from hrl_escape.env.pictures.meshes import compute_extent, outline_capsule, outline_footprint
 from hrl_escape.env.pictures.model import RoomLook, RoomModel, RoomPose
-from hrl_escape.env.puzzles.traits import Depicted, Doored, Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Depicted, Doored, Graphed, get_mixin
 from hrl_escape.figures import STYLE, save_figure
 
 _MAP_INCHES = 6.6  # the longer side of the room
@@ -137,7 +137,7 @@ def _draw_panel(figure: Figure, instance: RoomInstance, state: RoomState, trajec
     handles = _make_handles(instance, trajectories)
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(left, 0.3 / high), frameon=False, fontsize=8,
                   labelcolor=palette.INK, borderpad=0, borderaxespad=0, handletextpad=0.9, labelspacing=0.6)
-    if get_trait(instance.puzzle, Graphed).edges:
+    if get_mixin(instance.puzzle, Graphed).edges:
         used = 0.62 + 0.17 * len(lines)  # inches
         bottom = 0.45 + 0.19 * len(handles)
         box = (left - 0.1 / wide, bottom / high, (_PANEL_INCHES - 0.1) / wide, (high - used - bottom) / high)
@@ -169,7 +169,7 @@ def _make_handles(instance: RoomInstance, trajectories: Sequence[Trajectory]) ->
     if instance.targets:
         kinds = [("off", palette.OFF), ("off, waits for others", palette.WAITING), ("on", palette.LIT)]
         handles += [mark("s", label, look.fill, look.edge) for label, look in kinds
-                    if look is not palette.WAITING or get_trait(instance.puzzle, Graphed).edges]
+                    if look is not palette.WAITING or get_mixin(instance.puzzle, Graphed).edges]
     if not instance.exit.is_flat:
         handles.append(Patch(facecolor=palette.EXIT_OPEN, alpha=0.45, edgecolor=palette.EXIT_OPEN, label="exit"))
     if instance.door is not None:
@@ -272,7 +272,7 @@ def _draw_floor(axes: Axes, model: RoomModel, state: RoomState) -> None:
     instance, look = model.instance, model.make_look(state)
     for floor in model.floors:
         axes.add_patch(_make_outline(floor.shape, facecolor=palette.FLOOR, edgecolor="none", zorder=0))
-    for puddle in get_trait(instance.puzzle, Depicted).puddles:
+    for puddle in get_mixin(instance.puzzle, Depicted).puddles:
         axes.add_patch(Polygon(outline_capsule(puddle), facecolor=palette.PUDDLE, alpha=0.6, zorder=0.5))
     if not instance.exit.is_flat:
         _draw_exit(axes, instance.exit, look.is_open)
@@ -292,7 +292,7 @@ def _draw_inner_doors(axes: Axes, model: RoomModel, look: RoomLook) -> None:
         elif part.role == "door":
             axes.add_patch(_make_outline(part.shape, fill=False, edgecolor=colour, linestyle=":", linewidth=1.2,
                                          zorder=5))
-    facts = get_trait(instance.puzzle, Doored).door_facts
+    facts = get_mixin(instance.puzzle, Doored).door_facts
     operators = instance.symbolic_model.operators if facts else ()
     for door, fact in zip(instance.inner_doors, facts, strict=bool(facts)):
         openers = " or ".join(dict.fromkeys(op.target for op in operators if fact in op.may_add))
@@ -408,7 +408,7 @@ def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str,
         fill, edge, ink = palette.get_target_look(instance.puzzle, state.puzzle, index)
         box = {"boxstyle": "round,pad=0.25", "facecolor": fill, "edgecolor": edge, "linewidth": 0.8}
         style: dict[str, Any] = {"fontsize": _LABEL_POINTS, "color": ink, "bbox": box, "zorder": 11}
-        style["weight"] = "bold" if index in get_trait(instance.puzzle, Graphed).goal_targets else "normal"
+        style["weight"] = "bold" if index in get_mixin(instance.puzzle, Graphed).goal_targets else "normal"
         gap = 12 / scale
         if target.kind == "pad":
             axes.annotate(name, (target.x, target.y), ha="center", va="center", **style)

@@ -19,8 +19,8 @@ from hrl_escape.env.geometry import Footprint, make_footprint
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.pictures.model import LAYER, Part
+from hrl_escape.env.puzzles.mixins import Depicted, get_mixin
 from hrl_escape.env.puzzles.places import Capsule
-from hrl_escape.env.puzzles.traits import Depicted, get_trait
 
 Point = tuple[float, float]
 
@@ -216,7 +216,7 @@ def make_floor(instance: RoomInstance, casting: Iterable[Part]) -> dict[str, Mes
     shadows = [make_shadow(outline_footprint(part.shape), part.high, LAYER, floor)
                for part in casting for floor in floors]
     puddles = [make_flat(outline_capsule(puddle), 1.5 * LAYER)
-               for puddle in get_trait(instance.puzzle, Depicted).puddles]
+               for puddle in get_mixin(instance.puzzle, Depicted).puddles]
     found = {"shadow": merge(shadows), "puddle": merge(puddles), "tile": _make_tiles(floors, side, False),
              "other tile": _make_tiles(floors, side, True)}
     return {role: mesh for role, mesh in found.items() if len(mesh.triangles)}

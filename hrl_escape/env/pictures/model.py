@@ -13,7 +13,7 @@ from hrl_escape.env.geometry import Footprint, Solid, make_footprint
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.pictures import palette
-from hrl_escape.env.puzzles.traits import Barring, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, get_mixin
 
 LAYER = 0.006
 """Height between two layers of paint on the floor, m."""
@@ -120,7 +120,7 @@ class RoomModel:
     def make_look(self, state: RoomState) -> RoomLook:
         """Read from a puzzle's state which targets are on, which inner doors are shut and whether the exit is open."""
         puzzle = self.instance.puzzle
-        shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
+        shut = get_mixin(puzzle, Barring).get_shut(state.puzzle)
         return RoomLook(tuple(map(bool, puzzle.get_lit(state.puzzle))),
                         tuple(bool(shut >> number & 1) for number in range(len(self.inner_doors))),
                         puzzle.is_solved(state.puzzle))

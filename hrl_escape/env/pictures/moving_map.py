@@ -22,7 +22,7 @@ from hrl_escape.env.pictures.graph import shorten
 from hrl_escape.env.pictures.meshes import compute_extent, outline_capsule
 from hrl_escape.env.pictures.model import RoomModel
 from hrl_escape.env.poses import get_planar_pose
-from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, Depicted, get_mixin
 from hrl_escape.templates import embed_json, render_template
 
 PLAYER_COLOURS = {
@@ -74,7 +74,7 @@ def describe_room(instance: RoomInstance) -> dict[str, Any]:
         "extent": {"x_min": x_min, "x_max": x_max, "y_min": y_min, "y_max": y_max},
         "floors": [_describe_rectangle(floor) for floor in compute_floors(instance)],
         "puddles": [[[round(x, 3), round(y, 3)] for x, y in outline_capsule(puddle)]
-                    for puddle in get_trait(instance.puzzle, Depicted).puddles],
+                    for puddle in get_mixin(instance.puzzle, Depicted).puddles],
         "exit": _describe_rectangle(instance.exit),
         "solids": [_describe_solid(solid) for solid in instance.solids],
         "door": None if instance.door is None else _describe_solid(instance.door),
@@ -106,7 +106,7 @@ def make_frames(rules: Rules, states: Sequence[RoomState]) -> dict[str, Any]:
         prop, empty where none can move.
     """
     puzzle = rules.instance.puzzle
-    bars = get_trait(puzzle, Barring)
+    bars = get_mixin(puzzle, Barring)
     return {
         "x": [round(state.x, 3) for state in states],
         "y": [round(state.y, 3) for state in states],

@@ -13,7 +13,7 @@ from hrl_escape.env.geometry import compute_distance, make_footprint
 from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.marks import split_mark
-from hrl_escape.env.puzzles.traits import Depicted, Graphed, Marked, get_trait
+from hrl_escape.env.puzzles.mixins import Depicted, Graphed, Marked, get_mixin
 from hrl_escape.figures import LINES as LINES
 
 BACKGROUND = "#ffffff"
@@ -58,8 +58,8 @@ LOOKS = {
 
 def name_target(puzzle: Puzzle, state: Hashable, target: int, is_hidden: bool = False) -> str:
     """Name of a target in drawings: with the text that it shows, and a star for a goal that is not hidden."""
-    sign = get_trait(puzzle, Depicted).get_sign(state, target)
-    star = " \N{BLACK STAR}" if not is_hidden and target in get_trait(puzzle, Graphed).goal_targets else ""
+    sign = get_mixin(puzzle, Depicted).get_sign(state, target)
+    star = " \N{BLACK STAR}" if not is_hidden and target in get_mixin(puzzle, Graphed).goal_targets else ""
     return puzzle.target_names[target] + (f": {sign}" if sign else "") + star
 
 
@@ -78,7 +78,7 @@ def list_marks(puzzle: Puzzle) -> list[tuple[str, list[tuple[float, float]]]]:
     """Colour and outline of the mark on each target, within a unit circle; empty where targets bear none."""
     corners = (24, 4, 3, 10)  # of a disc, a square, a triangle and a star, whose every other corner lies further in
     found = []
-    for mark in get_trait(puzzle, Marked).marks:
+    for mark in get_mixin(puzzle, Marked).marks:
         colour, shape, size = split_mark(mark)
         turns = [math.tau * (number / corners[shape] + 0.25) for number in range(corners[shape])]
         radii = [(0.4, 0.7, 1.0)[size] * (0.42 if shape == 3 and number % 2 else 1.0) for number in range(len(turns))]

@@ -19,7 +19,7 @@ from typing_extensions import Self
 from hrl_escape.env.puzzles.contacts import PUSH, USE, Contacts
 from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
-from hrl_escape.env.schema import Schematic
+from hrl_escape.env.schema import HashedSettings
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.registry import Registry
 from hrl_escape.settings import Range
@@ -39,14 +39,14 @@ Success = Annotated[float, Range(0, 1, open_low=True)]
 
 
 @dataclasses.dataclass(frozen=True)
-class _OfKind(Schematic, ABC):
+class _OfKind(HashedSettings, ABC):
     """Settings of one registered kind of puzzle, named by the field `kind` in plain dicts."""
 
     kind: ClassVar[str]
     _section = "puzzle"
     _default_kind: ClassVar[str | None] = None
     _family: ClassVar[str]
-    """Field of `PuzzleKind` with this family's class: the schematic's, or that of the rules."""
+    """Field of `PuzzleKind` with this family's class: the room configuration's, or that of the rules."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the kind and the fields as plain values."""
@@ -72,7 +72,7 @@ class _OfKind(Schematic, ABC):
 
 @dataclasses.dataclass(frozen=True)
 class PuzzleConfig(_OfKind):
-    """The puzzle's part of the schematic; `make_puzzle` draws its random parts.
+    """The puzzle's part of the room configuration; `make_puzzle` draws its random parts.
 
     A field of type `Panels` or `Pads` says how large its targets are and where the room places them.
     """
@@ -97,7 +97,7 @@ class PuzzleConfig(_OfKind):
         return len(self.make_puzzle(np.random.default_rng(0)).target_names) if count is None else count
 
     def make_puzzle(self, rng: np.random.Generator) -> Puzzle:
-        """Sample a concrete puzzle (a graph, say) from this schematic.
+        """Sample a concrete puzzle (a graph, say) from this room configuration.
 
         By default nothing is random: the puzzle's fields are those of the same names here.
         """
@@ -126,7 +126,7 @@ class Puzzle(_OfKind):
     """A concrete puzzle: the rules, as pure functions of its hashable state.
 
     A puzzle defines `kind`, `fixed_names` or `target_names`, `update` and `is_solved`. The other members have defaults;
-    rarer abilities are traits (`traits.py`), among them a symbolic model of its own (`Modelled`).
+    rarer abilities are mixins (`mixins.py`), among them a symbolic model of its own (`Modelled`).
 
     Attributes:
         kind: registered name.

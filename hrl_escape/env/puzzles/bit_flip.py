@@ -16,14 +16,14 @@ from typing import Annotated
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.bits import BitPuzzle
+from hrl_escape.env.puzzles.mixins import Graphed
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.settings import Range
 
 
 @dataclasses.dataclass(frozen=True)
 class BitFlipConfig(PuzzleConfig):
-    """Schematic of a BitFlip puzzle, one wall panel a bit."""
+    """Room configuration of a BitFlip puzzle, one wall panel a bit."""
 
     kind = "bit-flip"
     _takes_ranges = True

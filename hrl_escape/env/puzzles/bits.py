@@ -8,8 +8,8 @@ from typing import Annotated, Any, ClassVar
 
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.graphs import ButtonNumber, compute_order, find_ancestors, mask_parents
+from hrl_escape.env.puzzles.mixins import Graphed
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 

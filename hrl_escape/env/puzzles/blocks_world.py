@@ -19,8 +19,8 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.mixins import Depicted, Graphed
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Depicted, Graphed
 from hrl_escape.errors import ConfigError
 from hrl_escape.names import join_words
 from hrl_escape.search import find_cheapest_steps
@@ -206,7 +206,7 @@ _LETTERS = "abcdefghijkl"
 
 @dataclasses.dataclass(frozen=True)
 class BlocksWorldConfig(PuzzleConfig):
-    """Schematic of Blocks World; the instance seed draws the first towers and those of the goal, uniformly."""
+    """Room configuration of Blocks World; the instance seed draws the first towers and those of the goal, uniformly."""
 
     kind = "blocks-world"
     _takes_ranges = True

@@ -29,9 +29,9 @@ from hrl_escape.env.puzzles.graphs import (
     sample_relabelled,
 )
 from hrl_escape.env.puzzles.marks import COLOURS, Mark, MarksConfig
+from hrl_escape.env.puzzles.mixins import Doored, Marked
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
-from hrl_escape.env.puzzles.traits import Doored, Marked
-from hrl_escape.env.schema import Schematic
+from hrl_escape.env.schema import HashedSettings
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -48,7 +48,7 @@ _TRIES = 200
 
 
 @dataclasses.dataclass(frozen=True)
-class SectionsConfig(Schematic):
+class SectionsConfig(HashedSettings):
     """Ranking of the directions from a room's middle by which its buttons are hung, so that places tell of the graph.
 
     The floor is cut into equal sections around the middle. Buttons that must wait for more others hang in sections of
@@ -97,7 +97,7 @@ class SectionsConfig(Schematic):
 
 @dataclasses.dataclass(frozen=True)
 class ButtonsConfig(PuzzleConfig):
-    """Schematic of the button puzzle."""
+    """Room configuration of the button puzzle."""
 
     kind = "buttons"
     _takes_ranges = True

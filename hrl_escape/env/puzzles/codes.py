@@ -55,7 +55,7 @@ class CodePuzzle(Puzzle):
 
 @dataclasses.dataclass(frozen=True)
 class CodeLockConfig(PuzzleConfig):
-    """Schematic of the lock; the instance seed draws the code."""
+    """Room configuration of the lock; the instance seed draws the code."""
 
     kind = "code-lock"
     _takes_ranges = True
@@ -152,7 +152,7 @@ class CodeLockPuzzle(Modelled, CodePuzzle):
 
 @dataclasses.dataclass(frozen=True)
 class PinPadConfig(PuzzleConfig):
-    """Schematic of Pin Pad; the instance seed draws the order of the pads."""
+    """Room configuration of Pin Pad; the instance seed draws the order of the pads."""
 
     kind = "pin-pad"
     count: Annotated[int, Range(1, 8)] = 4
@@ -194,7 +194,7 @@ class PinPadPuzzle(CodePuzzle):
 
 @dataclasses.dataclass(frozen=True)
 class KeyChestConfig(PuzzleConfig):
-    """Schematic of Key-Chest, whose key and chest are pads."""
+    """Room configuration of Key-Chest, whose key and chest are pads."""
 
     kind = "key-chest"
     floor: Pads = Pads()

@@ -29,7 +29,7 @@ MappingSeed = Annotated[int, Range(0, 2**32 - 1)]
 
 @dataclasses.dataclass(frozen=True)
 class DeepSeaConfig(PuzzleConfig):
-    """Schematic of Deep Sea."""
+    """Room configuration of Deep Sea."""
 
     kind = "deep-sea"
     size: SeaSize = 10

@@ -16,9 +16,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, Success, register_puzzle
+from hrl_escape.env.puzzles.mixins import Graphed
 from hrl_escape.env.puzzles.places import Panels
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -31,7 +31,7 @@ FactorNumber = Annotated[int, Range(0, 11)]
 
 @dataclasses.dataclass(frozen=True)
 class FactoredConfig(PuzzleConfig):
-    """Schematic of a factored domain; the instance seed draws parents, permutations and goal."""
+    """Room configuration of a factored domain; the instance seed draws parents, permutations and goal."""
 
     kind = "factored"
     count: Annotated[int, Range(1, 12)] = 5

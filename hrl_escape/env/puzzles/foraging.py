@@ -24,7 +24,7 @@ Worms = Annotated[int, Range(1, 100)]
 
 @dataclasses.dataclass(frozen=True)
 class ForagingConfig(PuzzleConfig):
-    """Schematic of Foraging, with a pad at the end of each corridor."""
+    """Room configuration of Foraging, with a pad at the end of each corridor."""
 
     kind = "foraging"
     worms: Worms = 4

@@ -1,4 +1,4 @@
-"""Generators of button-dependency graphs: every DAG family of the schematic.
+"""Generators of button-dependency graphs: every DAG family of the room configuration.
 
 Pure functions of a generator; a graph is a tuple of (parent, child) index pairs. The
 `larg-2019` family reproduces the graphs of the published 2019 code, Python 2's
@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from hrl_escape.env.schema import Schematic
+from hrl_escape.env.schema import HashedSettings
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -26,7 +26,7 @@ ButtonNumber = Annotated[int, Range(0, 63)]
 
 
 @dataclasses.dataclass(frozen=True)
-class GraphConfig(Schematic):
+class GraphConfig(HashedSettings):
     """Directed acyclic graph of dependencies between buttons."""
 
     _section = "graph"

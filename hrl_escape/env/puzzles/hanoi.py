@@ -11,8 +11,8 @@ import dataclasses
 from typing import Annotated, Any
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.mixins import Graphed
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.settings import Range
 
 PEGS = 3
@@ -22,7 +22,7 @@ HAND = PEGS
 
 @dataclasses.dataclass(frozen=True)
 class HanoiConfig(PuzzleConfig):
-    """Schematic of the Towers of Hanoi."""
+    """Room configuration of the Towers of Hanoi."""
 
     kind = "hanoi"
     discs: Annotated[int, Range(1, 8)] = 3

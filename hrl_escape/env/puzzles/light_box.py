@@ -28,7 +28,7 @@ LightCount = Annotated[int, Range(1, 63)]
 
 @dataclasses.dataclass(frozen=True)
 class LightBoxConfig(PuzzleConfig):
-    """Schematic of LightBox, one wall panel a light."""
+    """Room configuration of LightBox, one wall panel a light."""
 
     kind = "light-box"
     count: LightCount = 20

@@ -16,8 +16,8 @@ import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.bits import BitPuzzle
+from hrl_escape.env.puzzles.mixins import Graphed
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.errors import ConfigError
 from hrl_escape.names import join_words
 from hrl_escape.settings import Range
@@ -44,7 +44,7 @@ TASKS: dict[tuple[int, int], tuple[tuple[str, str], ...]] = {
 
 @dataclasses.dataclass(frozen=True)
 class LightsOutConfig(PuzzleConfig):
-    """Schematic of Lights Out."""
+    """Room configuration of Lights Out."""
 
     kind = "lights-out"
     rows: Annotated[int, Range(1, 6)] = 3

@@ -1,12 +1,12 @@
 """Marks: a symbol on every target that says something of the hidden graph, by a code that all rooms share.
 
-A symbol is a colour, a shape and a size. The code, part of the schematic, gives each symbol one class, and a target
-shows some symbol of its own class: so what a symbol means can be learned in some rooms and used in others. With
+A symbol is a colour, a shape and a size. The code, part of the room configuration, gives each symbol one class, and a
+target shows some symbol of its own class: so what a symbol means can be learned in some rooms and used in others. With
 several motifs the classes that symbols stand for are put into one of a few orders, drawn for each room and not shown:
 what has been learned says which orders there are, and the first presses which of them holds. Wires are marks too: a
 button's colour is its own, and its shape and size, the plug, name by the code the colour of the button that it waits
-for; some wires are hidden. Marks never change the rules. Nothing else that can be observed before the first press
-tells of the graph.
+for; some wires are hidden. Marks never change the rules. Nothing else that can be observed before the first press tells
+of the graph.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.puzzles.graphs import Edges, find_ancestors
-from hrl_escape.env.schema import Schematic
+from hrl_escape.env.schema import HashedSettings
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -72,7 +72,7 @@ def compute_depths(count: int, edges: Iterable[tuple[int, int]]) -> list[int]:
 
 
 @dataclasses.dataclass(frozen=True)
-class MarksConfig(Schematic):
+class MarksConfig(HashedSettings):
     """Marks on targets: what they tell of the graph, and by which code."""
 
     _section = "marks"
@@ -87,7 +87,7 @@ class MarksConfig(Schematic):
     """Share of marks that are drawn from the target's own class; the others are any symbol. Share of wires that are
     shown; the others look as if there were none."""
     shuffled: bool = False
-    """Marks are those of another graph of the schematic: they look the same and say nothing, for control."""
+    """Marks are those of another graph of the room configuration: they look the same and say nothing, for control."""
     code: Annotated[int, Range(0, 2**63 - 1)] = 0
     """Seed of the code, which gives each symbol its class, and of the motifs."""
     motifs: Annotated[int, Range(1, 64)] = 1

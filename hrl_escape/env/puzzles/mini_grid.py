@@ -19,8 +19,8 @@ import numpy as np
 
 from hrl_escape.env.puzzles.base import USE, Contacts, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.maps import HEADINGS, GridMap
+from hrl_escape.env.puzzles.mixins import Mapped
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.errors import ConfigError
 from hrl_escape.names import join_words
 from hrl_escape.settings import Range
@@ -35,7 +35,7 @@ DrawnLevel = Literal["door-key", "key-corridor", "multi-room"]
 
 @dataclasses.dataclass(frozen=True)
 class MiniGridConfig(PuzzleConfig):
-    """Schematic of a MiniGrid level; the room must have as many cells as its map."""
+    """Room configuration of a MiniGrid level; the room must have as many cells as its map."""
 
     kind = "mini-grid"
     level: Literal[DrawnLevel, "rows"] = "door-key"

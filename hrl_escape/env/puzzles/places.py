@@ -6,12 +6,12 @@ import dataclasses
 import math
 from typing import Annotated, Literal
 
-from hrl_escape.env.schema import Schematic
+from hrl_escape.env.schema import HashedSettings
 from hrl_escape.settings import Range
 
 
 @dataclasses.dataclass(frozen=True)
-class Place(Schematic):
+class Place(HashedSettings):
     """An explicit place of a panel's centre.
 
     `yaw_deg` is the direction of its width; `z` None takes the panels' `centre_height`.
@@ -29,7 +29,7 @@ class Place(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class Panels(Schematic):
+class Panels(HashedSettings):
     """Size and places of panels: boxes on the walls that are pressed by touch."""
 
     _section = "panels"
@@ -53,7 +53,7 @@ class Panels(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class Pads(Schematic):
+class Pads(HashedSettings):
     """Size and places of the rectangles on the floor that are pressed when the body's axis enters them."""
 
     _section = "pads"
@@ -67,7 +67,7 @@ class Pads(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class Capsule(Schematic):
+class Capsule(HashedSettings):
     """A region of the floor: all places within a radius of a segment; the robot drives through it."""
 
     _section = "capsule"
@@ -92,7 +92,7 @@ class Capsule(Schematic):
 
 
 @dataclasses.dataclass(frozen=True)
-class Prop(Schematic):
+class Prop(HashedSettings):
     """A prop on the floor: a movable block (physics dynamics), or a flat plate."""
 
     _section = "prop"

@@ -35,7 +35,7 @@ class Brew(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class PotionsConfig(PuzzleConfig):
-    """Schematic of the potions, two panels for each feature of the stone."""
+    """Room configuration of the potions, two panels for each feature of the stone."""
 
     kind = "potions"
     features: Features = 2

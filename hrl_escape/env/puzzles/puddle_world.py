@@ -10,8 +10,8 @@ import dataclasses
 from typing import Annotated
 
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.mixins import Depicted
 from hrl_escape.env.puzzles.places import Capsule, Pads, Place
-from hrl_escape.env.puzzles.traits import Depicted
 from hrl_escape.settings import Range
 
 PUDDLES = (Capsule(-8, 5, -1, 5, 2), Capsule(-1, -2, -1, 6, 2))
@@ -24,7 +24,7 @@ Cost = Annotated[float, Range(0, 1_000, "1/m")]
 
 @dataclasses.dataclass(frozen=True)
 class PuddleWorldConfig(PuzzleConfig):
-    """Schematic of Puddle World."""
+    """Room configuration of Puddle World."""
 
     kind = "puddle-world"
     areas: tuple[Capsule, ...] = PUDDLES

@@ -16,8 +16,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Prop, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.mixins import Propped
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Propped
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -36,7 +36,7 @@ class BlockPose(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class PushBlockConfig(PuzzleConfig):
-    """Schematic of the pushing puzzle."""
+    """Room configuration of the pushing puzzle."""
 
     kind = "push-block"
     needs_physics = True

@@ -13,8 +13,8 @@ import dataclasses
 from typing import Any, Literal, NamedTuple, get_args
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.mixins import Depicted, Graphed
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Depicted, Graphed
 
 Craft = Literal["wood", "stone", "coal", "iron", "diamond", "table", "furnace", "wood-pickaxe", "stone-pickaxe",
                "iron-pickaxe"]
@@ -53,7 +53,7 @@ RECIPES: dict[str, Recipe] = {
 
 @dataclasses.dataclass(frozen=True)
 class RecipesConfig(PuzzleConfig):
-    """Schematic of the recipe game."""
+    """Room configuration of the recipe game."""
 
     kind = "recipes"
     _takes_ranges = True

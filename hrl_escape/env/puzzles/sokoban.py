@@ -20,8 +20,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from hrl_escape.env.puzzles.base import PUSH, Contacts, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.mixins import Pushing
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
-from hrl_escape.env.puzzles.traits import Pushing
 from hrl_escape.errors import ConfigError
 from hrl_escape.search import find_cheapest_steps
 from hrl_escape.settings import Range
@@ -36,12 +36,12 @@ _MOST_SEARCHED = 300_000
 _GAMES, _PULLS = 10, 15
 """Games that are played backwards from each drawn map, and pulls a box in each."""
 _MOST_DRAWN = 1000
-"""Most levels drawn before a schematic is given up."""
+"""Most levels drawn before a room configuration is given up."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SokobanConfig(PuzzleConfig):
-    """Schematic of Sokoban; the room must have as many cells as its level without the outer walls."""
+    """Room configuration of Sokoban; the room must have as many cells as its level without the outer walls."""
 
     kind = "sokoban"
     size: Annotated[int, Range(3, 14)] = 6

@@ -35,7 +35,7 @@ class Ride(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class TaxiConfig(PuzzleConfig):
-    """Schematic of Taxi, whose depots are pads."""
+    """Room configuration of Taxi, whose depots are pads."""
 
     kind = "taxi"
     fickleness: Fickleness = 0.0

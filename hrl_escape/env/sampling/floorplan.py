@@ -16,7 +16,7 @@ from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.maps import GridMap
-from hrl_escape.env.puzzles.traits import Mapped, get_trait
+from hrl_escape.env.puzzles.mixins import Mapped, get_mixin
 
 
 class Rejected(Exception):
@@ -51,7 +51,7 @@ class Floorplan(NamedTuple):
 
 
 def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzle) -> Floorplan:
-    """Sample walls and exit of a schematic; the map of a puzzle that has one gives the walls and perhaps the exit.
+    """Sample walls and exit of a room configuration; a puzzle's map gives the walls and perhaps the exit.
 
     Raises:
         Rejected: interior walls or exit found no place in this sample.
@@ -62,7 +62,7 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
     gates: dict[int, tuple[float, float]] = {}
     alcove: list[Solid] = []
     door = None
-    rows = get_trait(puzzle, Mapped).map_rows
+    rows = get_mixin(puzzle, Mapped).map_rows
     goal = GridMap(rows).goal if rows else None
     if goal is not None:
         exit_area = _rectangle(*compute_cell(config, goal), config.room.cell / 2, config.room.cell / 2)
@@ -84,7 +84,7 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
             solids.append(_wall_piece(config, side, low, high))
             faces.append(Face(*_along(side, low), side.yaw, high - low))
     inner, inner_faces, rooms, doors = _sample_interior(config, gates, sides, rng)
-    given = (*_build_map(config, get_trait(puzzle, Mapped).map_rows or config.room.map), *_build_walls(config))
+    given = (*_build_map(config, get_mixin(puzzle, Mapped).map_rows or config.room.map), *_build_walls(config))
     doorways = tuple(Doorway(gap, _find_joined(gap, rooms)) for gap in doors)
     return Floorplan((*solids, *alcove, *inner, *given), door, (*faces, *inner_faces), exit_area, rooms, doorways)
 

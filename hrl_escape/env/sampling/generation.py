@@ -1,4 +1,4 @@
-"""Sampling: `generate(config, seed)` is a pure function from a schematic to a solvable instance.
+"""Sampling: `generate(config, seed)` is a pure function from a room configuration to a solvable instance.
 
 A sample is kept only if its certificate holds: the start, a place from which each target is touched, and the exit are
 connected for the robot's body, with the exit door shut until the end, and primitives solve the room
@@ -38,7 +38,7 @@ from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.maps import GridMap
 from hrl_escape.env.puzzles.marks import compute_depths
-from hrl_escape.env.puzzles.traits import Doored, Graphed, Mapped, Propped, get_trait
+from hrl_escape.env.puzzles.mixins import Doored, Graphed, Mapped, Propped, get_mixin
 from hrl_escape.env.sampling.certificate import (
     Floors,
     FreeSpace,
@@ -68,7 +68,7 @@ def generate(config: RoomConfig, seed: int) -> RoomInstance:
     """Sample a solvable room instance, or give one that was sampled a short while ago.
 
     Args:
-        config: the schematic.
+        config: the room configuration.
         seed: instance seed, >= 0. The same config and seed give the same instance.
 
     Raises:
@@ -101,13 +101,13 @@ def _sample_room(config: RoomConfig, seed: int) -> RoomInstance:
     raise GenerationError(constraint, TRIES, _ADVICE)
 
 
-# --- ranges of a schematic -----------------------------------------------------------------
+# --- ranges of a room configuration -----------------------------------------------------------------
 
 
 def sample_puzzle(config: RoomConfig, seed: int) -> tuple[RoomConfig, Puzzle]:
     """Sample the numbers and the puzzle of an instance, in a fraction of the time of `generate`.
 
-    Returns the schematic with numbers in place of ranges, and the instance's puzzle.
+    Returns the room configuration with numbers in place of ranges, and the instance's puzzle.
     """
     rng = np.random.default_rng([seed, 2])
     config = fill_ranges(config, {path: _draw(between.low, between.high, rng)
@@ -125,8 +125,8 @@ def _draw(low: float, high: float, rng: np.random.Generator) -> float:
 def make_frame(config: RoomConfig) -> SpaceLayout | None:
     """Make the frame that all instances share; None where they all have the same size.
 
-    Instances differ in size if the schematic has ranges, or a door in a random wall, behind which the exit adds to the
-    floor on that side.
+    Instances differ in size if the room configuration has ranges, or a door in a random wall, behind which the exit
+    adds to the floor on that side.
     """
     ranges = list_ranges(config)
     has_random_door = config.exit.door and config.exit.place == "random"
@@ -157,7 +157,7 @@ def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Genera
         wall_height=config.room.wall_height, solids=plan.solids, door=plan.door,
         inner_doors=_list_inner_doors(config, puzzle) or doors.solids,
         ways=doors.list_ways(targets, plan.exit, config.robot.outer_radius), targets=targets,
-        props=tuple(map(PlacedProp, get_trait(puzzle, Propped).props)), exit=plan.exit,
+        props=tuple(map(PlacedProp, get_mixin(puzzle, Propped).props)), exit=plan.exit,
         starts=(_fixed_start(config, puzzle),),
         robot=config.robot, puzzle=puzzle, reward=config.reward, dynamics=config.dynamics, horizon=config.horizon,
     )
@@ -176,7 +176,7 @@ def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Genera
 
 def _list_inner_doors(config: RoomConfig, puzzle: Puzzle) -> tuple[Solid, ...]:
     """One box for each blockable cell of the puzzle's map: as high as the walls for a door, else low."""
-    level = get_trait(puzzle, Mapped)
+    level = get_mixin(puzzle, Mapped)
     if not level.map_rows:
         return ()
     grid, side = GridMap(level.map_rows), config.room.cell
@@ -192,7 +192,7 @@ def _list_inner_doors(config: RoomConfig, puzzle: Puzzle) -> tuple[Solid, ...]:
 
 def _fixed_start(config: RoomConfig, puzzle: Puzzle) -> Start:
     turns = round(360 / config.robot.turn_step_deg)
-    if rows := get_trait(puzzle, Mapped).map_rows:
+    if rows := get_mixin(puzzle, Mapped).map_rows:
         grid = GridMap(rows)
         return Start(*compute_cell(config, grid.start), grid.heading * turns // 4)
     heading = config.start.heading_deg / config.robot.turn_step_deg
@@ -202,14 +202,14 @@ def _fixed_start(config: RoomConfig, puzzle: Puzzle) -> Start:
 
 def _place_targets(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, doors: DoorPlan, rng: np.random.Generator
                    ) -> tuple[Target, ...]:
-    if cells := get_trait(puzzle, Mapped).target_cells:
+    if cells := get_mixin(puzzle, Mapped).target_cells:
         pads = Pads(config.room.cell, config.room.cell)
         return tuple(_make_pad(pads, name, *compute_cell(config, cell), 0.0)
                      for name, cell in zip(puzzle.target_names, cells, strict=True))
     names = tuple(name for name in puzzle.target_names if name not in puzzle.pad_names)
     hung = _hang_panels(config, names, plan, doors, rng)
     if isinstance(config.puzzle, ButtonsConfig) and config.puzzle.sections.count:
-        depths = compute_depths(len(hung), get_trait(puzzle, Graphed).edges)
+        depths = compute_depths(len(hung), get_mixin(puzzle, Graphed).edges)
         dealt = config.puzzle.sections.deal([(target.x, target.y) for target in hung], depths, rng)
         return tuple(dataclasses.replace(hung[place], name=name) for place, name in zip(dealt, names, strict=True))
     if not puzzle.pad_names:
@@ -310,7 +310,7 @@ def _make_pad(pads: Pads, name: str, x: float, y: float, yaw: float) -> Target:
 
 def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace, doors: DoorPlan,
                  rng: np.random.Generator) -> RoomInstance:
-    if config.start.place == "fixed" or get_trait(instance.puzzle, Mapped).map_rows:
+    if config.start.place == "fixed" or get_mixin(instance.puzzle, Mapped).map_rows:
         return instance
     if config.start.place == "cells":
         return dataclasses.replace(instance, starts=_list_cell_starts(config, instance, space, doors))
@@ -526,7 +526,7 @@ def sample_doors(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, rng: np.ra
         ConfigError: there are fewer doorways than doors, or the puzzle cannot open them all.
         Rejected: the fixed start is in no room.
     """
-    count = len(get_trait(puzzle, Doored).door_facts)
+    count = len(get_mixin(puzzle, Doored).door_facts)
     if not count:
         return DoorPlan()
     if config.room.rooms <= count:
@@ -568,7 +568,7 @@ def _draw_order(puzzle: Puzzle, rng: np.random.Generator) -> tuple[list[int], di
         ConfigError: operators do not open all doors.
     """
     model, facts = puzzle.symbolic.make_symbolic_model(), puzzle.symbolic.get_facts(puzzle.make_state())
-    doors = get_trait(puzzle, Doored).door_facts
+    doors = get_mixin(puzzle, Doored).door_facts
     opened: dict[str, frozenset[int]] = {}
     order: list[int] = []
     while True:

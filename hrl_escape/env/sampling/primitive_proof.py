@@ -30,8 +30,8 @@ from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.puzzles.mixins import Pushing
 from hrl_escape.env.puzzles.symbolic import Operator
-from hrl_escape.env.puzzles.traits import Pushing
 from hrl_escape.env.robot import sample_hand_positions, sample_joint_steps
 from hrl_escape.env.sampling.certificate import Floors, find_unmet, make_floors
 from hrl_escape.env.sight import list_hiders

@@ -24,7 +24,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.meta_actions import list_goals
-from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal
+from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal, name_goal
 
 MOST_TRIED = 20_000
 """Most states of a puzzle in which acts are tried, some seconds."""
@@ -60,13 +60,13 @@ def make_aims(instances: Sequence[RoomInstance], device: torch.device) -> Aims:
     """Put what the options of several instances go for on a device.
 
     Raises:
-        UnsupportedError: the instances differ in the number of options, or a puzzle's states cannot be tried.
+        UnsupportedError: the instances differ in their options, or a puzzle's states cannot be tried.
     """
     every = [check_goals(instance) for instance in instances]
     if not any(isinstance(goal, GripGoal) for goals in every for goal in goals):
         none = torch.zeros((0, 0), dtype=torch.int64, device=device)
         return Aims(none, none, none.flatten(), none.flatten(), none.unsqueeze(0).bool(), none.view(0, 0, 0, 0))
-    if len({len(goals) for goals in every}) > 1:
+    if len({tuple(name_goal(goal, room) for goal in goals) for room, goals in zip(instances, every, strict=True)}) > 1:
         raise UnsupportedError("batched options have one list of actions: these rooms differ in what can be gripped")
     exit_ = len(instances[0].frame.target_names)
     targets = [[exit_ if isinstance(goal, ExitGoal) else goal.target for goal in goals] for goals in every]

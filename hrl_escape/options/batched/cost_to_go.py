@@ -27,7 +27,7 @@ from hrl_escape.env.batched.tables import Layout, pick, pick_column
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.puzzles.traits import Doored
+from hrl_escape.env.puzzles.mixins import Doored
 from hrl_escape.env.tensor_geometry import wrap
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.cost_to_go import count_classes, lay_grid, make_collision

@@ -29,7 +29,7 @@ from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.noise import check_seed
 from hrl_escape.env.poses import RoomState
-from hrl_escape.env.presets import SchematicForm
+from hrl_escape.env.presets import ConfigForm
 from hrl_escape.errors import (
     ActionError,
     BatchError,
@@ -39,6 +39,7 @@ from hrl_escape.errors import (
     UnsupportedError,
     show_value,
 )
+from hrl_escape.names import join_words
 from hrl_escape.options.batched.aims import BatchGoal, check_goals, read_targets
 from hrl_escape.options.batched.cost_to_go import CostFields, stack_fields
 from hrl_escape.options.batched.hand_policy import weigh_postures
@@ -57,14 +58,14 @@ from hrl_escape.options.batched.stepping import (
     find_startable,
     make_decisions,
     make_view,
-    name_options,
     step_decisions,
 )
 from hrl_escape.options.batched.successors import presses_by_hand
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.meta_actions import name_object
-from hrl_escape.options.option import FLAVOURS
+from hrl_escape.options.option_sets import check_option_set
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.goals import name_goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.spaces import PointingDiscrete, make_vector_space
 
@@ -185,8 +186,11 @@ def compile_step(function: Callable[..., Any], constants: tuple, device: str, th
     return CompiledStep(partial(function, *constants), device, threads, rounds_alike=True)
 
 
+BATCHED_SETS = ("press", "press-with-ancestors")
+"""Option sets that a batch has."""
 _PARTS = 8  # parts of a batch, weighed one at a time by a compiled kernel: about as many as primitives in a press
-_SHARED = ("options", "include_primitives", "discount", "flavour", "interruptible", "max_duration")  # by OptionsEnv too
+_SHARED = ("options", "include_primitives", "discount", "option_set", "interruptible", "max_duration")
+"""Arguments that `OptionsEnv` has, too."""
 
 __all__ = ["ENDINGS", "BatchedOptionsEnv", "Transitions"]
 
@@ -198,12 +202,12 @@ class BatchedOptionsEnv:
     """Many rooms whose robots choose among options and primitives, each at its own pace.
 
     Actions are those of `OptionsEnv` on the same instance, with the same numbers, names and masks: primitives
-    (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`. Robots press, grip and release; a
-    puzzle in which they grip has at most 20,000 states and watches no primitive. Pushes, and maps whose doors shut
-    again, are left to `OptionsEnv`, whose options follow plans. Here they are greedy on cost-to-go fields, computed
-    once per instance, and ask the planner only where these lead nowhere; they reach the same goals in about as many
-    primitives. A press by hand weighs base against joints: it goes where the hand touches the target in one of 64
-    postures, by the least sum of what base and arm have left.
+    (unless `include_primitives` is false), then meta-actions such as `press-button-1`, and `go-to-exit`. Robots press,
+    grip and release; a puzzle in which they grip has at most 20,000 states and watches no primitive. Pushes, and maps
+    whose doors shut again, are left to `OptionsEnv`, whose options follow plans. Here they are greedy on cost-to-go
+    fields, computed once per instance, and ask the planner only where these lead nowhere; they reach the same goals in
+    about as many primitives. A press by hand weighs base against joints: it goes where the hand touches the target in
+    one of 64 postures, by the least sum of what base and arm have left.
 
     A learner's loop::
 
@@ -225,8 +229,8 @@ class BatchedOptionsEnv:
             `OptionsEnv`; None for whole ones.
         include_primitives: whether primitives are actions too.
         discount: gamma per primitive, in [0, 1]; readable as `gamma`.
-        flavour: with `options=None`: `press`, or `press-with-ancestors`, for which the planner is asked for the order
-            of goals as such a decision begins.
+        option_set: with `options=None`: one of `BATCHED_SETS`: `press`, or `press-with-ancestors`, for which the
+            planner is asked for the order of goals as such a decision begins.
         interruptible: return to the agent after every primitive of an option, `interrupted`; choosing the same option
             again continues it, choosing another drops it.
         max_duration: primitives after which an option is ended (`timeout`), interruptions included; None for no limit.
@@ -251,13 +255,13 @@ class BatchedOptionsEnv:
     def __init__(
         self,
         num_envs: int = 1,
-        config: SchematicForm = "paper-two-button",
+        config: ConfigForm = "paper-two-button",
         *,
         observation: str = "state",
         options: OptionDegradation | None = None,
         include_primitives: bool = True,
         discount: float = 0.99,
-        flavour: str = "press",
+        option_set: str = "press",
         interruptible: bool = False,
         max_duration: int | None = None,
         autoreset: bool = True,
@@ -267,29 +271,29 @@ class BatchedOptionsEnv:
             raise ConfigError("BatchedOptionsEnv.discount", discount, "a number from 0 to 1")
         if max_duration is not None and max_duration < 1:
             raise ConfigError("BatchedOptionsEnv.max_duration", max_duration, "at least 1, or None for no limit")
-        degradation = _read_options(options, flavour)
+        degradation = _read_options(options, option_set)
         self.rooms = Rooms(num_envs, config, observation=observation, **rooms)
         self.room = TensorRoom(dataclasses.replace(self.rooms, compile=False), autoreset="disabled")
         self.count, self.device, self.gamma = num_envs, self.room.device, float(discount)
-        if degradation != OptionDegradation(flavour=degradation.flavour):  # draws depend on the episode's key
+        if degradation != OptionDegradation(option_set=degradation.option_set):  # draws depend on the episode's key
             self.room.layout = dataclasses.replace(self.room.layout, draws=True)
         layout = self.room.layout
         self._fields = stack_fields(self.room.instances, self.device)
         self._host_planner = HostPlanner(self.room)
         names = layout.actions.names if include_primitives else ()
         goals = check_goals(self.room.instances[0])
-        self.action_names = (*names, *name_options(len(goals)))
+        self.action_names = (*names, *(name_goal(goal, self.room.instances[0]) for goal in goals))
         self.actions = len(self.action_names)
         about = (name_object(goal, self.room.instances[0]) for goal in goals)
         self.action_space = PointingDiscrete(self.actions, (*(None for _ in names), *about))
         self.observation_space = make_vector_space(self.room.low, self.room.high, self.room.rows, self.room.words)
         fail_after = math.ceil(FAIL_AFTER / (1.0 - layout.dynamics.slip)) if layout.dynamics.slip < 1.0 else FAIL_AFTER
         self._arguments = {"options": options, "include_primitives": include_primitives, "discount": self.gamma,
-                           "flavour": flavour, "interruptible": interruptible, "max_duration": max_duration,
+                           "option_set": option_set, "interruptible": interruptible, "max_duration": max_duration,
                            "autoreset": autoreset}
         self._settings = StepSettings(load_observation(observation), len(names), len(goals), self.gamma, fail_after,
                                       max_duration or 2**31 - 1, autoreset, interruptible,
-                                      degradation.flavour == "press-with-ancestors", degradation)
+                                      degradation.option_set == "press-with-ancestors", degradation)
         self._view: AgentView | None = None
         self._running: OpenDecisions | None = None
         self._chooser = PostureChooser(self.room, self._fields, self.rooms.compile) if presses_by_hand(layout) else None
@@ -459,21 +463,23 @@ class BatchedOptionsEnv:
         return action
 
 
-def _read_options(options: OptionDegradation | None, flavour: str) -> OptionDegradation:
-    """`options` and `flavour` as one value, which has no effect for whole options; refuses what a batch has not."""
+def _read_options(options: OptionDegradation | None, option_set: str) -> OptionDegradation:
+    """`options` and `option_set` as one value, which has no effect for whole options; refuses what a batch has not."""
     if options is not None and not isinstance(options, OptionDegradation):
         raise UnsupportedError(f"options = {show_value(options)}: a batch has meta-actions only, whole or worse by an "
                                "OptionDegradation; OptionsEnv runs any options, in one room")
-    chosen = flavour if options is None else options.flavour
-    if chosen not in FLAVOURS:
-        raise ConfigError("BatchedOptionsEnv.flavour", chosen, " or ".join(map(repr, FLAVOURS)))
-    if chosen == "press-markov":
-        raise UnsupportedError("flavour = 'press-markov': batched options remember the cells they were in, so they are "
-                               "no functions of the state; OptionsEnv has such options, in one room")
+    chosen = option_set if options is None else options.option_set
+    check_option_set(chosen)
+    if chosen == "press-reactive":
+        raise UnsupportedError("option_set = 'press-reactive': batched options remember the cells they were in, so "
+                               "they are no functions of the state; OptionsEnv has such options, in one room")
+    if chosen not in BATCHED_SETS:
+        raise UnsupportedError(f"option_set = {chosen!r} has no batched form: a batch has {join_words(BATCHED_SETS)}; "
+                               "OptionsEnv has every option set, in one room")
     if options is not None and options.latency:
         raise UnsupportedError(f"options.latency = {options.latency}: a batch does not wait for one room; OptionsEnv "
                                "sleeps")
-    return OptionDegradation(flavour=chosen) if options is None else options
+    return OptionDegradation(option_set=chosen) if options is None else options
 
 
 def _own(field: Tensor) -> Tensor:

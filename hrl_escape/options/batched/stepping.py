@@ -9,7 +9,6 @@ its last cells, so that it does not circle (learning real-time A*, Korf 1990).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -22,6 +21,7 @@ from hrl_escape.env.batched.tables import Layout, Tables, pick
 from hrl_escape.env.noise import MASK, philox
 from hrl_escape.env.observations.base import BatchObservation
 from hrl_escape.env.tensor_geometry import wrap
+from hrl_escape.names import number_options
 from hrl_escape.options.batched.aims import Aims, find_possible, has_acted, read_acts, read_targets
 from hrl_escape.options.batched.cost_to_go import (
     OTHER_PRESS_COST,
@@ -132,8 +132,8 @@ def find_startable(layout: Layout, tables: Tables, aims: Aims, state: TensorStat
     can = can_start(layout, tables, aims, state, settings.has_ancestors)
     if not settings.degradation.missing:
         return can
-    names = name_options(settings.options)
-    return can & torch.tensor([not settings.degradation.lacks(name) for name in names], device=can.device)
+    keys = number_options(settings.options)
+    return can & torch.tensor([not settings.degradation.lacks(key) for key in keys], device=can.device)
 
 
 def make_view(layout: Layout, tables: Tables, aims: Aims, state: TensorState, settings: StepSettings,
@@ -167,7 +167,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     can = find_startable(layout, tables, fields.aims, state, settings)
     fails = is_new & ~torch.gather(can, 1, option.unsqueeze(1)).squeeze(1)
     if settings.degradation.failure:
-        drawn = _draw_uniform(settings.degradation, name_options(settings.options), option, FAILURE, state)
+        drawn = _draw_uniform(settings, option, FAILURE, state)
         fails = fails | (is_new & (drawn < settings.degradation.failure))
 
     planned = _read_aligned(running.plan, running.plan_left)
@@ -203,7 +203,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     is_done = is_there & (running.order_left == 0)
     if settings.degradation.early_stop:
         # an option asks after each primitive of its own; one of several parts, after each part
-        drawn = _draw_uniform(settings.degradation, name_options(settings.options), option, STOP, after)
+        drawn = _draw_uniform(settings, option, STOP, after)
         has_parts = settings.has_ancestors & (option < settings.options - 1)
         is_done = is_done | ((drawn < settings.degradation.early_stop) & (is_wasting | is_there | ~has_parts))
 
@@ -291,18 +291,13 @@ def make_decisions(observation: Tensor) -> OpenDecisions:
     )
 
 
-def name_options(count: int) -> tuple[str, ...]:
-    """Names of a number of batched options, in the order of their actions."""
-    return (*(f"meta-{n + 1:02d}" for n in range(count - 1)), "meta-exit")
-
-
-def _draw_uniform(degradation: OptionDegradation, names: Sequence[str], option: Tensor, purpose: int,
-                 state: TensorState) -> Tensor:
+def _draw_uniform(settings: StepSettings, option: Tensor, purpose: int, state: TensorState) -> Tensor:
     """Uniform numbers in (0, 1) for `FAILURE` or `STOP` at the present primitives, float64 (rooms,), as `OptionsEnv`'s.
 
-    `names` are those of the options, `option` the number of each room's, int64 (rooms,).
+    `option` is the number of each room's option, int64 (rooms,).
     """
-    keys = torch.tensor([degradation.make_key(name) for name in names], device=option.device)[option]
+    keys = [settings.degradation.make_key(key) for key in number_options(settings.options)]
+    keys = torch.tensor(keys, device=option.device)[option]
     episode, primitive = state.noise_key, state.primitives.to(torch.int64)
     word, *_ = philox((primitive & MASK, torch.full_like(episode, purpose), episode & MASK, (episode >> 32) & MASK),
                       (keys[:, 0], keys[:, 1]))

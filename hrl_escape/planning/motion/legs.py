@@ -30,7 +30,7 @@ from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_c
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Glide, Kinematics, RoomState, Rules
 from hrl_escape.env.poses import list_touched
-from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, Pushing, get_mixin
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.planning.motion.limits import MotionLimits, compute_ramp
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, CheckerBudget, MotionPath, step_aside
@@ -399,7 +399,7 @@ class _Legs(Mover):
 
 def list_shut_doors(room: RoomInstance, state: RoomState) -> list[Footprint]:
     """Footprints of the inner doors that are shut."""
-    shut = get_trait(room.puzzle, Barring).get_shut(state.puzzle) if room.inner_doors else 0
+    shut = get_mixin(room.puzzle, Barring).get_shut(state.puzzle) if room.inner_doors else 0
     return [door.footprint for number, door in enumerate(room.inner_doors) if shut >> number & 1]
 
 

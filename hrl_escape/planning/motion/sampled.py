@@ -24,13 +24,13 @@ from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Glide, RoomState
-from hrl_escape.env.puzzles.traits import Mapped
+from hrl_escape.env.puzzles.mixins import Mapped
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.areas import Area, compute_goal_area, sample_places
 from hrl_escape.planning.arm.joint_lattice import NEVER
 from hrl_escape.planning.arm.reacher import Reacher
-from hrl_escape.planning.goals import Goal, GripGoal, PressGoal, describe_goal, is_reached, parse_goal
+from hrl_escape.planning.goals import Goal, GripGoal, PressGoal, is_reached, name_goal, parse_goal
 from hrl_escape.planning.motion.drives import Floor, find_drive, list_docks
 from hrl_escape.planning.motion.legs import (
     MISSED_BY,
@@ -113,7 +113,7 @@ class MotionSampler(Mover):
         """
         if isinstance(goal, str):
             goal = parse_goal(goal, self._room)
-        name = describe_goal(goal, self._room)
+        name = name_goal(goal, self._room)
         for way in self._list_plans(state, goal):
             presses = self._time(way, state, goal)
             if presses is not None:

@@ -308,9 +308,9 @@ class SearchRun:
         states, pressed = [self.problem.state], 0
         for count, primitive in enumerate(primitives, 1):
             before = states[-1]
-            after, _, terminated, _, _ = rules.step(before, primitive)
+            after, _, terminated, _, events = rules.step(before, primitive)
             states.append(after)
-            pressed |= after.touching & ~before.touching
+            pressed |= events.pressed
             if is_reached(goal, before, after, rules):
                 others = pressed & ~(1 << goal.target) if isinstance(goal, PressGoal) else pressed
                 if others and self._avoiding:

@@ -38,7 +38,7 @@ from hrl_escape.templates import embed_json, render_template
 from hrl_escape.viewer.pages.panels import make_graph
 from hrl_escape.viewer.pages.room import name_room
 from hrl_escape.viewer.play.commands import praise
-from hrl_escape.viewer.recording import Recording
+from hrl_escape.viewer.recording import EpisodeRecording
 from hrl_escape.viewer.scene import RoomScene, blend, compute_overview
 from hrl_escape.viewer.server import Server, open_server
 
@@ -89,12 +89,12 @@ LONGEST = 2_000
 """Number of primitives above which each gets one frame only, so that pages stay small."""
 
 
-def save_replay(path: str | Path, recording: Recording) -> None:
+def save_replay(path: str | Path, recording: EpisodeRecording) -> None:
     """Write the page of a recording, atomically."""
     write_text(path, make_replay(recording))
 
 
-def make_replay(recording: Recording) -> str:
+def make_replay(recording: EpisodeRecording) -> str:
     """One HTML document that plays a recording without a network."""
     with _open_scene(recording.instance) as (server, scene):
         overview, upright = (compute_overview(recording.instance, aspect) for aspect in (1.6, PHONE))
@@ -139,7 +139,7 @@ def _write_camera(position: tuple[float, ...], target: tuple[float, ...]) -> str
     return json.dumps({"initialCameraPosition": write(position), "initialCameraLookAt": write(target)})
 
 
-def _describe_end(recording: Recording) -> str:
+def _describe_end(recording: EpisodeRecording) -> str:
     """Words on how the episode ended; of an escape also how far it is from the best known one."""
     if recording.end is not EpisodeEnd.ESCAPED:
         return recording.end.words
@@ -150,7 +150,7 @@ def _describe_end(recording: Recording) -> str:
     return praise(sum(recording.rewards), best)
 
 
-def _collect(recording: Recording) -> dict[str, Any]:
+def _collect(recording: EpisodeRecording) -> dict[str, Any]:
     """The numbers and graphs that the page's box shows."""
     graphs: dict[str, int] = {}
     chosen = [graphs.setdefault(make_graph(recording.instance.puzzle, state.puzzle, 242), len(graphs))

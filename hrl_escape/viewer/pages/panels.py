@@ -11,7 +11,7 @@ from markupsafe import escape
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.pictures.graph import compute_layout, shorten
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 
 WIDTH = 350
 """Width of the control panel's drawings, pixels."""
@@ -32,7 +32,7 @@ def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH, believed: Kn
     Edges that are `believed` are drawn in place of the true ones, a wrong one red. Where it `is_hidden`, places, on a
     ring, and colours say nothing of the true graph. `drawing` is its id in the page.
     """
-    graph = get_trait(puzzle, Graphed)
+    graph = get_mixin(puzzle, Graphed)
     edges = graph.edges if believed is None else sorted({*believed.known, *believed.possible})
     count = len(puzzle.target_names)
     places = _place_on_ring(count) if is_hidden else compute_layout(count, graph.edges)

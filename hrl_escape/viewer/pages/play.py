@@ -110,8 +110,8 @@ class PlayPage:
         first = episode.primitive_count
         names = episode.option_names
         with self._meta_folder:
-            for begin in range(0, len(names), 4):
-                row = names[begin : begin + 4]
+            for begin in range(0, len(names), 2):
+                row = names[begin : begin + 2]
                 group = self.server.gui.add_button_group("", row)
                 self._follow_clicks(group, lambda name: Command("act", first + names.index(str(name))))
                 self._meta.append(group)

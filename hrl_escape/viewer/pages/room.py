@@ -197,7 +197,7 @@ class RoomPage:
 
 
 def name_room(instance: RoomInstance) -> str:
-    """Name a room by its schematic and its seed, as the command line takes them."""
+    """Name a room by its configuration and its seed, as the command line takes them."""
     return instance.name if instance.seed is None else f"{instance.name}, seed {instance.seed}"
 
 

@@ -18,12 +18,12 @@ from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.pictures import palette
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.errors import EscapeError
 from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.planning.goals import ExitGoal, PressGoal
 from hrl_escape.planning.paths.navigator import Navigator
-from hrl_escape.text.told_env import Turn
+from hrl_escape.text.text_env import Turn
 from hrl_escape.viewer.extra import uplot
 from hrl_escape.viewer.pages.panels import KnownEdges, make_bars, make_facts, make_lines, make_table
 from hrl_escape.viewer.pages.room import RoomPage, name_room
@@ -87,7 +87,7 @@ class WatchPage:
             self._fast = gui.add_checkbox("unlimited", gate.pace is None)
         tabs = gui.add_tab_group(order=40.0)
         self._talk = None
-        if self.watch.driver.told is not None:
+        if self.watch.driver.text_env is not None:
             with tabs.add_tab("Talk"):
                 self._talk = gui.add_html("")
         with tabs.add_tab("Mind"):
@@ -233,8 +233,8 @@ class WatchPage:
                  for depth, each in enumerate(watch.calls)]
         self._calls.content = make_table(("running call", "primitives", "reward", ""), calls, "calls")
         self._calls.visible = bool(calls)
-        if self._talk is not None and watch.driver.told is not None:
-            self._talk.content = make_lines(_list_turns(watch.driver.told.transcript), "talk")
+        if self._talk is not None and watch.driver.text_env is not None:
+            self._talk.content = make_lines(_list_turns(watch.driver.text_env.transcript), "talk")
         self._log.content = make_lines(list(reversed(watch.events))[:24], "log")
         if len(watch.values) > 1:
             xs, ys = zip(*watch.values, strict=True)
@@ -246,7 +246,7 @@ class WatchPage:
         graph = self.watch.read_graph()
         if graph is None or not self.watch.states:
             return
-        true = get_trait(self.watch.driver.room.instance.puzzle, Graphed)
+        true = get_mixin(self.watch.driver.room.instance.puzzle, Graphed)
         believed, needed = (find_edges_that_matter(edges, true.goal_targets) for edges in (graph, true.edges))
         found, wrong = len(believed & needed), len(believed - needed)
         words = f"learned: {found} of {len(needed)} edges that matter" + (f", {wrong} wrong" if wrong else "")

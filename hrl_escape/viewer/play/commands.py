@@ -94,10 +94,11 @@ class Controls:
         typed += key
         if len(typed) < self.digits:
             self.typed = typed
-            return Command("note", note=f"meta-{typed}\N{HORIZONTAL ELLIPSIS}")
+            return Command("note", note=f"meta-action {typed}\N{HORIZONTAL ELLIPSIS}")
         number = int(typed)
         if number >= self._options:
-            return Command("note", note=f"there is no meta-{number:02d}; 1 to {self._options - 1}, or 0 for the exit")
+            return Command("note", note=f"there is no meta-action {number}: type 1 to {self._options - 1}, or 0 for "
+                                        "the exit")
         return Command("act", len(self._actions) + (number - 1 if number else self._options - 1))
 
 

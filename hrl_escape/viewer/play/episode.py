@@ -24,12 +24,12 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import EpisodeFileError, EscapeError, FileReadError, UnsupportedError
+from hrl_escape.errors import EpisodeFileError, EscapeError, FileReadError, OldFormatError, UnsupportedError
 from hrl_escape.files import read_json, write_json
 from hrl_escape.names import make_file_name
 from hrl_escape.options.options_env import OptionsEnv
 
-SCHEMA = 2
+SCHEMA = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +41,7 @@ class SavedEpisode:
     moves: tuple[tuple[str, tuple[int, ...], str], ...]  # name, primitives and ending of each move, in order
     total: float  # undiscounted return
     end: EpisodeEnd | None
-    """The episode's end; None in a file of schema 1, which only says whether the robot escaped."""
+    """The episode's end; None where the file came from one that only said whether the robot escaped."""
 
     @property
     def primitives(self) -> tuple[int, ...]:
@@ -78,15 +78,17 @@ def load_episode(path: str | Path) -> SavedEpisode:
     try:
         if not isinstance(content, dict) or content.get("kind") != "episode":
             raise EpisodeFileError("no recorded episode: save one with the Save button of hrl-escape play")
-        if content["schema"] not in (1, SCHEMA):
-            raise EpisodeFileError(f"it has schema {content['schema']!r}, this version reads 1 to {SCHEMA}")
+        if content["schema"] in (1, 2):
+            raise OldFormatError(path, "recorded episode")
+        if content["schema"] != SCHEMA:
+            raise EpisodeFileError(f"it has schema {content['schema']!r}, this version reads {SCHEMA}")
         instance = RoomInstance.from_dict(content["instance"])
         count = len(instance.robot.actions)
         moves = tuple((str(m["name"]), tuple(int(p) for p in m["primitives"]), str(m["ended"]))
                       for m in content["moves"])
         if any(not primitives or not all(0 <= p < count for p in primitives) for _, primitives, _ in moves):
             raise EpisodeFileError(f"its primitives are not all numbers from 0 to {count - 1}")
-        end = None if content["schema"] == 1 else EpisodeEnd(content["end"])
+        end = None if content["end"] is None else EpisodeEnd(content["end"])
         return SavedEpisode(instance, int(content["seed"]), moves, float(content["return"]), end)
     except FileReadError:
         raise
@@ -139,7 +141,8 @@ class PlayedMove:
 class Episode:
     """One room being played; the seed fixes the start and the noise.
 
-    The schematic, `config`, is needed to enter the next room. Where it `is_hidden`, the graph is to be discovered.
+    The room configuration, `config`, is needed to enter the next room. Where it `is_hidden`, the graph is to be
+    discovered.
 
     Attributes:
         instance: the present room.
@@ -177,9 +180,9 @@ class Episode:
         self.start = self._env.get_state()
 
     def enter_next_room(self) -> None:
-        """Enter the next room of the schematic; `UnsupportedError` where the room came without it, from a file."""
+        """Enter the configuration's next room; `UnsupportedError` where the room came without one, from a file."""
         if self.config is None or self.instance.seed is None:
-            raise UnsupportedError("there is no next room: this one was loaded from a file, without its schematic")
+            raise UnsupportedError("there is no next room: this one was loaded from a file, without its configuration")
         following = generate(self.config, self.instance.seed + 1)
         self._env.close()
         self._open(following)

@@ -38,13 +38,14 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import FileReadError, RunMismatchError, UnknownNameError, UnsupportedError
 from hrl_escape.options.meta_actions import PlannedOption, list_goals, make_meta_options
 from hrl_escape.options.option import Option
+from hrl_escape.options.option_sets import DEFAULT_SET
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, Goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
 from hrl_escape.sets.instance_set import InstanceSetEnv
 from hrl_escape.sets.room_schedule import RoomSchedule
-from hrl_escape.text.told_env import ToldEnv
+from hrl_escape.text.text_env import TextEnv
 
 
 class EscapePlan:
@@ -127,10 +128,10 @@ class Driver:
     recorder: StateRecorder  # wrapper inside `env`, right around the flat room
     names: tuple[str, ...]  # names of the actions
     primitives: int  # number of primitives among the actions; they come first
-    flavour: str  # flavour of the meta-actions
+    option_set: str  # named option set
     trains: bool = False  # the agent learns while it drives
     plan: EscapePlan | None = None  # the plan that the planner follows; None for other drivers
-    told: ToldEnv | None = None  # environment inside `env` with the transcript, where an agent calls tools
+    text_env: TextEnv | None = None  # environment inside `env` with the transcript, where an agent calls tools
 
     @property
     def room(self) -> EscapeRoomEnv:
@@ -143,7 +144,7 @@ class Driver:
         instance = self.room.instance
         if self.plan is not None:
             return make_legs(self.plan)
-        return make_meta_options(instance, self.flavour, get_planner(instance))
+        return make_meta_options(instance, self.option_set, get_planner(instance))
 
 
 def open_driver(agent: str | AgentSpec | type[Agent], instance: RoomInstance, *, observation: str | None = None,
@@ -165,7 +166,7 @@ def open_driver(agent: str | AgentSpec | type[Agent], instance: RoomInstance, *,
     if isinstance(agent, str) and names_run(agent):
         return _open_run(Path(agent), instance, trust)
     spec = parse_driver(agent) if isinstance(agent, str) else AgentSpec.parse(agent)
-    name, flavour = spec.name, spec.options.flavour
+    name, option_set = spec.name, spec.options.option_set
     observation = observation or spec.default_observation
     if name == ORACLE:
         recorder, plan = _make_room(instance, observation), EscapePlan(get_planner(instance))
@@ -174,9 +175,9 @@ def open_driver(agent: str | AgentSpec | type[Agent], instance: RoomInstance, *,
     env, recorder = make_agent_env(spec, instance, observation)
     if spec.is_reference:
         words = f"{name}, {spec.resolve_settings()['model']}" if name == TEXT_AGENT else name
-        return _make_driver(words, make_player(spec, env, recorder), env, flavour)
+        return _make_driver(words, make_player(spec, env, recorder), env, option_set)
     learner = make_agent(spec, env.observation_space, env.action_space, seed, read_structure(env))
-    return _make_driver(f"{spec.label}, learning", learner, env, flavour, trains=True)
+    return _make_driver(f"{spec.label}, learning", learner, env, option_set, trains=True)
 
 
 def find_driver(text: str) -> tuple[str, RoomInstance | None]:
@@ -211,8 +212,8 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
     with refusing_damage(f"{folder}: the description of this run"):
         name, spaces = described["name"], (described["observation_space"], described["action_space"])
         kept = described["environment"]
-        flavour = next((part["arguments"]["flavour"] for part in kept["wrappers"] if "flavour" in part["arguments"]),
-                       "press")
+        option_set = next((part["arguments"]["option_set"] for part in kept["wrappers"]
+                           if "option_set" in part["arguments"]), DEFAULT_SET)
         room = _make_room(instance, (kept["arguments"] or {}).get("observation", "features"))
         kept = {**kept, "arguments": room.unwrapped.describe()}
         room.close()
@@ -224,7 +225,7 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
         env.close()
         raise RunMismatchError(f"{folder} was trained with the spaces {spaces[0]} and {spaces[1]}, which room "
                                f"{instance.id} does not have: leave out --room to use the run's own room")
-    return _make_driver(f"{name}, as trained", load_agent(folder, env), env, flavour)
+    return _make_driver(f"{name}, as trained", load_agent(folder, env), env, option_set)
 
 
 def names_run(text: str) -> bool:
@@ -245,10 +246,10 @@ def _make_room(instance: RoomInstance, observation: str) -> Any:
     return StateRecorder(EscapeRoomEnv(instance=instance, observation=observation))
 
 
-def _make_driver(name: str, agent: Agent, env: gymnasium.Env, flavour: str, trains: bool = False,
+def _make_driver(name: str, agent: Agent, env: gymnasium.Env, option_set: str, trains: bool = False,
                  plan: EscapePlan | None = None) -> Driver:
     room: Any = env.unwrapped
     flat = room.rules.actions.names
     names = env.get_wrapper_attr("action_names") if env.has_wrapper_attr("action_names") else flat
-    primitives, told = sum(name in flat for name in names), env if isinstance(env, ToldEnv) else None
-    return Driver(name, agent, env, find_recorder(env), names, primitives, flavour, trains, plan, told)
+    primitives, text_env = sum(name in flat for name in names), env if isinstance(env, TextEnv) else None
+    return Driver(name, agent, env, find_recorder(env), names, primitives, option_set, trains, plan, text_env)

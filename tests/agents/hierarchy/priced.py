@@ -6,7 +6,7 @@ import numpy as np
 
 from hrl_escape.agents.hierarchy.machine import choose, do, machine
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.synthesis import synthesise
+from hrl_escape.hierarchies import synthesise
 from studies.optima import HierarchyPrice, TabularModel, compute_price
 from tests.agents.hierarchy import taxi_program
 from tests.agents.hierarchy.four_rooms_tasks import HOME, make_walks
@@ -14,7 +14,7 @@ from tests.agents.hierarchy.taxi_tasks import make_taxi_tasks
 from tests.classic.four_rooms import GRID, HALLWAYS, FourRooms, make_room_mask
 from tests.classic.parr_maze import ParrMaze
 from tests.classic.taxi import Taxi
-from tests.synthesis.tiny import TINY, enumerate_tiny
+from tests.hierarchies.tiny import TINY, enumerate_tiny
 
 AWAY = ~make_room_mask("north-west") & ~np.isin(np.arange(len(GRID)), HALLWAYS)
 """Where the task `home` is over."""

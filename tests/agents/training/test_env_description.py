@@ -46,7 +46,7 @@ def run(env, out, **arguments):
 
 
 @pytest.mark.parametrize("env", [
-    make_room(), make_options(flavour="press-with-ancestors", include_primitives=False),
+    make_room(), make_options(option_set="press-with-ancestors", include_primitives=False),
     make_room(config="clutter", resample_instance=True), gymnasium.make("CartPole-v1", max_episode_steps=9),
 ])
 def test_an_environment_made_from_its_description_acts_the_same(env):
@@ -77,12 +77,12 @@ def test_a_rooms_name_and_its_drawing_are_no_part_of_its_identity():
 
 @pytest.mark.in_turn_for(
     "<lambda>-arguments0-environment.arguments.instance",
-    "<lambda>-arguments1-environment.wrappers.0.arguments.flavour: 'press' there, 'press-with-ancestors' now",
+    "<lambda>-arguments1-environment.wrappers.0.arguments.option_set: 'press' there, 'press-with-ancestors' now",
     "make_options-arguments5-primitives: 200 there, 300 now", "make_options-arguments7-evaluation_environment")
 @pytest.mark.parametrize(("env", "arguments", "field"), [
     (lambda: make_options(seed=1), {}, "environment.arguments.instance"),
-    (lambda: make_options(flavour="press-with-ancestors"), {}, r"environment.wrappers.0.arguments.flavour: 'press' "
-                                                               "there, 'press-with-ancestors' now"),
+    (lambda: make_options(option_set="press-with-ancestors"), {},
+     "environment.wrappers.0.arguments.option_set: 'press' there, 'press-with-ancestors' now"),
     (lambda: make_options(max_duration=50), {}, "environment.wrappers.0.arguments.max_duration"),
     (lambda: make_room(observation="state"), {}, "environment.arguments.observation"),
     (make_options, {"seed": 1}, "seed: 0 there, 1 now"),
@@ -108,8 +108,8 @@ def test_another_version_of_the_package_is_another_run(tmp_path, monkeypatch):
 
 def test_options_given_as_objects_are_told_apart():
     room = generate(get_preset("four-button-chain"), 0)
-    press, others = (make_options(options=make_meta_options(room, flavour)[:count])
-                     for flavour, count in (("press", 2), ("press", 1)))
+    press, others = (make_options(options=make_meta_options(room, option_set)[:count])
+                     for option_set, count in (("press", 2), ("press", 1)))
     assert hash_large_parts(describe_env(press)) != hash_large_parts(describe_env(others))
     with pytest.raises(CheckpointError, match="is not kept with a run. Make it and give env="):
         make_described_env(describe_env(press))
@@ -144,9 +144,9 @@ def test_functions_without_a_name_are_told_apart_by_their_content(one, other):
 
 
 def test_environment_and_agent_of_a_run_are_made_from_its_folder(tmp_path):
-    result = run(make_options(flavour="press-with-ancestors"), tmp_path / "run")
+    result = run(make_options(option_set="press-with-ancestors"), tmp_path / "run")
     env = load_env(tmp_path / "run")
-    assert describe_env(env) == describe_env(make_options(flavour="press-with-ancestors"))
+    assert describe_env(env) == describe_env(make_options(option_set="press-with-ancestors"))
     agent, trained = load_agent(tmp_path / "run"), result.agent
     observation, info = env.reset(seed=1)
     chosen = [a.act_greedy(observation, info["action_mask"].astype(bool), np.random.default_rng(0))

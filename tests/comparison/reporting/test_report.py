@@ -128,7 +128,7 @@ def test_the_table_says_what_an_agent_chooses_among():
     assert told == {"dqn": "primitives only", "smdp-dqn+primitives": "options and primitives",
                     "smdp-dqn": "options only", "smdp-dqn+reactive+primitives": "options and primitives",
                     "random-options": "random policy, options only", "oracle": "reference, primitives only"}
-    ancestors = AgentSpec("smdp-dqn", options=OptionsView(flavour="press-with-ancestors"))
+    ancestors = AgentSpec("smdp-dqn", options=OptionsView(option_set="press-with-ancestors"))
     assert describe_kind(ancestors) == "options only, with ancestors"
 
 
@@ -151,7 +151,7 @@ def test_the_page_carries_curves_against_three_axes_profiles_and_replays(summary
     for agent in summary.agents:
         kinds = [kind for replay in data["replays"] if replay["agent"] == agent.label for kind in replay["kinds"]]
         assert sorted(kinds) == ["best", "median"]
-    assert data["rooms"][0]["options"] == ["meta-01", "meta-02", "meta-exit"]
+    assert data["rooms"][0]["options"] == ["press-button-1", "press-button-2", "go-to-exit"]
 
 
 def test_replays_are_the_best_and_the_median_episode_of_all_runs(finished: Comparison):

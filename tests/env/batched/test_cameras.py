@@ -15,7 +15,7 @@ from hrl_escape.env.bullet.cameras import BulletRenderer
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import RobotConfig, RoomConfig
 from hrl_escape.env.sampling.generation import generate
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 
 WIDTH, HEIGHT = 72, 54
 ALSO = {"paper-two-button": {"floor", "exit", "robot"}, "clutter": {"floor", "obstacle", "door", "target"},
@@ -53,7 +53,7 @@ def list_neighbours(picture):
 @pytest.mark.in_turn_for("clutter", "sokoban", "paper-two-button")
 @pytest.mark.parametrize("name", ["paper-two-button", "clutter", "door-key", "sokoban"])
 def test_depth_and_labels_are_those_of_bullets_cameras(name):
-    instance = generate(all_schematics()[name], 1)
+    instance = generate(all_configs()[name], 1)
     batch = TensorRoom(Rooms(3, instance=instance))
     batch.reset(torch.arange(3))
     generator = torch.Generator().manual_seed(0)
@@ -131,7 +131,7 @@ def test_a_rectangular_base_is_seen_as_one():
 
 
 def test_a_room_looks_the_same_in_any_batch():
-    instances = [generate(all_schematics()["clutter"], seed) for seed in (0, 1)]
+    instances = [generate(all_configs()["clutter"], seed) for seed in (0, 1)]
     many, one = TensorRoom(Rooms(4, instance=instances)), TensorRoom(Rooms(instance=instances[1:]))
     many.reset(torch.arange(4))
     one.reset(torch.arange(1))

@@ -21,7 +21,7 @@ from hrl_escape.errors import BatchError, ConfigError, ResetNeededError, Unsuppo
 from hrl_escape.planning.planner import RoomPlanner
 from tests.covering import thin
 from tests.env.gliding import list_velocities
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 
 FAST = Velocities(0.25, speed=4.0, turn_speed=3.0, joint_speed=3.0)
 ID = "hrl_escape/EscapeRoomContinuous-v1"
@@ -29,7 +29,7 @@ ID = "hrl_escape/EscapeRoomContinuous-v1"
 
 def list_families():
     """All kinematic rooms; rectangles, a differential drive, noise and blocked moves that stay."""
-    found = {name: config for name, config in all_schematics().items() if config.dynamics.kind == "kinematic"}
+    found = {name: config for name, config in all_configs().items() if config.dynamics.kind == "kinematic"}
     rectangle = {"footprint": "rectangle", "body_length": 1.0, "body_width": 0.6}
     for name, robot, dynamics in (("clutter", rectangle, {}), ("clutter", {"drive": "differential"}, {}),
                                   ("door", rectangle, {}), ("paper-two-button", rectangle, {"noise": 0.2, "slip": 0.1}),

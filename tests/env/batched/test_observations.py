@@ -11,7 +11,7 @@ from hrl_escape.env.observations.base import list_observations, make_observer
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from tests.covering import cover
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 
 KINDS = sorted(observation.name for observation in list_observations() if observation.is_vector)
 NAMES = ["paper-two-button", "arm-two-button", "clutter", "bit-flip", "noisy", "door", "sixty-four-buttons"]
@@ -22,7 +22,7 @@ NAMES = ["paper-two-button", "arm-two-button", "clutter", "bit-flip", "noisy", "
     "door-features", "arm-two-button-features")
 @pytest.mark.parametrize(("name", "kind"), cover(NAMES, KINDS))
 def test_observations_are_those_of_the_scalar_rules(name, kind):
-    instances = [generate(all_schematics()[name], seed) for seed in range(2)]
+    instances = [generate(all_configs()[name], seed) for seed in range(2)]
     room = TensorRoom(Rooms(8, instance=instances, observation=kind))
     observers = [make_observer(kind, Kinematics(instance)) for instance in instances]
     room.reset(torch.arange(8))
@@ -40,7 +40,7 @@ def test_observations_are_those_of_the_scalar_rules(name, kind):
 
 
 def test_every_observation_has_a_tensor_form_or_a_clear_refusal():
-    instance = generate(all_schematics()["paper-one-button"], 0)
+    instance = generate(all_configs()["paper-one-button"], 0)
     for kind in KINDS:
         TensorRoom(Rooms(2, instance=instance, observation=kind))
     with pytest.raises(UnsupportedError, match="vectorization_mode='sync'"):
@@ -50,7 +50,7 @@ def test_every_observation_has_a_tensor_form_or_a_clear_refusal():
 
 
 def test_standing_on_the_exits_centre_gives_a_direction():
-    instance = generate(all_schematics()["paper-two-button"], 0)
+    instance = generate(all_configs()["paper-two-button"], 0)
     room = TensorRoom(Rooms(instance=instance, observation="egocentric"))
     room.reset(torch.tensor([0]))
     x, y = instance.exit.centre

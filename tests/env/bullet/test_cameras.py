@@ -23,11 +23,11 @@ from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ClosedError, ConfigError, UnknownNameError, UnsupportedError
 from tests.covering import thin
-from tests.env.rooms import EXTREMES, all_schematics
+from tests.env.rooms import EXTREMES, all_configs
 
 
 def make_room(name, seed=3):
-    return BulletRoom(generate(all_schematics()[name], seed))
+    return BulletRoom(generate(all_configs()[name], seed))
 
 
 @functools.lru_cache(maxsize=4)

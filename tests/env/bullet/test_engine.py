@@ -23,10 +23,10 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ClosedError, StateError, UnsupportedError
 from tests.covering import thin
 from tests.env.bullet_world import BulletWorld
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 from tests.forks import run_fork
 
-KINEMATIC = sorted(set(all_schematics()) - {"largest", "push-block"})
+KINEMATIC = sorted(set(all_configs()) - {"largest", "push-block"})
 SKIN = 1e-3
 
 
@@ -120,7 +120,7 @@ def test_clearance_notices_a_body_put_too_near(make_room):
 
 @pytest.mark.parametrize("name", ["arm-two-button", "seven-joints", "noisy"])
 def test_base_and_hand_stand_in_bullet_where_the_state_says(make_room, name):
-    room = make_room(all_schematics()[name])
+    room = make_room(all_configs()[name])
     world, rng = PhysicsDynamics(room.rules), np.random.default_rng(0)
     for action in rng.integers(len(room.rules.actions), size=80).tolist():
         room.step(action)
@@ -137,7 +137,7 @@ def test_base_and_hand_stand_in_bullet_where_the_state_says(make_room, name):
 @pytest.mark.in_turn
 def test_an_open_door_swings_out_of_the_room(make_room):
     for seed in range(6):  # doors in all four walls
-        room = make_room(all_schematics()["door"], seed=seed)
+        room = make_room(all_configs()["door"], seed=seed)
         stage, door, area = Stage(room.instance), room.instance.door, room.instance.exit
         stage.follow(room.state._replace(puzzle=1 << room.instance.puzzle.goal))
         (x, y, _), turn = pybullet.getBasePositionAndOrientation(stage._door.whole[0], physicsClientId=stage.client)
@@ -152,7 +152,7 @@ def test_an_open_door_swings_out_of_the_room(make_room):
 
 @pytest.mark.parametrize("name", thin(KINEMATIC, 3, 2))
 def test_set_state_continues_exactly(make_room, name):
-    room = make_room(all_schematics()[name])
+    room = make_room(all_configs()[name])
     rng = np.random.default_rng(1)
     actions = rng.integers(len(room.rules.actions), size=60).tolist()
     steps = [room.step(action) for action in actions]

@@ -24,9 +24,9 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import FileWriteError, UnsupportedError
 from tests.command_line import run_here
 from tests.covering import thin
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 
-SCHEMATICS = all_schematics()
+SCHEMATICS = all_configs()
 
 
 def make_room(name, seed=3):

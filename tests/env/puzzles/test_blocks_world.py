@@ -149,7 +149,7 @@ def test_options_do_what_the_operators_of_the_domain_do_from_any_pose(hand):
     room = generate(get_preset("blocks-world", count=3, hand=hand), 1)
     env = gymnasium.make("hrl_escape/BlocksWorld-v1", instance=room)
     domain = Stacks(env.unwrapped.instance.puzzle)
-    goals = [f"{action} place-{name}" for action in ("grip", "release") for name in "abc"]
+    goals = [f"{action}-place-{name}" for action in ("grip", "release") for name in "abc"]
     assert check_isomorphism(env, domain, goals=goals, pairs=30 if hand else 132) == (30 if hand else 132)
 
 
@@ -199,7 +199,7 @@ def test_problems_of_the_competition_are_solved_with_the_published_number_of_ope
     plan = room.puzzle.plan(room.puzzle.make_state())
     assert len(plan) == IPC[name][2] == Stacks(room.puzzle).count_fewest()
     escape = RoomPlanner(room).solve(Kinematics(room).make_state(room.starts[0]))
-    assert [part.name.split()[0] for part in escape.parts] == [*["grip", "release"] * (len(plan) // 2), "exit"]
+    assert [part.name.split("-")[0] for part in escape.parts] == [*["grip", "release"] * (len(plan) // 2), "go"]
 
 
 def test_typed_problems_of_pddlgym_are_read_too():

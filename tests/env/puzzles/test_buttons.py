@@ -207,7 +207,7 @@ def test_rules_that_cannot_be_are_refused(fields, words):
 def test_a_wrong_press_ends_the_episode_without_an_escape(engine):
     config = RoomConfig(puzzle=ButtonsConfig(count=2, graph=GraphConfig(relabel=False), on_violation="fail"))
     room = generate(config, 3)
-    plan = RoomPlanner(room).plan(RoomPlanner(room).rules.make_state(room.starts[0]), "button-2").primitives
+    plan = RoomPlanner(room).plan(RoomPlanner(room).rules.make_state(room.starts[0]), "press-button-2").primitives
     if engine == "single":
         env = EscapeRoomEnv(instance=room)
         env.reset(seed=0)
@@ -231,10 +231,10 @@ def test_nothing_shows_before_the_first_mistake_what_one_does(observation):
         made = dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, on_violation=rule))
         env = OptionsEnv(EscapeRoomEnv(instance=made, observation=observation))
         begun, mask = env.reset(seed=0), env.action_masks()
-        pressed = env.step(env.action_names.index(f"meta-{first + 1:02}"))
+        pressed = env.step(env.action_names.index(f"press-button-{first + 1}"))
         told = [{name: value for name, value in info.items() if name != "instance"} for info in (begun[1], pressed[4])]
         seen.append((begun[0].tolist(), mask.tolist(), pressed[0].tolist(), pressed[1:4], str(told)))
         late = next(button for button in range(3) if room.puzzle.parent_masks[button] & ~(1 << first))
-        mistaken = env.step(env.action_names.index(f"meta-{late + 1:02}"))
+        mistaken = env.step(env.action_names.index(f"press-button-{late + 1}"))
         assert mistaken[2] == (rule == "fail")
     assert seen[0] == seen[1] == seen[2]

@@ -16,7 +16,7 @@ from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import USE, Contacts, Puzzle
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
-from hrl_escape.env.puzzles.traits import Barring
+from hrl_escape.env.puzzles.mixins import Barring
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import StateError, UnsupportedError
 from hrl_escape.settings import Between

@@ -21,10 +21,10 @@ from hrl_escape.env.sampling.generation import KEPT_ROOMS, generate
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, EscapeError, GenerationError, InstanceFileError, UnknownNameError
 from tests.covering import thin
-from tests.env.rooms import EXTREMES, all_schematics
+from tests.env.rooms import EXTREMES, all_configs
 from tests.forks import run_fork
 
-NAMES = sorted(all_schematics())
+NAMES = sorted(all_configs())
 QUICK = [name for name in NAMES if name not in ("largest", "four-rooms")]
 """Without those that take seconds a sample; they have tests of their own."""
 
@@ -32,7 +32,7 @@ QUICK = [name for name in NAMES if name not in ("largest", "four-rooms")]
 @settings(max_examples=15)
 @given(st.sampled_from(QUICK), st.integers(0, 10_000))
 def test_generation_is_pure_and_certified(name, seed):
-    config = all_schematics()[name]
+    config = all_configs()[name]
     instance = generate(config, seed)
     generation._sample_room.cache_clear()
     assert generate(config, seed) == instance
@@ -93,7 +93,7 @@ def flood(instance, resolution):
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["clutter", "four-button-chain", "door"])
 def test_walking_the_floor_reaches_every_button_and_the_exit(name, seed):
-    instance = generate(all_schematics()[name], seed)
+    instance = generate(all_configs()[name], seed)
     floor = flood(instance, 0.25)
     reach = instance.robot.body_radius + instance.dynamics.press_margin
     for target in instance.targets:
@@ -120,7 +120,7 @@ def test_seeds_give_different_rooms():
 
 @pytest.mark.parametrize("name", thin(QUICK, 3))
 def test_json_round_trip_keeps_everything(name, tmp_path):
-    instance = generate(all_schematics()[name], 3)
+    instance = generate(all_configs()[name], 3)
     instance.save(tmp_path / "room.json")
     loaded = RoomInstance.load(tmp_path / "room.json")
     assert loaded == instance
@@ -147,7 +147,7 @@ def test_another_process_generates_the_same_instances():
     assert printed == [generate(get_preset(name), 5).id for name in sorted(PRESETS)[::4]]
 
 
-def test_impossible_schematics_say_which_constraint_failed():
+def test_impossible_room_configurations_say_which_constraint_failed():
     with pytest.raises(GenerationError, match="obstacles"):
         generate(RoomConfig(room=ShapeConfig(width=5, depth=5), robot=RobotConfig(body_radius=0.7),
                             obstacles=ObstaclesConfig(count=50, size_min=1)), 0)

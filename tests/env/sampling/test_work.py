@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.generation import draw_schematic
+from benchmarks.generation import draw_config
 from hrl_escape.env.config import ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.presets import get_preset
@@ -40,11 +40,11 @@ def test_what_cannot_be_met_is_refused_once_the_budget_is_spent(config, spent):
     assert spent[0].done < 1.3 * generation.LARGEST_WORK
 
 
-def test_no_schematic_costs_much_more_than_the_budget(spent):
+def test_no_room_configuration_costs_much_more_than_the_budget(spent):
     rng = np.random.default_rng(5)
     for seed in range(6):
         try:
-            generation.generate(draw_schematic(rng), seed)
+            generation.generate(draw_config(rng), seed)
         except GenerationError:
             pass
     assert max(work.done for work in spent) < 1.3 * generation.LARGEST_WORK

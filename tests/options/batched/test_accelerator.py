@@ -50,7 +50,7 @@ def test_options_on_an_accelerator_do_what_they_do_on_the_cpu(kind, is_compiled)
 
 @pytest.mark.gpu
 def test_degraded_options_draw_alike_on_an_accelerator():
-    worse = OptionDegradation(failure=0.2, early_stop=0.1, detour=2, missing=0.3, flavour="press-with-ancestors")
+    worse = OptionDegradation(failure=0.2, early_stop=0.1, detour=2, missing=0.3, option_set="press-with-ancestors")
     room = [generate(dataclasses.replace(SMALL, name="worse"), 1)]
     found = [play(room, device, 100, options=worse, interruptible=True) for device in ("cpu", "cuda")]
     assert torch.equal(*found)

@@ -21,7 +21,7 @@ from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import PressGoal
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 
 FORWARD, TURN_LEFT = 0, 4
 META_1, META_2, META_EXIT = 6, 7, 8  # in a room with two buttons
@@ -178,7 +178,7 @@ def test_without_automatic_reset_a_room_stands_still_until_it_is_reset():
     pytest.param("clutter", 0.05, marks=pytest.mark.slow), ("door", 0.05), ("inner-doors", 0.05),
     ("coarse-steps", 0.15)])
 def test_what_options_env_reaches_is_reached_in_about_as_many_primitives(name, most):
-    found = compare_options([generate(all_schematics()[name], 1)], 40)
+    found = compare_options([generate(all_configs()[name], 1)], 40)
     assert found.decisions >= 40 and found.reached >= 38
     assert not found.missed, found.missed[0]
     assert abs(found.more) < most, "moves of 3.7 m among cells of 6 cm are hardest to foresee"

@@ -15,7 +15,7 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.errors import UnknownNameError, UnsupportedError
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.options_env import OptionsEnv
@@ -26,18 +26,18 @@ CHAIN = RoomConfig(name="chain", room=ShapeConfig(width=6, depth=6), robot=Robot
 KINDS = {
     "whole": {},
     "limited": {"max_duration": 4},
-    "with ancestors": {"flavour": "press-with-ancestors"},
-    "with ancestors, limited": {"flavour": "press-with-ancestors", "max_duration": 9, "include_primitives": False},
+    "with ancestors": {"option_set": "press-with-ancestors"},
+    "with ancestors, limited": {"option_set": "press-with-ancestors", "max_duration": 9, "include_primitives": False},
     "failing": {"options": OptionDegradation(failure=0.4, seed=1)},
     "stopping": {"options": OptionDegradation(early_stop=0.2, seed=2)},
     "wasting": {"options": OptionDegradation(detour=3), "max_duration": 6},
     "missing": {"options": OptionDegradation(missing=0.6, seed=1)},
     "all missing": {"options": OptionDegradation(missing=1.0), "include_primitives": False},
-    "ancestors failing": {"options": OptionDegradation(failure=0.3, detour=2, flavour="press-with-ancestors")},
+    "ancestors failing": {"options": OptionDegradation(failure=0.3, detour=2, option_set="press-with-ancestors")},
     "interrupted": {"interruptible": True},
     "interrupted, limited": {"interruptible": True, "max_duration": 3, "include_primitives": False},
     "interrupted and worse": {"interruptible": True, "options": OptionDegradation(
-        failure=0.2, early_stop=0.1, detour=2, flavour="press-with-ancestors")},
+        failure=0.2, early_stop=0.1, detour=2, option_set="press-with-ancestors")},
 }
 
 
@@ -107,9 +107,9 @@ def test_each_room_does_what_options_env_does(kind):
 
 
 @pytest.mark.in_turn_for("press-with-ancestors")
-@pytest.mark.parametrize("flavour", ["press", "press-with-ancestors"])
-def test_doors_between_rooms_open_for_good_and_mask_what_is_behind_them(flavour):
-    room, arguments = generate(get_preset("inner-doors"), 0), {"flavour": flavour, "include_primitives": False}
+@pytest.mark.parametrize("option_set", ["press", "press-with-ancestors"])
+def test_doors_between_rooms_open_for_good_and_mask_what_is_behind_them(option_set):
+    room, arguments = generate(get_preset("inner-doors"), 0), {"option_set": option_set, "include_primitives": False}
     env = BatchedOptionsEnv(3, instance=room, **arguments)
     single, masks, begun = OptionsEnv(EscapeRoomEnv(instance=room), **arguments), set(), set()
     for number, state, mask, done in replay(env, 12):
@@ -126,7 +126,7 @@ def test_doors_between_rooms_open_for_good_and_mask_what_is_behind_them(flavour)
     assert len(masks) > 1 and begun == {True, False}, "doors were opened and passed"
     is_behind = np.array([bool(way) for way in room.ways])
     closed = min(masks, key=sum)
-    assert not any(np.array(closed)[is_behind]) if flavour == "press" else all(closed[:-1])
+    assert not any(np.array(closed)[is_behind]) if option_set == "press" else all(closed[:-1])
 
 
 def sort_targets(room):
@@ -142,7 +142,7 @@ def sort_targets(room):
 def test_ancestors_are_pressed_first_and_what_is_on_is_not_pressed_again():
     room = generate(CHAIN, 0)
     last = sort_targets(room)[-1]
-    env = BatchedOptionsEnv(1, instance=room, flavour="press-with-ancestors", include_primitives=False)
+    env = BatchedOptionsEnv(1, instance=room, option_set="press-with-ancestors", include_primitives=False)
     env.reset(torch.arange(1))
     assert int(step_room(env, 0, last).pressed) == 0b111
     assert int(step_room(env, 0, last).pressed) == 1 << last
@@ -207,8 +207,8 @@ def test_what_only_one_room_has_is_refused_by_name(argument, value):
 
 
 @pytest.mark.parametrize(("arguments", "error", "words"), [
-    ({"flavour": "press-markov"}, UnsupportedError, "no functions of the state"),
-    ({"flavour": "pres"}, ConfigError, "press-with-ancestors"),
+    ({"option_set": "press-reactive"}, UnsupportedError, "no functions of the state"),
+    ({"option_set": "pres"}, UnknownNameError, "press-with-ancestors"),
     ({"options": OptionDegradation(latency=0.1)}, UnsupportedError, "latency"),
     ({"options": []}, UnsupportedError, "meta-actions only"),
 ])

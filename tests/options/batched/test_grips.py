@@ -74,7 +74,7 @@ def is_grip(goal):
     "interrupted-taxi", "interrupted-foraging")
 @pytest.mark.parametrize("name", ROOMS)
 @pytest.mark.parametrize("arguments", [
-    {}, {"flavour": "press-with-ancestors"}, {"options": OptionDegradation(detour=3, missing=0.3, seed=1)},
+    {}, {"option_set": "press-with-ancestors"}, {"options": OptionDegradation(detour=3, missing=0.3, seed=1)},
     {"interruptible": True, "max_duration": 6, "options": OptionDegradation(failure=0.2, early_stop=0.1, seed=2)},
 ], ids=["whole", "with ancestors", "worse", "interrupted"])
 def test_each_room_does_what_options_env_does(name, arguments):
@@ -104,11 +104,11 @@ def test_each_room_does_what_options_env_does(name, arguments):
         is_act = is_grip(check_goals(single.unwrapped.instance)[int(done.action)])
         acted += is_act and info["option"]["ended"] == "reached"
     assert acted > 3, "things were gripped and released"
-    assert abs(taken - planned) <= (0.08 if "hand" in name else 0.05 if "flavour" in arguments else 0.01) * planned
+    assert abs(taken - planned) <= (0.08 if "hand" in name else 0.05 if "option_set" in arguments else 0.01) * planned
 
 
-@pytest.mark.parametrize("flavour", ["press", "press-with-ancestors"])
-def test_what_is_gripped_behind_shut_doors_waits_for_its_ancestors(flavour, request):
+@pytest.mark.parametrize("option_set", ["press", "press-with-ancestors"])
+def test_what_is_gripped_behind_shut_doors_waits_for_its_ancestors(option_set, request):
     """A puzzle with presses, grips and doors between rooms, which is none of the package's."""
     register_puzzle(GrippedConfig, GrippedButtons)
     request.addfinalizer(lambda: puzzles.unregister(GrippedConfig.kind))
@@ -116,7 +116,7 @@ def test_what_is_gripped_behind_shut_doors_waits_for_its_ancestors(flavour, requ
     puzzle = GrippedConfig(**{field.name: getattr(config.puzzle, field.name)
                               for field in dataclasses.fields(config.puzzle)})
     config = dataclasses.replace(config, puzzle=puzzle, robot=dataclasses.replace(config.robot, gripper=True))
-    room, arguments = generate(config, 1), {"flavour": flavour, "include_primitives": False}
+    room, arguments = generate(config, 1), {"option_set": option_set, "include_primitives": False}
     env = BatchedOptionsEnv(3, instance=room, **arguments)
     single, masks = OptionsEnv(EscapeRoomEnv(instance=room), **arguments), []
     for number, state, mask, done in replay(env, 10):
@@ -127,7 +127,7 @@ def test_what_is_gripped_behind_shut_doors_waits_for_its_ancestors(flavour, requ
         info = single.step(int(done.action))[4]
         assert ENDINGS[done.ended] == info["option"]["ended"]
         masks.append([can for can, goal in zip(mask, check_goals(room), strict=True) if is_grip(goal)])
-    assert any(map(any, masks)) == (flavour == "press-with-ancestors"), "ten choices at random open no such way"
+    assert any(map(any, masks)) == (option_set == "press-with-ancestors"), "ten choices at random open no such way"
 
 
 @pytest.mark.parametrize("name", ROOMS)

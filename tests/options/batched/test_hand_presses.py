@@ -19,13 +19,13 @@ from hrl_escape.options.batched.hand_policy import CHOSEN
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.planner import get_planner
-from tests.env.rooms import all_schematics
+from tests.env.rooms import all_configs
 from tests.options.batched.test_batched_env import begin, decide, play
 
 ARM = get_preset("arm-two-button")
 NOISY = dataclasses.replace(ARM, dynamics=dataclasses.replace(ARM.dynamics, noise=0.05, slip=0.1))
 CLUTTERED = dataclasses.replace(ARM, obstacles=ObstaclesConfig(count=8))
-SEVEN = all_schematics()["seven-joints"]
+SEVEN = all_configs()["seven-joints"]
 
 
 def make_env(count=1, config=ARM, seed=0, **more):
@@ -179,7 +179,7 @@ def test_an_interrupted_press_by_hand_takes_the_primitives_of_one_that_is_not():
 
 @pytest.mark.in_turn
 def test_ancestors_by_hand_are_pressed_first():
-    env = make_env(flavour="press-with-ancestors")
+    env = make_env(option_set="press-with-ancestors")
     orders, state = get_planner(env.room.instances[0]).orders, env.room.get_room_state(0)
     order = max((orders.find_ancestors(state, PressGoal(n)) for n in range(2)), key=len)
     done = decide(env, order[-1].target)

@@ -26,7 +26,7 @@ def test_a_step_is_one_decision_of_every_room_with_the_fields_of_options_env():
     seen, infos = many.reset(seed=0)
     assert many.observation_space.contains(seen) and infos["action_mask"].shape == (6, many.single_action_space.n)
     one.reset(seed=0)
-    choices = np.array([0, 3, 6, 6, 7, 4])  # primitives, meta-01 and meta-02 side by side
+    choices = np.array([0, 3, 6, 6, 7, 4])  # primitives, press-button-1 and press-button-2 side by side
     seen, reward, terminated, truncated, infos = many.step(choices)
     assert infos["duration"][[0, 1, 5]].tolist() == [1, 1, 1] and infos["duration"][2] > 3
     for room, action in enumerate(choices):

@@ -26,7 +26,7 @@ KINDS = {"strafing": (SMALL, 0.05), "by half metres": (NARROW, 0.03),
          "turns of 30 degrees": (change(SMALL, moves=(Move("spin", turn=3), Move("unspin", turn=-3))), 0.05),
          "noise": (dataclasses.replace(SMALL, dynamics=DynamicsConfig(noise=0.05)), 0.08),
          "differential": (change(SMALL, drive="differential"), 0.12), "by hand": (ARM, 0.06), "door": (DOOR, 0.05)}
-"""Schematic, and the largest share of primitives that a batch may take more."""
+"""Room configuration, and the largest share of primitives that a batch may take more."""
 UNREACHABLE = 10_000.0
 
 

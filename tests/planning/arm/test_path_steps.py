@@ -74,10 +74,10 @@ def test_an_arm_among_posts_presses_by_joint_steps_along_a_path_under_physics():
 def test_a_plan_among_posts_comes_true_under_physics(monkeypatch):
     planner = RoomPlanner(make_pen())
     start = planner.rules.make_state(planner.instance.starts[0])
-    plan = planner.plan(start, "button-1")
+    plan = planner.plan(start, "press-button-1")
     end, expected = press_in_bullet(planner, plan.primitives), plan.states[-1]
     assert end.touching & 1 and end.joint_steps == expected.joint_steps
     assert math.hypot(end.x - expected.x, end.y - expected.y) < 1e-4
     monkeypatch.setattr(reacher, "PATH_TESTS", 1)
     with pytest.raises(PlanningFailed):
-        planner.plan(start._replace(primitives=1, x=start.x + 1e-6), "button-1")
+        planner.plan(start._replace(primitives=1, x=start.x + 1e-6), "press-button-1")

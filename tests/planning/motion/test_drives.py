@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from benchmarks.sampled_motions import make_schematic
+from benchmarks.sampled_motions import make_gripping_config
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.geometry import Footprint, Solid, compute_distance_many, stack_footprints
@@ -28,7 +28,7 @@ ROOMS = [("paper-two-button", 0), ("clutter", 0), ("clutter", 3), ("paper-random
 
 
 def make(name: str, seed: int) -> RoomInstance:
-    return generate(make_schematic(f"{name}, driving rectangle"), seed)
+    return generate(make_gripping_config(f"{name}, driving rectangle"), seed)
 
 
 def measure_gaps(places: np.ndarray, size: tuple[float, ...], shapes: Sequence[Footprint]) -> np.ndarray:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.sampled_motions import make_schematic, measure
+from benchmarks.sampled_motions import make_gripping_config, measure
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.geometry import compute_distance, make_footprint
 from hrl_escape.env.kinematics import EpisodeEnd
@@ -60,10 +60,10 @@ def test_one_seed_gives_one_motion_and_the_planner_of_the_way_can_be_chosen():
     state = make(config)[2]
     found = [sampler.plan(state, PressGoal(1)) for sampler in (first, again, other)]
     assert (found[0].positions == found[1].positions).all() and found[0].duration <= found[2].duration
-    named = make(config)[1].plan(state, "button-2")
+    named = make(config)[1].plan(state, "press-button-2")
     assert (named.positions == found[0].positions).all()
     with pytest.raises(UnknownNameError, match="button-44"):
-        make(config)[1].plan(state, "button-44")
+        make(config)[1].plan(state, "press-button-44")
 
 
 def test_a_sampled_motion_is_tracked_to_the_press():
@@ -117,7 +117,7 @@ def test_what_no_way_leads_to_is_a_failure_by_name():
     planner, sampler, state = make(get_preset("clutter"))
     with pytest.raises(PlanningFailed, match="exit"):  # its door is shut
         sampler.plan(state, ExitGoal())
-    _, sampler, state = make(make_schematic("paper-two-button, driving rectangle"))
+    _, sampler, state = make(make_gripping_config("paper-two-button, driving rectangle"))
     wedged = state._replace(x=WEDGED[0], y=WEDGED[1], heading_steps=0)
     with pytest.raises(PlanningFailed, match="InformedRRTstar"):
         sampler.plan(wedged, PressGoal(0))
@@ -140,7 +140,7 @@ def test_a_target_that_is_touched_is_left_and_pressed_again_or_refused():
 
 @pytest.mark.in_turn
 def test_options_take_the_plan_of_primitives_where_nothing_is_sampled_or_where_they_are_told_to():
-    rectangle, seconds = generate(make_schematic("paper-two-button, driving rectangle"), 0), {}
+    rectangle, seconds = generate(make_gripping_config("paper-two-button, driving rectangle"), 0), {}
     start = RoomPlanner(rectangle).rules.make_state(rectangle.starts[0])
     wedged = start._replace(x=WEDGED[0], y=WEDGED[1], heading_steps=0)
     for name, room, state in (("wedged", rectangle, wedged), ("rectangle", rectangle, start),

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from benchmarks.trajectories import list_schematics, solve
+from benchmarks.trajectories import list_configs, solve
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.kinematics import EpisodeEnd
@@ -19,7 +19,7 @@ SLOWER = MotionLimits(speed=0.8, joint_speed=0.8)
 
 
 def run(name: str, seed: int, time_step: float = 0.1, **dynamics):
-    config = list_schematics()[name]
+    config = list_configs()[name]
     plan = solve(generate(dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, **dynamics)), seed))
     trajectory = make_trajectory(plan, SLOWER)
     env = EscapeRoomContinuousEnv(instance=plan.instance, time_step=time_step)
@@ -49,7 +49,7 @@ def test_physics_and_noise_press_the_same(name, dynamics, within):
 
 
 def test_a_trajectory_of_another_place_or_environment_is_refused():
-    plan = solve(generate(list_schematics()["paper-two-button"], 0))
+    plan = solve(generate(list_configs()["paper-two-button"], 0))
     trajectory = make_trajectory(plan)
     env = EscapeRoomContinuousEnv(instance=plan.instance)
     env.reset(options={"state": plan.states[3]})

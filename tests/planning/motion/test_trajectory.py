@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.trajectories import check, list_faults, list_presses, list_schematics, measure_peaks, solve
+from benchmarks.trajectories import check, list_configs, list_faults, list_presses, measure_peaks, solve
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
@@ -59,7 +59,7 @@ def make_boom(effort: float, mass: float = 2.0) -> RobotConfig:
     ("potions", 0), pytest.param("pin-pad", 0, marks=pytest.mark.slow),
     pytest.param("deep-sea", 0, marks=pytest.mark.slow), ("arm-two-button", 0), ("lights-out, differential", 0)])
 def test_trajectories_press_what_their_plans_press_and_keep_every_limit(name, seed):
-    plan = solve(generate(list_schematics()[name], seed))
+    plan = solve(generate(list_configs()[name], seed))
     assert list_faults(plan, make_trajectory(plan), LIMITS) == []
 
 
@@ -74,7 +74,7 @@ def test_faults_are_found():
     """The check is no formality: the way to one target only, and limits halved."""
     plan = make_plan("paper-two-button", 0)
     trajectory = make_trajectory(plan)
-    leg = RoomPlanner(plan.instance).plan(plan.states[0], "button-1")
+    leg = RoomPlanner(plan.instance).plan(plan.states[0], "press-button-1")
     assert any("presses" in fault for fault in list_faults(plan, make_trajectory(leg), LIMITS))
     assert any("of a limit" in fault for fault in list_faults(plan, trajectory, MotionLimits(acceleration=0.5)))
     assert any("of a limit" in fault for fault in list_faults(plan, trajectory, MotionLimits(jerk=5.0)))

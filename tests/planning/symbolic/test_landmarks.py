@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
-from hrl_escape.synthesis.synthesise import find_landmarks
+from hrl_escape.hierarchies.synthesise import find_landmarks
 
 FACTS = "abcde"
 SOME = st.frozensets(st.sampled_from(FACTS), max_size=2)

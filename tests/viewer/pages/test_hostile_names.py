@@ -21,7 +21,7 @@ from hrl_escape.viewer.pages.offline import make_replay, save_replay
 from hrl_escape.viewer.pages.play import PlayPage
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
 from hrl_escape.viewer.play.episode import Episode
-from hrl_escape.viewer.recording import Recording, record_driver
+from hrl_escape.viewer.recording import EpisodeRecording, record_driver
 from hrl_escape.viewer.server import Server, get_url
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.watch import Gate, Watch
@@ -60,7 +60,7 @@ def rename(instance: RoomInstance, names: tuple[str, ...]) -> RoomInstance:
 
 
 @pytest.fixture(scope="module")
-def recording(hostile: RoomInstance) -> Recording:
+def recording(hostile: RoomInstance) -> EpisodeRecording:
     recorded = record_driver(open_driver("oracle", hostile))
     names = [*HOSTILE, *(len(recorded.decisions) * [CODE])]
     decisions = tuple((name, count) for name, (_, count) in zip(names, recorded.decisions, strict=False))
@@ -75,7 +75,7 @@ def open_and_wait(browser: Browser, url: str, ready: str) -> Page:
 
 
 @pytest.mark.in_turn
-def test_a_recorded_page_of_hostile_names_runs_nothing(recording: Recording, browser: Browser, tmp_path: Path):
+def test_a_recorded_page_of_hostile_names_runs_nothing(recording: EpisodeRecording, browser: Browser, tmp_path: Path):
     for number, name in enumerate(HOSTILE):
         at = dataclasses.replace(recording, driver=name,
                                  instance=dataclasses.replace(recording.instance, name=name))
@@ -92,7 +92,7 @@ def test_a_recorded_page_of_hostile_names_runs_nothing(recording: Recording, bro
             assert make_replay(at).encode("utf-8")
 
 
-def test_a_recorded_page_holds_no_markup_of_others(recording: Recording):
+def test_a_recorded_page_holds_no_markup_of_others(recording: EpisodeRecording):
     plain = make_replay(dataclasses.replace(recording, driver="oracle", decisions=()))
     hostile = make_replay(dataclasses.replace(recording, driver=HOSTILE[6]))
     for piece in ("<img src=x", "</title><script", "script>window.__pwned"):
@@ -100,7 +100,7 @@ def test_a_recorded_page_holds_no_markup_of_others(recording: Recording):
     assert hostile.count("<script") == plain.count("<script") and hostile.count("<title") == plain.count("<title")
 
 
-def test_data_stays_inside_its_script(recording: Recording):
+def test_data_stays_inside_its_script(recording: EpisodeRecording):
     page = make_replay(recording)
     inside = re.search(r'<script type="application/json" id="r-data">(.*?)</script>', page, re.S)
     assert inside is not None and inside[1].startswith("{") and inside[1].endswith("}")

@@ -105,8 +105,8 @@ def test_meta_keys_press_buttons_and_buttons_on_the_page_do_the_same(two_buttons
         page.click("Undo")
         page.wait("document.querySelector('#puzzle .node[data-name=button-2]').dataset.lit === '0'")
         assert game.episode.state == before
-        page.click("meta-02")
-        page.click("meta-exit")
+        page.click("press-button-2")
+        page.click("go-to-exit")
         wait_for(page, state="escaped")
         page.click("Save episode")
         page.wait("document.body.innerText.includes('Saved as')")
@@ -195,8 +195,8 @@ def test_watch_pauses_steps_and_shows_the_agents_own_option_values(watched, two_
     page.click("What if it took this option?")
     page.wait("document.querySelector('#preview')?.innerText.includes('primitives')")
     told = page.run("document.querySelector('#preview').innerText")
-    preview = view.watch.previewer.preview("meta-01", view.watch.states[-1])
-    assert f"meta-01: {len(preview.states) - 1} primitives" in told
+    preview = view.watch.previewer.preview("press-button-1", view.watch.states[-1])
+    assert f"press-button-1: {len(preview.states) - 1} primitives" in told
     page.click("Run")
     page.wait(f"{FACTS}?.state === 'running'")
     page.click("Pause")

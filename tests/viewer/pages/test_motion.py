@@ -29,7 +29,7 @@ def read_line(content: dict, buffers: list[bytes], name: str) -> np.ndarray:
 def test_a_page_moves_base_and_hand_along_the_trajectory_in_its_time():
     room = generate(get_preset("arm-two-button"), 3)
     planner = RoomPlanner(room)
-    plan = planner.plan(planner.rules.make_state(room.starts[0]), "button-1")
+    plan = planner.plan(planner.rules.make_state(room.starts[0]), "press-button-1")
     trajectory = make_trajectory(plan)
     content, buffers = read_recorded(make_motion(trajectory, room, plan.states[0]))
     moves = [(seconds, message["position"]) for seconds, message in content["messages"]
@@ -46,7 +46,7 @@ def test_a_page_moves_base_and_hand_along_the_trajectory_in_its_time():
 def test_a_trajectory_of_another_robot_is_refused_by_the_names_of_its_joints(two_buttons):
     room = generate(get_preset("arm-two-button"), 3)
     planner = RoomPlanner(room)
-    trajectory = make_trajectory(planner.plan(planner.rules.make_state(room.starts[0]), "button-1"))
+    trajectory = make_trajectory(planner.plan(planner.rules.make_state(room.starts[0]), "press-button-1"))
     with pytest.raises(ConfigError, match="coordinates of this room's robot: x, y, heading"):
         make_motion(trajectory, two_buttons)
 

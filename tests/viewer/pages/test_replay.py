@@ -39,14 +39,14 @@ def read_recorded(page: str) -> tuple[dict, list[bytes]]:
 def test_a_recorded_driver_is_the_episode_it_drove(two_buttons):
     recording = record_driver(open_driver("oracle", two_buttons))
     assert recording.end == "escaped" and len(recording.states) == len(recording.rewards) + 1
-    assert [name for name, _ in recording.decisions] == ["meta-01", "meta-02", "meta-exit"]
+    assert [name for name, _ in recording.decisions] == ["press-button-1", "press-button-2", "go-to-exit"]
     assert sum(count for _, count in recording.decisions) == len(recording.rewards)
     assert two_buttons.exit.contains(recording.states[-1].x, recording.states[-1].y)
 
 
 def test_a_saved_episode_is_recorded_as_it_was_played(two_buttons, tmp_path: Path):
     episode = Episode(two_buttons)
-    for name in ("forward", "meta-01"):
+    for name in ("forward", "press-button-1"):
         episode.do(episode.names.index(name))
     save_episode(tmp_path / "mine.json", episode.to_saved())
     recording = record_saved(load_episode(tmp_path / "mine.json"), "mine")

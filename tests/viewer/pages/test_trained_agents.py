@@ -29,7 +29,7 @@ def test_watch_shows_the_trained_agent_of_a_rung_at_once(browser: Browser):
             count = len(load_benchmark("ladder-1")["lattice"].test[0].targets)
             names = page.run("[...document.querySelectorAll('#values .action')].map(row => row.dataset.name)")
             assert "as trained" in shown
-            assert {*(f"meta-{number:02}" for number in range(1, count + 1)), "meta-exit"} <= set(names)
+            assert {*(f"press-button-{number}" for number in range(1, count + 1)), "go-to-exit"} <= set(names)
             page.close()
         finally:
             process.kill()

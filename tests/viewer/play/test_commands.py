@@ -21,8 +21,8 @@ def act(episode: Episode, name: str, best: float | None = None) -> str:
 
 
 def test_a_meta_action_tells_its_length_and_the_button_it_pressed(two_buttons):
-    message = act(Episode(two_buttons), "meta-01")
-    assert message.startswith("meta-01 (") and message.endswith(" primitives), pressed button-1")
+    message = act(Episode(two_buttons), "press-button-1")
+    assert message.startswith("press-button-1 (") and message.endswith(" primitives), pressed button-1")
 
 
 def test_undo_and_reset_change_the_episode_and_say_so(two_buttons, tmp_path):
@@ -48,7 +48,7 @@ def test_an_escape_is_held_against_the_best_known_return(one_button, best, prais
 
 def test_a_masked_meta_action_says_that_it_cannot_start(clutter):
     episode = Episode(clutter)
-    assert act(episode, "meta-exit") == "meta-exit cannot start here" and episode.moves == []
+    assert act(episode, "go-to-exit") == "go-to-exit cannot start here" and episode.moves == []
 
 
 def test_saving_names_the_file(two_buttons, tmp_path):

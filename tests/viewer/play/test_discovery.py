@@ -12,7 +12,7 @@ from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.viewer.pages.panels import KnownEdges, make_graph
 from hrl_escape.viewer.play.episode import Episode
@@ -39,7 +39,7 @@ def press_in_every_state(episode: Episode, check: Callable[[], None], seen: set)
 @pytest.mark.parametrize("seed", range(3))
 def test_edges_that_are_proved_are_true_and_true_ones_stay_possible(seed: int, puzzle: dict):
     room = make_room("clutter", seed, **puzzle)
-    episode, true = Episode(room, is_hidden=True), set(get_trait(room.puzzle, Graphed).edges)
+    episode, true = Episode(room, is_hidden=True), set(get_mixin(room.puzzle, Graphed).edges)
     discovery = episode.discovery
     assert discovery is not None and true
 
@@ -90,7 +90,7 @@ def test_a_drawn_graph_holds_all_its_discs():
 
 def test_a_belief_is_drawn_with_what_is_wrong_in_red_and_what_is_open_dashed(two_buttons):
     puzzle = two_buttons.puzzle
-    (edge,) = get_trait(puzzle, Graphed).edges
+    (edge,) = get_mixin(puzzle, Graphed).edges
     page = make_graph(puzzle, puzzle.make_state(), believed=KnownEdges([edge], [edge[::-1]]))
     right, wrong = (next(line for line in page.split("<") if f'data-edge="{a}-{b}"' in line)
                     for a, b in (edge, edge[::-1]))

@@ -26,7 +26,7 @@ def play(episode: Episode, names: list[str]) -> None:
 def test_undo_returns_the_exact_state_before_each_move(two_buttons):
     episode = Episode(two_buttons)
     states = [episode.state]
-    for name in ("forward", "turn-left", "meta-01", "strafe-left", "meta-02", "meta-exit"):
+    for name in ("forward", "turn-left", "press-button-1", "strafe-left", "press-button-2", "go-to-exit"):
         play(episode, [name])
         states.append(episode.state)
     assert episode.end is EpisodeEnd.ESCAPED
@@ -40,11 +40,11 @@ def test_undo_returns_the_exact_state_before_each_move(two_buttons):
 
 def test_what_is_done_after_an_undo_is_what_would_have_happened_without(two_buttons):
     straight, back = Episode(two_buttons), Episode(two_buttons)
-    play(straight, ["forward", "meta-01"])
-    play(back, ["forward", "strafe-left", "meta-02"])
+    play(straight, ["forward", "press-button-1"])
+    play(back, ["forward", "strafe-left", "press-button-2"])
     back.undo()
     back.undo()
-    play(back, ["meta-01"])
+    play(back, ["press-button-1"])
     assert back.state == straight.state and back.total == straight.total
 
 
@@ -68,20 +68,20 @@ def test_undo_is_exact_under_noise_and_slip_too(kind: str):
 
 def test_a_masked_meta_action_is_refused_and_costs_nothing(clutter):
     episode = Episode(clutter)
-    assert not episode.is_legal(episode.names.index("meta-exit"))
-    assert episode.do(episode.names.index("meta-exit")) is None
+    assert not episode.is_legal(episode.names.index("go-to-exit"))
+    assert episode.do(episode.names.index("go-to-exit")) is None
     assert episode.state.primitives == 0
 
 
 def test_a_saved_episode_replays_to_the_same_state_and_can_be_undone(two_buttons, tmp_path: Path):
     episode = Episode(two_buttons, seed=3)
-    play(episode, ["forward", "meta-01", "meta-02", "meta-exit"])
+    play(episode, ["forward", "press-button-1", "press-button-2", "go-to-exit"])
     save_episode(tmp_path / "mine.json", episode.to_saved())
     saved = load_episode(tmp_path / "mine.json")
     again = Episode(saved.instance, seed=saved.seed)
     again.replay(saved)
     assert again.state == episode.state and again.end is EpisodeEnd.ESCAPED and again.total == episode.total
-    assert [move.name for move in again.moves] == ["forward", "meta-01", "meta-02", "meta-exit"]
+    assert [move.name for move in again.moves] == ["forward", "press-button-1", "press-button-2", "go-to-exit"]
     again.undo()
     assert again.state == episode.moves[-1].steps[0].before
     assert PlayArgs(hidden=True).make_episode(saved).instance == saved.instance
@@ -89,7 +89,7 @@ def test_a_saved_episode_replays_to_the_same_state_and_can_be_undone(two_buttons
         PlayArgs(room="clutter").make_episode(saved)
 
 
-def test_the_next_room_is_the_schematics_next_instance():
+def test_the_next_room_is_the_room_configurations_next_instance():
     config = get_preset("paper-one-button")
     episode = Episode(generate(config, 4), config)
     episode.enter_next_room()
@@ -125,7 +125,7 @@ def test_a_damaged_episode_gives_one_message_with_its_path(two_buttons, tmp_path
 
 def test_an_episode_that_does_not_play_out_as_it_says_is_refused(two_buttons, tmp_path: Path):
     episode = Episode(two_buttons)
-    play(episode, ["meta-01", "meta-02", "meta-exit"])
+    play(episode, ["press-button-1", "press-button-2", "go-to-exit"])
     path = tmp_path / "mine.json"
     save_episode(path, episode.to_saved())
     _spoil(path, **{"return": 99.0})
@@ -136,7 +136,7 @@ def test_an_episode_that_does_not_play_out_as_it_says_is_refused(two_buttons, tm
 
 def test_an_episode_that_does_not_escape_as_it_says_is_refused(two_buttons, tmp_path: Path):
     episode = Episode(two_buttons)
-    play(episode, ["meta-01"])
+    play(episode, ["press-button-1"])
     save_episode(tmp_path / "mine.json", episode.to_saved())
     _spoil(tmp_path / "mine.json", end="escaped")
     saved = load_episode(tmp_path / "mine.json")
@@ -145,19 +145,6 @@ def test_an_episode_that_does_not_escape_as_it_says_is_refused(two_buttons, tmp_
     _spoil(tmp_path / "mine.json", end="fled")
     with pytest.raises(EpisodeFileError, match="'fled' is not a valid EpisodeEnd"):
         load_episode(tmp_path / "mine.json")
-
-
-def test_a_file_from_before_ends_had_names_is_replayed(two_buttons, tmp_path: Path):
-    episode = Episode(two_buttons)
-    play(episode, ["meta-01", "meta-02", "meta-exit"])
-    save_episode(tmp_path / "mine.json", episode.to_saved())
-    content = json.loads((tmp_path / "mine.json").read_text())
-    del content["end"]
-    (tmp_path / "mine.json").write_text(json.dumps(content | {"schema": 1, "escaped": True}))
-    saved = load_episode(tmp_path / "mine.json")
-    again = Episode(saved.instance, seed=saved.seed)
-    again.replay(saved)
-    assert saved.end is None and again.end is EpisodeEnd.ESCAPED
 
 
 def test_a_truncated_episode_names_file_and_place(tmp_path: Path):
@@ -169,16 +156,16 @@ def test_a_truncated_episode_names_file_and_place(tmp_path: Path):
 
 def test_an_escape_that_was_undone_can_be_made_again_by_an_option(two_buttons):
     episode = Episode(two_buttons)
-    play(episode, ["meta-01", "meta-02", "meta-exit"])
+    play(episode, ["press-button-1", "press-button-2", "go-to-exit"])
     ended, total = episode.state, episode.total
     episode.undo()
-    play(episode, ["meta-exit"])
+    play(episode, ["go-to-exit"])
     assert episode.end is EpisodeEnd.ESCAPED and episode.state == ended and episode.total == total
 
 
 def test_a_file_that_is_one_primitive_off_in_its_return_is_refused(tmp_path, two_buttons):
     episode = Episode(two_buttons)
-    play(episode, ["forward", "meta-01"])
+    play(episode, ["forward", "press-button-1"])
     saved = episode.to_saved()
     for wrong in (saved.total + 1.0, saved.total - 1.0, saved.total + 1e-3):
         with pytest.raises(EpisodeFileError, match="the file says"):

@@ -7,7 +7,7 @@ import pytest
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.synthesis import HierarchyEnv
+from hrl_escape.hierarchies import HierarchyEnv
 from hrl_escape.viewer.pages.watch import WatchPage
 from hrl_escape.viewer.server import Server
 from hrl_escape.viewer.watch.drivers import open_driver

@@ -39,7 +39,7 @@ def test_the_gate_lets_primitives_and_decisions_through_one_at_a_time(two_button
         assert settle(passed + 1) == passed and len(watch.decisions) == decisions
     gate.pause(False)
     thread.join(600)
-    assert not thread.is_alive() and watch.decisions[-1].name == "meta-exit"
+    assert not thread.is_alive() and watch.decisions[-1].name == "go-to-exit"
 
 
 def test_a_running_driver_can_be_paused_and_goes_on(two_buttons):

@@ -9,7 +9,7 @@ import pytest
 
 from hrl_escape.comparison.episodes import PrimitiveStep
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles.traits import Graphed, get_trait
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.settings import Between
@@ -75,7 +75,7 @@ def test_a_learned_graph_is_that_of_the_room_once_the_agent_escapes_at_will(two_
 
     watch.on_change = note
     watch.run()
-    assert watch.read_graph() == set(get_trait(two_buttons.puzzle, Graphed).edges)
+    assert watch.read_graph() == set(get_mixin(two_buttons.puzzle, Graphed).edges)
     assert Watch(open_driver("smdp-q-learning", two_buttons), Gate(None)).read_graph() is None
 
 
@@ -93,4 +93,4 @@ def test_a_learned_graph_names_the_targets_of_a_room_with_fewer_than_others_of_i
 
     watch.on_change = note
     watch.run()
-    assert watch.read_graph() == set(get_trait(room.puzzle, Graphed).edges)
+    assert watch.read_graph() == set(get_mixin(room.puzzle, Graphed).edges)

@@ -9,5 +9,5 @@ def test_a_preview_that_cannot_start_says_so(clutter):
     previewer = Previewer(clutter, make_meta_options(clutter))
     env = EscapeRoomEnv(instance=clutter)
     env.reset(seed=0)
-    preview = previewer.preview("meta-exit", env.get_state())
+    preview = previewer.preview("go-to-exit", env.get_state())
     assert preview.problem == "it cannot start here" and len(preview.states) == 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.text.told_env import ToolCall, Turn
+from hrl_escape.text.text_env import ToolCall, Turn
 from hrl_escape.viewer.pages.panels import make_lines
 from hrl_escape.viewer.pages.watch import WatchPage, _list_turns
 from hrl_escape.viewer.server import Server
@@ -12,13 +12,14 @@ from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
 def test_the_page_shows_the_talk(server: Server, two_buttons):
-    driver = open_driver(AgentSpec("text-agent", settings={"model": "search-nearest", "told": "places"}), two_buttons)
-    assert driver.told is not None and not driver.trains
+    spec = AgentSpec("text-agent", settings={"model": "search-nearest", "reveal": "places"})
+    driver = open_driver(spec, two_buttons)
+    assert driver.text_env is not None and not driver.trains
     view = WatchPage(server, Watch(driver, Gate(None)))
     view.run(episodes=1)
-    assert view._talk is not None and driver.told.score().escaped
+    assert view._talk is not None and driver.text_env.score().escaped
     shown = view._talk.content
-    assert "press button-" in shown and "The game is over: escaped." in shown and "You drive a robot" in shown
+    assert "press-button-" in shown and "The game is over: escaped." in shown and "You drive a robot" in shown
     assert shown.index("The game is over") < shown.index("You drive a robot"), "the latest is on top"
 
 

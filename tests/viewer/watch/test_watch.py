@@ -122,7 +122,7 @@ def test_the_planner_drives_out_of_the_room(clutter):
     watch = Watch(open_driver("oracle", clutter), Gate(None))
     choices, steps = watch_steps(watch)
     assert steps[-1].end == "escaped"
-    assert [watch.driver.names[choice.action] for choice in choices][-1] == "meta-exit"
+    assert [watch.driver.names[choice.action] for choice in choices][-1] == "go-to-exit"
 
 
 def test_a_plan_shown_is_what_the_option_then_does(clutter):

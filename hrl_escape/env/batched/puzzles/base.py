@@ -21,7 +21,7 @@ from torch import Tensor
 
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import USE, Contacts, Puzzle
-from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
+from hrl_escape.env.puzzles.mixins import Barring, Pushing, get_mixin
 from hrl_escape.env.tensor_geometry import store
 from hrl_escape.errors import StateError, UnsupportedError, show_value
 
@@ -148,7 +148,7 @@ def _tabulate(puzzle: Puzzle, pairs: bool, most: int) -> PuzzleTable:
         np.array([puzzle.observe(state) for state in states], dtype=np.float32).reshape(
             len(states), len(puzzle.bounds)).T,
         np.array([_pack(puzzle.get_lit(state)) for state in states], dtype=np.uint64).view(np.int64),
-        np.array([get_trait(puzzle, Barring).get_shut(state) for state in states], dtype=np.uint64).view(np.int64),
+        np.array([get_mixin(puzzle, Barring).get_shut(state) for state in states], dtype=np.uint64).view(np.int64),
         np.array([puzzle.is_solved(state) for state in states]),
         np.array([puzzle.is_failed(state) for state in states]))
     if pairs:

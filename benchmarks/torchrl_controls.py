@@ -1,7 +1,7 @@
 """Hold agents made of TorchRL's parts against this project's own, at equal settings: returns, and updates a second.
 
-    python -m benchmarks.torchrl_twins
-    python -m benchmarks.torchrl_twins --runs 2 --primitives 1000
+    python -m benchmarks.torchrl_controls
+    python -m benchmarks.torchrl_controls --runs 2 --primitives 1000
 
 Runs take turns in one process on one thread. An update is a step of Adam; its time is that of `observe`, replay and
 advantages included, in seconds of processor time.
@@ -25,7 +25,7 @@ from hrl_escape.agents.registry import get_agent_class
 from hrl_escape.options import OptionsEnv
 from hrl_escape.options.options_env import make_options_env
 
-TWINS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+CONTROLS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "dqn": ({"n_step": 1, "average_rate": 0.0}, {}),
     "ppo": ({}, {"value_weight": 0.25}),  # of the whole squared error, where ours weighs half of it
 }
@@ -51,7 +51,7 @@ def choose_settings(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
     ours, theirs = (get_agent_class(prefix + name).Settings for prefix in ("", "torchrl-"))
     names = {field.name for field in dataclasses.fields(theirs)} & {field.name for field in dataclasses.fields(ours)}
     shared = {field.name: field.default for field in dataclasses.fields(ours) if field.name in names}
-    return shared | TWINS[name][0], shared | TWINS[name][1]
+    return shared | CONTROLS[name][0], shared | CONTROLS[name][1]
 
 
 def run_once(name: str, settings: dict[str, Any], room: str, primitives: int, seed: int) -> Outcome:
@@ -91,9 +91,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--runs", type=int, default=10)
     chosen = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    print("| agent | return at the end, mean (95 %) | updates a run | updates a second | of its twin |\n"
+    print("| agent | return at the end, mean (95 %) | updates a run | updates a second | of its control |\n"
           "|---|---|---|---|---|")
-    for name in TWINS:
+    for name in CONTROLS:
         outcomes: dict[str, list[Outcome]] = {name: [], f"torchrl-{name}": []}
         for seed in range(chosen.runs):
             for agent, settings in zip(outcomes, choose_settings(name), strict=True):

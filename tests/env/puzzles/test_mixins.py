@@ -1,4 +1,4 @@
-"""The contract of puzzles: four members make one, and what few puzzles have are traits that the others do without."""
+"""The contract of puzzles: four members make one, and what few puzzles have are mixins that the others do without."""
 
 import dataclasses
 
@@ -13,8 +13,8 @@ from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.pictures.palette import name_target
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import DerivedModel, Panels, Puzzle, PuzzleConfig
+from hrl_escape.env.puzzles.mixins import Barring, Depicted, Doored, Graphed, Mapped, Propped, Pushing, get_mixin
 from hrl_escape.env.puzzles.symbolic import Modelled
-from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, Mapped, Propped, Pushing, get_trait
 from hrl_escape.errors import UnsupportedError
 
 
@@ -63,23 +63,23 @@ def test_four_members_make_a_puzzle_that_is_checked_planned_drawn_and_run_in_a_b
 
 def test_a_puzzle_without_a_trait_has_nothing_of_it():
     pair = Pair()
-    graph, level = get_trait(pair, Graphed), get_trait(pair, Mapped)
+    graph, level = get_mixin(pair, Graphed), get_mixin(pair, Mapped)
     assert (graph.edges, graph.locks_between, graph.goal_targets) == ((), (), ())
     assert (level.map_rows, level.target_cells, level.blockable_cells, level.list_cells("", "grip", 0)) == ((),) * 4
-    assert get_trait(pair, Barring).get_shut("") == get_trait(pair, Doored).get_shut("") == 0
-    assert get_trait(pair, Depicted).puddles == get_trait(pair, Propped).props == ()
+    assert get_mixin(pair, Barring).get_shut("") == get_mixin(pair, Doored).get_shut("") == 0
+    assert get_mixin(pair, Depicted).puddles == get_mixin(pair, Propped).props == ()
     with pytest.raises(UnsupportedError, match="no blocks or plates"):
-        get_trait(pair, Propped).with_props(())
+        get_mixin(pair, Propped).with_props(())
     assert isinstance(pair.symbolic, DerivedModel) and pair.symbolic is pair.symbolic
 
 
 @pytest.mark.in_turn_for("puddle-world-traits5")
-@pytest.mark.parametrize(("preset", "traits"), [
+@pytest.mark.parametrize(("preset", "mixins"), [
     ("paper-two-button", {Graphed, Doored, Barring}), ("sokoban", {Mapped, Pushing, Barring}), ("deep-sea", set()),
     ("push-block", {Propped}), ("recipes", {Graphed, Depicted}), ("puddle-world", {Depicted})])
-def test_a_puzzle_with_a_trait_is_asked_itself(preset, traits):
+def test_a_puzzle_with_a_trait_is_asked_itself(preset, mixins):
     puzzle = generate(get_preset(preset), 0).puzzle
     every = {Graphed, Depicted, Barring, Doored, Mapped, Pushing, Propped}
-    assert {trait for trait in every if get_trait(puzzle, trait) is puzzle} == traits
+    assert {mixin for mixin in every if get_mixin(puzzle, mixin) is puzzle} == mixins
     assert isinstance(puzzle, Modelled) == (preset not in ("deep-sea", "puddle-world"))
     assert (puzzle.symbolic is puzzle) == isinstance(puzzle, Modelled)

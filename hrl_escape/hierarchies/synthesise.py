@@ -40,9 +40,9 @@ from hrl_escape.agents.hierarchy_kinds import (
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import UnknownNameError
+from hrl_escape.hierarchies.goal_points import make_displacement_space, make_event_space
+from hrl_escape.hierarchies.situation import Situations
 from hrl_escape.planning.goals import Goal, RegionGoal
-from hrl_escape.synthesis.goal_points import make_displacement_space, make_event_space
-from hrl_escape.synthesis.situation import Situations
 
 _ROOT, EXIT = "escape", "exit"
 

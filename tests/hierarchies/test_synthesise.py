@@ -19,13 +19,13 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import AgentSettingsError, ConfigError, UnknownNameError, UnsupportedError
+from hrl_escape.hierarchies import HierarchyEnv, HierarchyVectorEnv, synthesise
+from hrl_escape.hierarchies.situation import Situations
 from hrl_escape.planning import best_known_return
 from hrl_escape.planning.goals import PressGoal
-from hrl_escape.synthesis import HierarchyEnv, HierarchyVectorEnv, synthesise
-from hrl_escape.synthesis.situation import Situations
 from studies.optima import compute_price
 from tests.covering import cover
-from tests.synthesis.tiny import TINY, enumerate_tiny
+from tests.hierarchies.tiny import TINY, enumerate_tiny
 
 AGENTS = {"maxq": "maxq-q", "ham": "hamq", "landmarks": "h-dqn", "feudal": "feudal-rl"}
 SETTINGS = {"landmarks": {"values": "table"}}

@@ -1,4 +1,4 @@
-"""Studies of twins, of hierarchies and of learning inside options: what their pages say follows from the lines."""
+"""Studies of controls, of hierarchies and of learning inside options: what their pages say follows from the lines."""
 
 from __future__ import annotations
 
@@ -10,16 +10,13 @@ import pytest
 
 from hrl_escape.agents.hierarchy_kinds import KINDS, WITHOUT_PLANS
 from hrl_escape.agents.registry import find_agent_module
-from hrl_escape.comparison.references.bayes import find_schematic
+from hrl_escape.comparison.references.bayes import find_config
 from hrl_escape.errors import UnsupportedError
 from studies.__main__ import main
 from studies.baseline import BaselineRun
-from studies.learned.dial import DialLine
-from studies.page import render
-from studies.study import Study, find_study
-from studies.twins import (
+from studies.controls import (
     analyse,
-    compare_twins,
+    compare_controls,
     compare_with_chance,
     compare_with_searchers,
     find_forced,
@@ -30,6 +27,9 @@ from studies.twins import (
     tell_question,
     tell_visible,
 )
+from studies.learned.dial import DialLine
+from studies.page import render
+from studies.study import Study, find_study
 from tests.studies.pages import load, save
 
 GIVEN_HIERARCHIES, LEARNED_HIERARCHIES, INTRA_OPTION = map(find_study, ("hierarchies", "learned", "intra-option"))
@@ -83,11 +83,11 @@ def test_advice_answers_questions_of_the_study(study: Study):
 def test_the_optimal_searcher_does_not_know_rooms_of_no_preset(study: Study):
     for room in study.grids[0].rooms:
         with pytest.raises(UnsupportedError, match="take a preset, a rung"):
-            find_schematic(room.make_instance())
+            find_config(room.make_instance())
 
 
 @STUDIES
-def test_every_learner_of_the_grid_is_asked_about_or_a_twin_and_nobody_else(study):
+def test_every_learner_of_the_grid_is_asked_about_or_a_control_and_nobody_else(study):
     grid = study.grids[0]
     asked = {label for question in list_questions(study) for pair in question.pairs for label in pair}
     assert asked == {agent.label for agent in grid.agents if agent.learns}
@@ -97,7 +97,7 @@ def test_questions_ask_about_every_hierarchy():
     planned = [kind for kind in KINDS if kind not in WITHOUT_PLANS]
     assert [len(question.pairs) for question in list_questions(GIVEN_HIERARCHIES)] == [len(planned)] * 3
     asked = sum(len(question.pairs) for question in list_questions(LEARNED_HIERARCHIES)[:3])
-    assert asked == len(HIERARCHY_LEARNERS) - 3, "all but three twins"
+    assert asked == len(HIERARCHY_LEARNERS) - 3, "all but three controls"
 
 
 def conclude(study: Study, lines: list[BaselineRun]) -> tuple[str, list[str]]:
@@ -106,7 +106,7 @@ def conclude(study: Study, lines: list[BaselineRun]) -> tuple[str, list[str]]:
     beyond, chance = compare_with_searchers(cells, ROOMS, agents), compare_with_chance(cells, ROOMS, agents)
     questions = list_questions(study)
     told = [tell_question(question, contrasts, beyond, chance)
-            for question, contrasts in zip(questions, compare_twins(questions, cells, ROOMS), strict=True)]
+            for question, contrasts in zip(questions, compare_controls(questions, cells, ROOMS), strict=True)]
     return tell_beyond(beyond, len(ROOMS)), [sentence.partition(": ")[2] for sentence in told]
 
 
@@ -130,7 +130,7 @@ def test_another_truth_is_another_conclusion(better, structure, planned, beside)
     (0.9, "No learner is shown to beat the best searcher that learns nothing in two rooms; all 9 reach less.",
      "none of them beats the best searcher"),
 ])
-def test_a_gain_over_a_twin_is_not_called_one_over_searching(searcher, finding, gain):
+def test_a_gain_over_a_control_is_not_called_one_over_searching(searcher, finding, gain):
     lines = [line for line in make_lines({"+planned": 0.8, "+learned": 0.5}, searcher=searcher)
              if line.agent != "smdp-q-learning"]
     headline, told = conclude(GIVEN_HIERARCHIES, lines)
@@ -160,7 +160,7 @@ def test_a_gain_that_chance_reaches_too_is_told(chance, is_told):
 
 def test_agents_that_run_alike_are_not_compared():
     lines = make_lines({"smdp": 0.5}, study=INTRA_OPTION)
-    assert "`smdp-intra-option-q` and its twin run alike in every room" in conclude(
+    assert "`smdp-intra-option-q` and its control run alike in every room" in conclude(
         INTRA_OPTION, lines)[1][1]
     once = [dataclasses.replace(line, first_escape=99)
             if (line.agent, line.rooms, line.seed) == ("smdp-intra-option-q", "far", 3) else line
@@ -197,7 +197,7 @@ def test_what_would_have_been_seen_grows_with_the_spread():
         lines = [dataclasses.replace(line, efficiency=0.5 + spread * (-1) ** line.seed) if "+planned" in line.agent
                  else line for line in make_lines({"": 0.5})]
         cells = group(lines)
-        return tell_visible(compare_twins([list_questions(GIVEN_HIERARCHIES)[1]], cells, ROOMS)[0])
+        return tell_visible(compare_controls([list_questions(GIVEN_HIERARCHIES)[1]], cells, ROOMS)[0])
 
     assert "80 % power to detect a gain of 0.09 in half" in see(0.1) and "0.35 in half" in see(0.4)
     assert tell_visible([]) == ""
@@ -213,7 +213,7 @@ def test_intervals_and_verdicts_agree():
     lines = make_lines({"maxq-q+planned": 0.15, "hamq+planned": 0.11, "": 0.1})
     lines = [dataclasses.replace(line, efficiency=line.efficiency + 0.05 * (-1) ** line.seed) for line in lines
              if line.agent != "q-learning"] + [line for line in lines if line.agent == "q-learning"]
-    for contrasts in compare_twins(list_questions(GIVEN_HIERARCHIES), group(lines), ROOMS):
+    for contrasts in compare_controls(list_questions(GIVEN_HIERARCHIES), group(lines), ROOMS):
         for contrast in contrasts:
             assert (contrast.low > 0 or contrast.high < 0) == (contrast.is_better or contrast.is_worse)
 

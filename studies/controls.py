@@ -1,8 +1,8 @@
-"""Studies of twins: agents held against the same agents without one part, in the same rooms with the same seeds.
+"""Studies of controls: agents held against the same agents without one part, in the same rooms with the same seeds.
 
 Such a study is data: its grid, and questions of pairs of agents in `study.toml`. A pair is one test over all rooms, and
 the pairs of all questions are one family (Holm). Whether learning adds anything is a further question: each learner
-against the best searcher that learns nothing. Its page extends `twins.md.j2`.
+against the best searcher that learns nothing. Its page extends `controls.md.j2`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from studies.page import make_table
 from studies.statistics import compare_strata, find_visible_difference, tell_power
 from studies.study import Page, Study
 
-__all__ = ["Advice", "Contrast", "Question", "analyse", "choose_advice", "chooses_presses", "compare_twins",
+__all__ = ["Advice", "Contrast", "Question", "analyse", "choose_advice", "chooses_presses", "compare_controls",
            "compare_with_chance", "compare_with_searchers", "find_forced", "find_repeated_rooms", "group",
            "list_questions", "tell_beyond", "tell_question", "tell_visible"]
 
@@ -62,7 +62,7 @@ class Question:
         words: what is held against what.
         who: what each of the agents is: `hierarchy`, or of a single agent its name in code.
         agents: labels.
-        twins: labels of their twins, in the same order; a single one is the twin of all.
+        controls: labels of their controls, in the same order; a single one is the control of all.
         many: plural of `who`.
     """
 
@@ -70,13 +70,14 @@ class Question:
     words: str
     who: str
     agents: tuple[str, ...]
-    twins: tuple[str, ...]
+    controls: tuple[str, ...]
     many: str = ""
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Labels of each agent and its twin."""
-        return tuple(zip(self.agents, self.twins * (len(self.agents) if len(self.twins) == 1 else 1), strict=True))
+        """Labels of each agent and its control."""
+        times = len(self.agents) if len(self.controls) == 1 else 1
+        return tuple(zip(self.agents, self.controls * times, strict=True))
 
 
 class Contrast(NamedTuple):
@@ -84,7 +85,7 @@ class Contrast(NamedTuple):
 
     Attributes:
         agent: label.
-        other: label of the twin, or what it is.
+        other: label of the control, or what it is.
         rooms: mean difference of efficiency in each room.
         gain: mean of these; above 0 the agent is better.
         low: lower end of its interval, which leaves out 0 where the test shows a difference.
@@ -141,7 +142,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     rooms = [room for room in shown if room not in repeated]
     cells = {place: runs for place, runs in group(lines).items() if place[0] in rooms}
     asked = list_questions(study)
-    questions = list(zip(asked, compare_twins(asked, cells, rooms), strict=True))
+    questions = list(zip(asked, compare_controls(asked, cells, rooms), strict=True))
     beyond, chance = compare_with_searchers(cells, rooms, agents), compare_with_chance(cells, rooms, agents)
     headline = tell_beyond(beyond, len(rooms))
     told = [tell_question(question, contrasts, beyond, chance) for question, contrasts in questions]
@@ -206,14 +207,14 @@ def _are_equal(one: BaselineRun, other: BaselineRun) -> bool:
     return (one.efficiency, one.escapes, one.first_escape) == (other.efficiency, other.escapes, other.first_escape)
 
 
-def compare_twins(questions: Sequence[Question], cells: Cells, rooms: Sequence[str]) -> list[list[Contrast]]:
-    """Each agent against its twin, question by question; pairs that lack runs somewhere are left out.
+def compare_controls(questions: Sequence[Question], cells: Cells, rooms: Sequence[str]) -> list[list[Contrast]]:
+    """Each agent against its control, question by question; pairs that lack runs somewhere are left out.
 
     All questions are one family, as a page is wrong if one of its sentences is.
     """
     found = {(contrast.agent, contrast.other): contrast for contrast in _compare(
-        [(agent, twin, dict.fromkeys(rooms, twin)) for question in questions for agent, twin in question.pairs],
-        cells, rooms)}
+        [(agent, control, dict.fromkeys(rooms, control)) for question in questions
+         for agent, control in question.pairs], cells, rooms)}
     return [[found[pair] for pair in question.pairs if pair in found] for question in questions]
 
 
@@ -288,7 +289,7 @@ def tell_beyond(beyond: Sequence[Contrast], rooms: int) -> str:
 
 def tell_question(question: Question, contrasts: Sequence[Contrast], beyond: Sequence[Contrast],
                   chance: Sequence[Contrast]) -> str:
-    """One sentence: who gains over its twin, and whether that is more than searching and chance reach."""
+    """One sentence: who gains over its control, and whether that is more than searching and chance reach."""
     if not contrasts:
         return f"{question.heading}: nothing is concluded, as no pair has {LEAST_RUNS} runs in every room."
     same = [contrast for contrast in contrasts if contrast.is_same]
@@ -317,8 +318,8 @@ def tell_question(question: Question, contrasts: Sequence[Contrast], beyond: Seq
         parts.append(f"{losses} lose{'s' if len(worse) == 1 else ''}")
     if same:
         names = join_words(f"`{contrast.agent}`" for contrast in same)
-        twins = "its twin" if len(same) == 1 else "their twins"
-        parts.append(f"{names} and {twins} run alike in every room, so nothing was compared")
+        controls = "its control" if len(same) == 1 else "their controls"
+        parts.append(f"{names} and {controls} run alike in every room, so nothing was compared")
     return f"{question.heading}: {', '.join(parts)}."
 
 

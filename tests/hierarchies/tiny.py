@@ -7,7 +7,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.puzzles.base import Panels, Place
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
-from hrl_escape.synthesis import HierarchyEnv
+from hrl_escape.hierarchies import HierarchyEnv
 from studies.optima import TabularModel, enumerate_model
 
 TINY = RoomConfig(

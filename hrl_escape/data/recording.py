@@ -1,9 +1,9 @@
-"""Tapes: what was chosen, from which a data set is replayed to the bit. Most take less than a byte a primitive.
+"""Recordings: what was chosen, from which a data set is replayed to the bit. Most take less than a byte a primitive.
 
-A tape is one compressed npz of flat arrays and a JSON text, `about`. It holds the seed and room of every episode, every
-primitive, and for every decision its option, duration, ending and the options that were legal. States, observations and
-rewards are not stored: the engine makes them again (`materialise.py`). Reading pickles nothing, bounds every size
-before a byte is unpacked, and checks the content's hash.
+A recording is one compressed npz of flat arrays and a JSON text, `about`. It holds the seed and room of every episode,
+every primitive, and for every decision its option, duration, ending and the options that were legal. States,
+observations and rewards are not stored: the engine makes them again (`materialise.py`). Reading pickles nothing, bounds
+every size before a byte is unpacked, and checks the content's hash.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from hrl_escape.errors import FileReadError, describe_damage
+from hrl_escape.errors import FileReadError, OldFormatError, describe_damage
 from hrl_escape.files import atomic_writer, open_plain, parse_json
+from hrl_escape.names import number_options
 from hrl_escape.sets.grammar import find_set
 from hrl_escape.sets.instance_set import InstanceSet
 
-TAPE_FORMAT = 1
+RECORDING_FORMAT = 2
 DYNAMICS = "EscapeRoom-v1"
-"""Version of the rules that a tape is replayed by: that of the environment's id."""
+"""Version of the rules that a recording is replayed by: that of the environment's id."""
 ENDS = ("cut", "terminated", "truncated")
-"""Ends of an episode; `Tape.end` is an index into it."""
-LARGEST_TAPE = 2**29
-"""Bytes that a tape's arrays may take together, 512 MiB: 10^8 primitives."""
+"""Ends of an episode; `Recording.end` is an index into it."""
+LARGEST_RECORDING = 2**29
+"""Bytes that a recording's arrays may take together, 512 MiB: 10^8 primitives."""
 FIELDS: Mapping[str, type] = {
     "episode_seed": np.uint64, "room": np.int32, "decisions": np.int32, "end": np.uint8, "option": np.int16,
     "duration": np.uint16, "policy": np.uint8, "ended": np.uint8, "cut": np.uint8, "legal": np.uint64,
@@ -43,7 +44,7 @@ _OF_EPISODES = ("episode_seed", "room", "decisions", "end")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Tape:
+class Recording:
     """Recorded episodes; E episodes, D decisions, P primitives.
 
     Attributes:
@@ -77,7 +78,7 @@ class Tape:
     action: NDArray[np.int8]
 
     def __repr__(self) -> str:
-        return (f"<Tape {self.about['name']}: {len(self.action):,} primitives, {len(self.option):,} decisions, "
+        return (f"<Recording {self.about['name']}: {len(self.action):,} primitives, {len(self.option):,} decisions, "
                 f"{len(self.room):,} episodes>")
 
     @cached_property
@@ -87,8 +88,13 @@ class Tape:
 
     @cached_property
     def content(self) -> str:
-        """SHA-256 of the arrays, the rooms and the actions, whichever version recorded them; 64 hexadecimal digits."""
-        return self._hash({name: self.about[name] for name in ("rooms_id", "actions", "primitive_count")})
+        """SHA-256 of the arrays, the rooms and the actions, whichever version recorded them; 64 hexadecimal digits.
+
+        Options count by their numbers, as contents were published before options were named after their goals.
+        """
+        count, actions = self.primitive_count, self.about["actions"]
+        return self._hash({"rooms_id": self.about["rooms_id"], "primitive_count": count,
+                           "actions": [*actions[:count], *number_options(len(actions) - count)]})
 
     def _hash(self, about: Mapping[str, Any]) -> str:
         content = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
@@ -100,24 +106,24 @@ class Tape:
 
     @cached_property
     def rooms(self) -> InstanceSet:
-        """Rooms of the tape.
+        """Rooms of the recording.
 
         Raises:
-            FileReadError: here the text names other rooms than where the tape was recorded.
+            FileReadError: here the text names other rooms than where the recording was recorded.
         """
         rooms = find_set(self.about["rooms"])
         if rooms.describe()["id"] != self.about["rooms_id"]:
-            raise FileReadError(f"tape {self.about['name']}: its rooms {self.about['rooms']} are not those of this "
-                                f"version (recorded with hrl_escape {self.about['package']}); record it anew")
+            raise FileReadError(f"recording {self.about['name']}: its rooms {self.about['rooms']} are not those of "
+                                f"this version (recorded with hrl_escape {self.about['package']}); record it anew")
         return rooms
 
-    def select(self, room: int) -> Tape:
-        """Episodes in one of the rooms, as a tape of their own."""
+    def select(self, room: int) -> Recording:
+        """Episodes in one of the rooms, as a recording of their own."""
         kept = self.room == room
         rows = np.repeat(kept, self.decisions)
         parts = {"legal": np.repeat(kept, self.decisions + 1), "action": np.repeat(rows, self.duration)}
         arrays = {name: getattr(self, name)[parts.get(name, kept if name in _OF_EPISODES else rows)] for name in FIELDS}
-        return Tape({**self.about, "name": f"{self.about['name']}[{room}]"}, **arrays)
+        return Recording({**self.about, "name": f"{self.about['name']}[{room}]"}, **arrays)
 
     @property
     def primitive_count(self) -> int:
@@ -125,41 +131,48 @@ class Tape:
         return int(self.about["primitive_count"])
 
 
-def save_tape(path: str | os.PathLike[str], tape: Tape) -> None:
-    """Write a tape atomically; equal tapes give equal bytes, with the same zlib."""
-    about = {**tape.about, "digest": tape.digest}
-    arrays = {name: getattr(tape, name) for name in FIELDS}
+def save_recording(path: str | os.PathLike[str], recording: Recording) -> None:
+    """Write a recording atomically; equal recordings give equal bytes, with the same zlib."""
+    about = {**recording.about, "digest": recording.digest}
+    arrays = {name: getattr(recording, name) for name in FIELDS}
     arrays["about"] = np.frombuffer(json.dumps(about, sort_keys=True).encode(), np.uint8)
     with atomic_writer(path) as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # pyright: ignore[reportArgumentType]
 
 
-def load_tape(path: str | os.PathLike[str]) -> Tape:
-    """Read a tape, and check that it is whole and of this engine.
+def load_recording(path: str | os.PathLike[str], version: int = RECORDING_FORMAT) -> Recording:
+    """Read a recording, and check that it is whole and of this engine.
+
+    Args:
+        path: the file.
+        version: format that it must have; another one than the present is for conversion alone.
 
     Raises:
+        OldFormatError: it is of version 0.3.
         FileReadError: it is missing, damaged, something else, or of another engine or version.
     """
-    with open_plain(path, "tape", largest=LARGEST_TAPE) as file:
+    with open_plain(path, "recording", largest=LARGEST_RECORDING) as file:
         try:
             with zipfile.ZipFile(file) as archive:
                 members = {member.filename: member for member in archive.infolist()}
                 if members.keys() != {f"{name}.npy" for name in (*FIELDS, "about")}:
-                    raise ValueError("it holds other arrays than a tape does")
-                if (total := sum(member.file_size for member in members.values())) > LARGEST_TAPE:
-                    raise ValueError(f"it claims {total:,} bytes, and at most {LARGEST_TAPE:,} are read here")
-                about = parse_json(_read(archive, members["about.npy"], np.uint8).tobytes(), path, "tape")
+                    raise ValueError("it holds other arrays than a recording does")
+                if (total := sum(member.file_size for member in members.values())) > LARGEST_RECORDING:
+                    raise ValueError(f"it claims {total:,} bytes, and at most {LARGEST_RECORDING:,} are read here")
+                about = parse_json(_read(archive, members["about.npy"], np.uint8).tobytes(), path, "recording")
                 digest = about.pop("digest")
-                _check_version(about)
-                tape = Tape(about, **{name: _read(archive, members[f"{name}.npy"], dtype)
+                _check_version(path, about, version)
+                recording = Recording(about, **{name: _read(archive, members[f"{name}.npy"], dtype)
                                       for name, dtype in FIELDS.items()})
-            if tape.digest != digest:
+            if recording.digest != digest:
                 raise ValueError("its content does not have the hash that it states")
-            _check_sizes(tape)
-            return tape
+            _check_sizes(recording)
+            return recording
+        except OldFormatError:
+            raise
         except Exception as error:  # damaged bytes make the readers of zip, npy and JSON raise almost anything
-            raise FileReadError(f"{Path(path)}: this tape is damaged or is something else ({describe_damage(error)})"
-                                ) from error
+            raise FileReadError(f"{Path(path)}: this recording is damaged or is something else "
+                                f"({describe_damage(error)})") from error
 
 
 def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, dtype: type) -> np.ndarray:
@@ -175,32 +188,34 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, dtype: type) -> np.
         return np.frombuffer(file.read(claimed), dtype)
 
 
-def _check_version(about: Mapping[str, Any]) -> None:
-    """Refuse what another engine, other rules or another form of tapes must replay."""
-    ours = {"format": TAPE_FORMAT, "engine": "bullet", "dynamics": DYNAMICS}
+def _check_version(path: str | os.PathLike[str], about: Mapping[str, Any], version: int) -> None:
+    """Refuse what another engine, other rules or another form of recordings must replay."""
+    ours = {"format": version, "engine": "bullet", "dynamics": DYNAMICS}
     for name, value in ours.items():
+        if name == "format" and about[name] == 1 != version:
+            raise OldFormatError(path, "recording")
         if about[name] != value:
             raise ValueError(f"its {name} is {about[name]!r} (recorded with hrl_escape {about['package']}), and this "
                              f"version replays {value!r}")
 
 
-def _check_sizes(tape: Tape) -> None:
+def _check_sizes(recording: Recording) -> None:
     """Refuse arrays that contradict each other."""
-    counts = {"decisions": (tape.decisions.astype(np.int64).sum(), len(tape.option)),
-              "durations": (tape.duration.astype(np.int64).sum(), len(tape.action)),
-              "legal": (len(tape.option) + len(tape.room), len(tape.legal))}
-    lengths = {name: len(getattr(tape, name)) for name in FIELDS}
+    counts = {"decisions": (recording.decisions.astype(np.int64).sum(), len(recording.option)),
+              "durations": (recording.duration.astype(np.int64).sum(), len(recording.action)),
+              "legal": (len(recording.option) + len(recording.room), len(recording.legal))}
+    lengths = {name: len(getattr(recording, name)) for name in FIELDS}
     alike = (_OF_EPISODES, ("option", "duration", "policy", "ended", "cut"))
     if any(len({lengths[name] for name in names}) > 1 for names in alike):
         raise ValueError("its arrays have different lengths")
     for name, (claimed, found) in counts.items():
         if claimed != found:
             raise ValueError(f"its {name} stand for {claimed:,}, and it holds {found:,}")
-    actions = len(tape.about["actions"])
-    limits = {"option": actions, "end": len(ENDS), "ended": 5, "cut": 2, "policy": len(tape.about["policies"])}
+    actions = len(recording.about["actions"])
+    limits = {"option": actions, "end": len(ENDS), "ended": 5, "cut": 2, "policy": len(recording.about["policies"])}
     for name, limit in limits.items():
-        array = getattr(tape, name)
+        array = getattr(recording, name)
         if len(array) and not 0 <= int(array.min()) <= int(array.max()) < limit:
             raise ValueError(f"its {name} has numbers outside 0 to {limit - 1}")
-    if len(tape.option) and (int(tape.duration.min()) < 1 or int(tape.decisions.min()) < 1):
+    if len(recording.option) and (int(recording.duration.min()) < 1 or int(recording.decisions.min()) < 1):
         raise ValueError("an episode without decisions, or a decision without primitives")

@@ -17,9 +17,9 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import AgentSettingsError, UnsupportedError
+from hrl_escape.hierarchies import HierarchyEnv, HierarchyVectorEnv, synthesise
 from hrl_escape.planning.planner import RoomPlanner
-from hrl_escape.synthesis import HierarchyEnv, HierarchyVectorEnv, synthesise
-from tests.synthesis.tiny import TINY
+from tests.hierarchies.tiny import TINY
 
 AGENTS = {"hac": "events", "sol": "events", "option-keyboard": "events", "hiro": "displacements",
           "hrac": "displacements"}

@@ -1,7 +1,7 @@
-"""Traits that some puzzles have besides their rules: a graph, signs, marks, doors, a map, things to push.
+"""Mixins that some puzzles have besides their rules: a graph, signs, marks, doors, a map, things to push.
 
-A puzzle declares a trait as a base class, `class Sokoban(Pushing, Puzzle)`. The defaults of each trait are those
-of a puzzle without it: `get_trait(puzzle, Graphed).edges` is empty for a puzzle that is not `Graphed`.
+A puzzle declares a mixin as a base class, `class Sokoban(Pushing, Puzzle)`. The defaults of each mixin are those
+of a puzzle without it: `get_mixin(puzzle, Graphed).edges` is empty for a puzzle that is not `Graphed`.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from typing import Any, TypeVar
 from hrl_escape.env.puzzles.places import Capsule, Prop
 from hrl_escape.errors import UnsupportedError
 
-Trait = TypeVar("Trait")
+Mixin = TypeVar("Mixin")
 
 
-def get_trait(puzzle: object, trait: type[Trait]) -> Trait:
-    """Return the puzzle itself if it has a trait, else an empty instance of the trait."""
-    return puzzle if isinstance(puzzle, trait) else trait()
+def get_mixin(puzzle: object, mixin: type[Mixin]) -> Mixin:
+    """Return the puzzle itself if it has a mixin, else an empty instance of the mixin."""
+    return puzzle if isinstance(puzzle, mixin) else mixin()
 
 
 class Graphed:
-    """Trait: targets depend on each other; for drawings, reports and learners' graphs, not for planners."""
+    """Mixin: targets depend on each other; for drawings, reports and learners' graphs, not for planners."""
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
@@ -40,7 +40,7 @@ class Graphed:
 
 
 class Depicted:
-    """Trait: drawings show more of the puzzle than names and lights."""
+    """Mixin: drawings show more of the puzzle than names and lights."""
 
     @property
     def puddles(self) -> tuple[Capsule, ...]:
@@ -53,14 +53,14 @@ class Depicted:
 
 
 class Marked:
-    """Trait: targets bear symbols that agents see, and that change no rule; see `marks.py`."""
+    """Mixin: targets bear symbols that agents see, and that change no rule; see `marks.py`."""
 
     marks: tuple[int, ...] = ()
     """Number of the symbol on each target; none where targets bear no marks."""
 
 
 class Barring:
-    """Trait: the state decides which of the room's inner doors, or things in cells, block the way."""
+    """Mixin: the state decides which of the room's inner doors, or things in cells, block the way."""
 
     def get_shut(self, state: Any) -> int:
         """Bits of the inner doors that are shut."""
@@ -68,7 +68,7 @@ class Barring:
 
 
 class Doored(Barring):
-    """Trait of a `Modelled` puzzle without a map: doors between rooms open with its facts, and stay open."""
+    """Mixin of a `Modelled` puzzle without a map: doors between rooms open with its facts, and stay open."""
 
     get_facts: Callable[[Any], frozenset[str]]
 
@@ -84,7 +84,7 @@ class Doored(Barring):
 
 
 class Mapped(Barring):
-    """Trait: the puzzle draws the map of its grid world, see `maps.py`; cells are numbered row by row."""
+    """Mixin: the puzzle draws the map of its grid world, see `maps.py`; cells are numbered row by row."""
 
     @property
     def map_rows(self) -> tuple[str, ...]:
@@ -107,11 +107,11 @@ class Mapped(Barring):
 
 
 class Pushing(Mapped):
-    """Trait: a move into a blocked cell calls `update` with `PUSH`, and goes ahead if that frees the cell."""
+    """Mixin: a move into a blocked cell calls `update` with `PUSH`, and goes ahead if that frees the cell."""
 
 
 class Propped:
-    """Trait: props stand on the floor, and physics moves them."""
+    """Mixin: props stand on the floor, and physics moves them."""
 
     @property
     def props(self) -> tuple[Prop, ...]:

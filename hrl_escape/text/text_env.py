@@ -1,6 +1,6 @@
-"""A room that tells in words what happens in it, and takes calls of tools in place of action numbers.
+"""Text interface to a room: describes states in words and accepts tool calls as actions.
 
-`ToldEnv` changes no number of the `OptionsEnv` that it wraps: it keeps a transcript of every game, whoever plays. A
+`TextEnv` changes no number of the `OptionsEnv` that it wraps: it keeps a transcript of every game, whoever plays. A
 caller begins a call; the next steps of the environment, made by a `RoomSession` or by a loop that asks a `ToolsAgent`,
 carry it out. The text tells no more than an agent's observation holds, but for the level `model`.
 """
@@ -19,16 +19,17 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 
 from hrl_escape.agents.agent import SMDPTransition, make_transition, read_action_mask
-from hrl_escape.agents.text_agent import TOLD_LEVELS, Level
+from hrl_escape.agents.text_agent import REVEAL_LEVELS, Level
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.errors import ResetNeededError, UnknownNameError, UnsupportedError
 from hrl_escape.names import count_nouns, join_words
+from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import compute_expected_escape, find_best_known
-from hrl_escape.planning.goals import make_goal
+from hrl_escape.planning.goals import find_new_name, make_goal, name_goal
 from hrl_escape.planning.symbolic.pddl import clean_name, export_pddl
-from hrl_escape.text.words import clean, phrase_options, place, tell_changes, tell_goal, tell_room
+from hrl_escape.text.words import clean, number_options, place, tell_changes, tell_room
 
 MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200
 """Looks that are free between two moves; most repeats of a primitive; characters of a wrong value that are kept."""
@@ -90,12 +91,12 @@ def count_characters(turns: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) 
     return sum(len(json.dumps(each, separators=(",", ":"))) for each in said) + sum(len(turn.text) for turn in turns)
 
 
-class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
+class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
     """Keeps the transcript of a room's games, and carries out calls of tools.
 
     Args:
         env: options over a room, or a flat room, which gets its meta-actions and primitives.
-        told: one of `TOLD_LEVELS`.
+        reveal: what the text reveals, one of `REVEAL_LEVELS`.
 
     Attributes:
         seed: of the game; None where the environment drew its start.
@@ -112,17 +113,17 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     env: Any
 
-    def __init__(self, env: gymnasium.Env, told: Level = "places") -> None:
-        RecordConstructorArgs.__init__(self, told=told)
-        if told not in TOLD_LEVELS:
-            raise UnknownNameError("level of what is told", told, TOLD_LEVELS)
+    def __init__(self, env: gymnasium.Env, reveal: Level = "places") -> None:
+        RecordConstructorArgs.__init__(self, reveal=reveal)
+        if reveal not in REVEAL_LEVELS:
+            raise UnknownNameError("reveal level", reveal, REVEAL_LEVELS)
         while isinstance(env, (OrderEnforcing, PassiveEnvChecker)):
             env = env.env
         options = env if isinstance(env, OptionsEnv) else OptionsEnv(env)
         if options.level or not hasattr(options.unwrapped, "get_state"):
             raise UnsupportedError("a session is about a room: give it an OptionsEnv over one, not over other options")
         super().__init__(options)
-        self.told: Level = told
+        self.reveal: Level = reveal
         self.transcript: list[Turn] = []
         self.log: list[SMDPTransition] = []
         self.action: int | None = None
@@ -138,7 +139,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         instance = self.instance
         if seed is not None or instance.id != self._room_id:
             self.transcript, self.seed = [], seed
-        self._names = phrase_options(self.env.options, instance)
+        self._names = number_options(self.env.options)
         first = self.env.primitive_count
         self._actions = {name: first + number for name, number in self._names.items()}
         self._primitives = {clean(name): number for number, name in enumerate(self.env.action_names[:first])}
@@ -179,7 +180,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._looks = self._looks + 1 if call.name == "look" and not self._wrong else 0
         if self._looks:
             return self._answer(self._describe_now())
-        self._states, self._parts = [self.state], []
+        self._steps, self._parts = list[DomainStep](), []
         if self._wrong and self.action is None:
             self.action = -1
         return None
@@ -235,7 +236,9 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         named, choices = ("option", self._actions) if call.name == "run_option" else ("primitive", self._primitives)
         choice, times = given[named], given.get("times", 1)
         if not isinstance(choice, str) or choice not in choices:
-            return f"There is no such {named}. There are {join_words(map(_show, choices))}."
+            new = find_new_name(choice, list(choices)) if isinstance(choice, str) else None
+            meant = f" Did you mean {_show(new)}?" if new else ""
+            return f"There is no such {named}.{meant} There are {join_words(map(_show, choices))}."
         if type(times) is not int or not 1 <= times <= MOST_TIMES:
             return f'"times" is a whole number from 1 to {MOST_TIMES}.'
         self.action = choices[choice]
@@ -248,24 +251,24 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
         """Take note of a step, and answer where it ends the call."""
         transition = make_transition(self._observation, taken, self._mask, step, self.env.gamma)
         self._parts.append(transition)
-        self._states += [part.next_state for part in self.env.last_steps]
+        self._steps += self.env.last_steps
         self._rewards += self.env.last_rewards
         self._observation, self._mask = transition.next_observation, transition.next_action_mask
         self._end = EpisodeEnd.of_step(bool(step[4]["is_success"]), step[2], step[3])
         self.is_over = self._end.is_over
-        said = tell_changes(self.instance, self._states)
+        said = tell_changes(self.instance, self._steps)
         self._left -= 1
         if self._left and not said and not self.is_over:
             return
         self.action = None
         self.log.append(_join(self._parts))
         self._invalid += bool(self._wrong)
-        took = len(self._states) - 1
+        took = len(self._steps)
         lines = [f"Wrong call: {self._wrong}"] if self._wrong else []
         lines.append(f"Took {count_nouns(took, 'primitive')}, {len(self._rewards)} of {self.instance.horizon}.")
         if step[4]["option"]["ended"] == "planning-failed" and not self._wrong:
             lines.append("No way on was found.")
-        if self.told != "names" and not self.is_over:
+        if self.reveal != "names" and not self.is_over:
             said.append(f"You are at {place(self.state.x, self.state.y)}.")
         self._answer(" ".join(filter(None, [*lines, *said, self._describe_end()])))
 
@@ -297,12 +300,12 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
                  f"Each primitive earns {reward.step:g}, leaving {reward.on_exit:g}; a wrong call takes one. "
                  f"After {instance.horizon} of them the game is over.",
                  f"The puzzle: {type(instance.puzzle).about}", self._describe_now()]
-        return "\n".join(parts + (self._describe_model() if self.told == "model" else []))
+        return "\n".join(parts + (self._describe_model() if self.reveal == "model" else []))
 
     def _describe_now(self) -> str:
         room = self.env.unwrapped
-        told = tell_room(self.instance, self.state, self.told != "names", room.rules.get_heading)
-        return f"{told}\n{self._describe_end()}".rstrip()
+        said = tell_room(self.instance, self.state, self.reveal != "names", room.rules.get_heading)
+        return f"{said}\n{self._describe_end()}".rstrip()
 
     def _describe_end(self) -> str:
         """Options that cannot be carried out, or the end."""
@@ -316,7 +319,7 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
     def _describe_model(self) -> list[str]:
         """The symbolic model, and the option of every operator that is not named like it."""
         instance = self.instance
-        goals = {op.name: tell_goal(make_goal(op, instance), instance)
+        goals = {op.name: name_goal(make_goal(op, instance), instance)
                  for op in instance.symbolic_model.operators}
         unlike = [f"{clean_name(op)}: {_show(clean(option))}" for op, option in goals.items()
                   if clean_name(op) != clean_name(option)]
@@ -324,14 +327,14 @@ class ToldEnv(gymnasium.Wrapper, RecordConstructorArgs):
                 *([f"Options of actions: {'; '.join(unlike)}."] if unlike else [])]
 
 
-def find_told_env(env: gymnasium.Env) -> ToldEnv:
-    """The `ToldEnv` among the wrappers of a room; `UnsupportedError` where there is none."""
+def find_text_env(env: gymnasium.Env) -> TextEnv:
+    """The `TextEnv` among the wrappers of a room; `UnsupportedError` where there is none."""
     inner: Any = env
     while isinstance(inner, gymnasium.Wrapper):
-        if isinstance(inner, ToldEnv):
+        if isinstance(inner, TextEnv):
             return inner
         inner = inner.env
-    raise UnsupportedError(f"nothing tells in words what happens in {env}: wrap its OptionsEnv in a ToldEnv")
+    raise UnsupportedError(f"nothing tells in words what happens in {env}: wrap its OptionsEnv in a TextEnv")
 
 
 def _show(name: str) -> str:
@@ -400,11 +403,11 @@ class RoomSession:
 
         session = RoomSession(OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1")))
         print(session.reset(seed=0))
-        print(session.call("run_option", {"option": "press button-1"}).text)
+        print(session.call("run_option", {"option": "press-button-1"}).text)
 
     Args:
-        env: options over a room, a flat room, or a `ToldEnv`, whose level then holds.
-        told: what a caller is told, one of `TOLD_LEVELS`.
+        env: options over a room, a flat room, or a `TextEnv`, whose level then holds.
+        reveal: what the text reveals, one of `REVEAL_LEVELS`.
 
     Attributes:
         env: the environment that tells.
@@ -414,8 +417,8 @@ class RoomSession:
         UnsupportedError: there is no room.
     """
 
-    def __init__(self, env: gymnasium.Env, told: Level = "places") -> None:
-        self.env = env if isinstance(env, ToldEnv) else ToldEnv(env, told)
+    def __init__(self, env: gymnasium.Env, reveal: Level = "places") -> None:
+        self.env = env if isinstance(env, TextEnv) else TextEnv(env, reveal)
 
     def reset(self, seed: int | None = None) -> str:
         """Begin a game; the text says what there is, as far as it is told. The seed fixes start and noise."""

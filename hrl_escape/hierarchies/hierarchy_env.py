@@ -19,8 +19,8 @@ from hrl_escape.agents.hierarchy_kinds import HierarchyKind
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import ConfigError, UnsupportedError
-from hrl_escape.synthesis.situation import Situations
-from hrl_escape.synthesis.synthesise import make_structure
+from hrl_escape.hierarchies.situation import Situations
+from hrl_escape.hierarchies.synthesise import make_structure
 
 if TYPE_CHECKING:
     from hrl_escape.env.vector_env import EscapeRoomVectorEnv

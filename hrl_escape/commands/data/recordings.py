@@ -1,4 +1,4 @@
-"""Commands on the tapes of data sets."""
+"""Commands on the recordings of data sets."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.commands.room_choice import refuse_rooms
-from hrl_escape.data.catalogue import FOLDER, RUNGS, TAPE_KINDS, find_tape, list_specs, parse_spec
+from hrl_escape.data.catalogue import FOLDER, RECORDING_KINDS, RUNGS, find_recording, list_specs, parse_spec
 from hrl_escape.data.published import compare_published, read_published, refuse_other
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, VerificationError
 from hrl_escape.names import make_file_name
@@ -24,7 +24,7 @@ class ExportArgs:
     """Options of `hrl-escape data export`."""
 
     name: Annotated[str, tyro.conf.Positional]
-    """Data set, or the path of a tape."""
+    """Data set, or the path of a recording."""
     to: Literal["minari", "ogbench"] = "ogbench"
     """Form: Minari's two sets, or OGBench's two files."""
     level: Literal["decisions", "primitives"] = "decisions"
@@ -66,15 +66,15 @@ class DataListArgs:
 
 
 def run_list(args: DataListArgs) -> None:
-    """List the data sets of the catalogue: what behaved, how much, what it reached, and whether a tape is here.
+    """List the data sets of the catalogue: what behaved, how much, what it reached, and whether a recording is here.
 
-    Of a tape that is here it tells what that holds, of another what is published.
+    Of a recording that is here it tells what that holds, of another what is published.
 
     Examples:
         hrl-escape data list
         hrl-escape data list --rung lattice --json
     """
-    from hrl_escape.data.tape import load_tape
+    from hrl_escape.data.recording import load_recording
 
     if args.rung not in (None, *RUNGS):
         raise UnknownNameError("rung with data sets", args.rung, RUNGS)
@@ -84,17 +84,17 @@ def run_list(args: DataListArgs) -> None:
         if args.rung not in (None, spec.rung):
             continue
         try:
-            path = find_tape(spec.name)
+            path = find_recording(spec.name)
         except FileReadError:
             if (known := published.get(spec.name)) is None:
                 continue
             here, size, primitives, scores = False, known.bytes, known.primitives, known.scores
         else:
-            tape = load_tape(path)
-            here, size, primitives, scores = True, path.stat().st_size, len(tape.action), tape.about["scores"]
+            recording = load_recording(path)
+            here, size, primitives, scores = True, path.stat().st_size, len(recording.action), recording.about["scores"]
         rows.append({"name": spec.name, "primitives": primitives, "here": here, "bytes": size,
                      "mean_return": scores.get("mean_return"), "escapes": scores.get("escapes"),
-                     "what": TAPE_KINDS[spec.kind]})
+                     "what": RECORDING_KINDS[spec.kind]})
     if args.json:
         print(json.dumps(rows, indent=2))
         return
@@ -105,7 +105,7 @@ def run_list(args: DataListArgs) -> None:
                       *reached)
     console = Console(width=120, highlight=False)
     console.print(table)
-    for kind, what in TAPE_KINDS.items():
+    for kind, what in RECORDING_KINDS.items():
         console.print(f"{kind}: {what}", markup=False)
     console.print("Names with 1m or 10m before v1 hold ten or a hundred times as much; to record one: "
                   "hrl-escape data make NAME")
@@ -118,7 +118,7 @@ class MakeArgs:
     names: Annotated[tuple[str, ...], tyro.conf.Positional]
     """Data sets of the catalogue, see `hrl-escape data list`; with --played the name of yours."""
     out: Path = FOLDER
-    """Folder of the tapes; `train --data NAME` looks into `data`."""
+    """Folder of the recordings; `train --data NAME` looks into `data`."""
     primitives: int | None = None
     """Another number of primitives than the name says, for a trial."""
     room: str | None = None
@@ -135,9 +135,10 @@ class MakeArgs:
 def run_make(args: MakeArgs) -> None:
     """Record data sets of six kinds of behaviour in the training rooms of a rung, or make one of your own play.
 
-    The kinds are play, noisy, expert, medium, stitch and explore. A tape of 10^5 primitives takes some ten seconds to a
-    minute, 20 to 120 kB on disk, and replays to the bit. A recording that was killed goes on where it was. A recording
-    of the size that its name says is held against the published tape: one that differs is kept as NAME.other.npz, and
+    The kinds are play, noisy, expert, medium, stitch and explore. A recording of 10^5 primitives takes some ten seconds
+    to a minute, 20 to 120 kB on disk, and replays to the bit. A recording that was killed goes on where it was. A
+    recording of the size that its name says is held against the published recording: one that differs is kept as
+    NAME.other.npz, and
     is an error, but for medium, whose network another processor or version of torch may train otherwise.
 
     Examples:
@@ -145,17 +146,17 @@ def run_make(args: MakeArgs) -> None:
         hrl-escape data make lattice-play-v1 lattice-expert-v1 --out data
         hrl-escape data make mine --room paper-two-button --played episodes/*.json
     """
-    from hrl_escape.data.record import make_played_tape, record  # loads torch
-    from hrl_escape.data.tape import load_tape, save_tape
+    from hrl_escape.data.record import make_played_recording, record  # loads torch
+    from hrl_escape.data.recording import load_recording, save_recording
 
     console = Console(soft_wrap=True, highlight=False)
     if args.played or args.room:
         if len(args.names) != 1 or not (args.played and args.room):
             raise ConfigError("names", args.names, "one name, with both --room and --played")
         name = make_file_name(args.names[0])
-        tape = make_played_tape(name, args.room, args.played)
-        save_tape(args.out / f"{name}.npz", tape)
-        console.print(f"{tape}; wrote {args.out / f'{name}.npz'}", markup=False)
+        recording = make_played_recording(name, args.room, args.played)
+        save_recording(args.out / f"{name}.npz", recording)
+        console.print(f"{recording}; wrote {args.out / f'{name}.npz'}", markup=False)
         return
     if not args.names:
         raise ConfigError("names", "none", "at least one data set of `hrl-escape data list`")
@@ -165,15 +166,15 @@ def run_make(args: MakeArgs) -> None:
     for spec in [parse_spec(name) for name in args.names]:
         path = args.out / f"{spec.name}.npz"
         try:
-            tape = load_tape(path) if path.is_file() else record(spec, path, primitives=args.primitives)
-            found = compare_published(spec.name, tape)
+            recording = load_recording(path) if path.is_file() else record(spec, path, primitives=args.primitives)
+            found = compare_published(spec.name, recording)
             if not (args.primitives or found.fits):
                 raise refuse_other(spec.name, found, path)
         except VerificationError as error:
             refused.append(str(error))
         else:
             told = "" if args.primitives else f"; {found.words}"
-            console.print(f"{tape}; {path}, {path.stat().st_size:,} bytes{told}", markup=False)
+            console.print(f"{recording}; {path}, {path.stat().st_size:,} bytes{told}", markup=False)
     if refused:
         raise VerificationError("; ".join(refused))
 
@@ -183,7 +184,7 @@ class DataShowArgs:
     """Options of `hrl-escape data show`."""
 
     name: Annotated[str, tyro.conf.Positional]
-    """Data set, or the path of a tape."""
+    """Data set, or the path of a recording."""
     draw: Path | None = None
     """Draw its first episodes and its durations into this file: png, svg or pdf."""
     json: bool = False
@@ -198,10 +199,10 @@ def run_show(args: DataShowArgs) -> None:
         hrl-escape data show lattice-expert-v1 --draw card.png
     """
     from hrl_escape.data.card import describe, describe_unrecorded, save_card  # loads torch and matplotlib
-    from hrl_escape.data.tape import load_tape
+    from hrl_escape.data.recording import load_recording
 
     try:
-        path = find_tape(args.name)
+        path = find_recording(args.name)
     except FileReadError:
         known = read_published().get(args.name)
         if known is None or args.draw is not None:
@@ -209,10 +210,10 @@ def run_show(args: DataShowArgs) -> None:
         card = {**describe_unrecorded(parse_spec(args.name), known), "bytes": known.bytes,
                 "recorded": f"not here: hrl-escape data make {args.name}"}
     else:
-        tape = load_tape(path)
-        card = {**describe(tape), "bytes": path.stat().st_size, "recorded": str(path)}
+        recording = load_recording(path)
+        card = {**describe(recording), "bytes": path.stat().st_size, "recorded": str(path)}
         if args.draw is not None:
-            save_card(args.draw, tape)
+            save_card(args.draw, recording)
     if args.json:
         print(json.dumps(card, indent=2))
         return

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalView
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.synthesis.situation import Situations
+from hrl_escape.hierarchies.situation import Situations
 
 RADIUS = 4
 """Length of a displacement, in moves."""

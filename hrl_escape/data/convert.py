@@ -1,0 +1,147 @@
+"""Files of version 0.3 in the form of this version: recordings, recorded games and episodes, and names in JSON values.
+
+Options were called by number (`meta-01`) or in words (`press button-1`), and option sets were flavours. `hrl-escape
+convert` calls `convert_data` for the files, and `rename_fields` for runs, submissions and grids.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hrl_escape.data.recording import RECORDING_FORMAT, load_recording, save_recording
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.errors import EscapeError, FileReadError, VerificationError
+from hrl_escape.files import open_plain, parse_json, read_json, read_text, write_json
+from hrl_escape.names import number_options
+from hrl_escape.options.meta_actions import list_goals
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.goals import ExitGoal, find_new_name, name_goal
+from hrl_escape.sets.grammar import find_set
+from hrl_escape.text.recordings import Game, record_game, save_games
+from hrl_escape.text.text_env import RoomSession, ToolCall
+from hrl_escape.text.words import clean
+
+EPISODE_SCHEMA = 3
+_FIELDS = {"flavour": "option_set"}
+_VALUES = {"press-markov": "press-reactive"}
+_MODULES = {"hrl_escape.synthesis.": "hrl_escape.hierarchies.",
+            "hrl_escape.text.told_env:ToldEnv": "hrl_escape.text.text_env:TextEnv"}
+
+
+def convert_data(path: Path, out: Path) -> str | None:
+    """Write a recording (.npz), recorded games (.jsonl) or a recorded episode (.json) in the form of this version.
+
+    Args:
+        path: the file.
+        out: what to write.
+
+    Returns:
+        What was converted, in words; None where the file is none of these.
+
+    Raises:
+        FileReadError: there is no such file, or it is damaged.
+        VerificationError: a game's replay differs.
+        FileWriteError: it cannot be written.
+    """
+    converters: Mapping[str, Callable[[Path, Path], str | None]] = {
+        ".npz": _convert_recording, ".jsonl": _convert_games, ".json": _convert_episode}
+    convert = converters.get(path.suffix.lower())
+    return None if convert is None else convert(path, out)
+
+
+def rename_fields(value: Any) -> Any:
+    """JSON value with the new names of fields, of option sets and of moved modules, at any depth."""
+    if isinstance(value, Mapping):
+        made = {_FIELDS.get(name, name): rename_fields(each) for name, each in value.items()}
+        if made.get("class") == "hrl_escape.text.text_env:TextEnv" and "told" in made.get("arguments", ()):
+            made["arguments"] = {"reveal" if name == "told" else name: each for name, each in made["arguments"].items()}
+        return made
+    if isinstance(value, list):
+        return [rename_fields(each) for each in value]
+    if isinstance(value, str):
+        for old, new in _MODULES.items():
+            if value.startswith(old):
+                return new + value.removeprefix(old)
+        return _VALUES.get(value, value)
+    return value
+
+
+def name_options(room: RoomInstance) -> tuple[str, ...]:
+    """Names of a room's options, the exit's last."""
+    return tuple(name_goal(goal, room) for goal in (*list_goals(room), ExitGoal()))
+
+
+def _convert_recording(path: Path, out: Path) -> str | None:
+    with open_plain(path, "recording", largest=2**29) as file:
+        if not zipfile.is_zipfile(file) or "about.npy" not in zipfile.ZipFile(file).namelist():
+            return None
+    recording = load_recording(path, version=1)
+    count, actions = recording.primitive_count, list(recording.about["actions"])
+    if actions[count:] and tuple(actions[count:]) == number_options(len(actions) - count):
+        actions[count:] = name_options(find_set(recording.about["rooms"])[0])
+    if len(actions) != len(recording.about["actions"]):
+        raise FileReadError(f"{path}: it has {len(recording.about['actions'])} actions, and its rooms {len(actions)}")
+    about = {**recording.about, "format": RECORDING_FORMAT, "actions": actions}
+    save_recording(out, dataclasses.replace(recording, about=about))
+    return f"the recording {about['name']}"
+
+
+def _convert_games(path: Path, out: Path) -> str | None:
+    games, lines = [], list[Any]()
+    for number, text in enumerate(read_text(path, "recorded game").splitlines(), 1):
+        lines.append(parse_json(text, f"{path}, line {number}", "recorded game"))
+        if not isinstance(lines[0], dict) or lines[0].get("kind") != "game":
+            return None
+        if isinstance(lines[-1], dict) and "score" in lines[-1]:
+            try:
+                games.append(_convert_game(lines))
+            except (AttributeError, KeyError, TypeError, ValueError) as error:
+                raise FileReadError(f"{path}, game that ends in line {number}: {error}") from error
+            lines = []
+    save_games(out, games)
+    return f"{len(games)} recorded games"
+
+
+def _convert_game(lines: Sequence[Any]) -> Game:
+    """Play the calls of a game again, with the options' new names; what happened must be the same."""
+    begun, *said, last = lines
+    room = RoomInstance.from_dict(begun["room"])
+    env = OptionsEnv(EscapeRoomEnv(instance=room), **rename_fields(begun["options"]))
+    try:
+        session = RoomSession(env, begun["told"] if "told" in begun else begun["reveal"])
+        session.reset(seed=int(begun["seed"]))
+        known = [clean(name) for name in name_options(room)]
+        for line in said:
+            name, arguments = line["call"]
+            if name == "run_option" and isinstance(arguments, dict) and isinstance(arguments.get("option"), str):
+                option = arguments["option"]
+                arguments = {**arguments, "option": find_new_name(option, known) or option}
+            session.call(*ToolCall(name, arguments))
+        game = record_game(session)
+    finally:
+        env.close()
+    again, before = dataclasses.asdict(game.score), last["score"]
+    differ = [name for name in again if name != "characters" and again[name] != before[name]]
+    if differ:
+        raise VerificationError(f"a game in {room.name!r} has another {differ[0]} when it is played again: "
+                                f"{again[differ[0]]}, not {before[differ[0]]}")
+    return game
+
+
+def _convert_episode(path: Path, out: Path) -> str | None:
+    content = read_json(path, "recorded episode")
+    if not isinstance(content, dict) or content.get("kind") != "episode":
+        return None
+    try:
+        known = name_options(RoomInstance.from_dict(content["instance"]))
+        moves = [{**move, "name": find_new_name(move["name"], known) or move["name"]} for move in content["moves"]]
+        end = None if content["schema"] == 1 else content["end"]
+    except (EscapeError, KeyError, TypeError, ValueError) as error:
+        raise FileReadError(f"{path}: this recorded episode is damaged: {error}") from error
+    write_json(out, {**content, "schema": EPISODE_SCHEMA, "moves": moves, "end": end})
+    return "a recorded episode"
