@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import gymnasium
 import numpy as np
@@ -25,6 +25,9 @@ from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import AgentSettingsError, StepContractError, UnsupportedSpaceError
 from hrl_escape.settings import Range, Settings
 from hrl_escape.step_info import read_option, read_payment, read_trace
+
+if TYPE_CHECKING:
+    from hrl_escape.agents.batch_agent import Policy
 
 # --- settings ---------------------------------------------------------------------------
 
@@ -210,6 +213,12 @@ class Agent(Stateful, ABC):
         For agents that count primitives within an episode: a decision may last several.
         """
 
+    def make_policy(self) -> Policy:
+        """Make a policy that chooses as evaluation does: `act_greedy`, with the memory of an episode of its own."""
+        from hrl_escape.agents.seam import AgentPolicy
+
+        return AgentPolicy(self)
+
     @abstractmethod
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn from one decision; returns numbers to log, such as the loss, or nothing.
@@ -313,22 +322,15 @@ class _WholeRun:
     """The greedy policy of an agent for as long as it is asked."""
 
     def __init__(self, agent: Agent) -> None:
-        self._agent = agent
-        self._rng: np.random.Generator | None = None
-        self._memory: tuple[Any, ...] | None = None
+        self._policy, self._has_begun = agent.make_policy(), False
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        agent = self._agent
-        if agent.is_markov:
-            return agent.act_greedy(observation, action_mask, rng)
-        # Agents know an episode by its generator, so a run has one of its own.
-        self._rng = self._rng or np.random.default_rng(int(rng.integers(2**63)))
-        # An agent remembers one episode. Each run keeps its own, so that several may take turns.
-        before, agent._evaluation = agent._evaluation, self._memory
-        try:
-            return agent.act_greedy(observation, action_mask, self._rng)
-        finally:
-            self._memory, agent._evaluation = agent._evaluation, before
+        if not self._has_begun:
+            # The caller's generator may serve several runs; what one draws must not depend on the others.
+            self._policy.begin_episode(rng if self._policy.is_markov else np.random.default_rng(
+                int(rng.integers(2**63))))
+            self._has_begun = True
+        return self._policy.choose(observation, action_mask)
 
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
         return 0.0
@@ -503,18 +505,25 @@ def set_option_discount(env: Any, gamma: float) -> None:
         inner.call(name, gamma)
 
 
-def compute_backup(transition: SMDPTransition, settings: LearningSettings) -> tuple[float, float]:
+def compute_backup(decided: Any, settings: Any) -> tuple[Any, Any]:
     """R and b of the backup R + b V(s'), which hold all that a learner needs to know of durations and ends.
 
     With `discounting="primitive"`: R = sum gamma^i r_i and b = gamma^k (1 - terminated). Truncation keeps b
     unless `bootstrap_on_truncation` is off. Backups compose: (R1, b1) then (R2, b2) is (R1 + b1 R2, b1 b2).
+
+    Args:
+        decided: an `SMDPTransition`, or `Decisions` of n rows.
+        settings: `LearningSettings`, or others with these fields.
+
+    Returns:
+        Numbers, or arrays (n,).
     """
     if settings.discounting == "primitive":
-        reward, factor = transition.reward, transition.discount
+        reward, factor = decided.reward, decided.discount
     else:
-        reward, factor = transition.summed_reward, settings.gamma
-    ended = transition.terminated or (transition.truncated and not settings.bootstrap_on_truncation)
-    return reward, 0.0 if ended else factor
+        reward, factor = decided.summed_reward, settings.gamma
+    ended = decided.terminated | (decided.truncated & (not settings.bootstrap_on_truncation))
+    return reward, factor * (ended == 0)
 
 
 def count_actions(action_space: gymnasium.Space, agent: str) -> int:

@@ -7,7 +7,9 @@ from it as from any reward; reported returns leave it out. `make_cell_finder` mu
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -42,7 +44,33 @@ class NoveltySettings(BonusSettings):
     predicts a random one (Burda et al. 2018); a decision costs the weight times 1 - error / mean error, at least 0."""
 
 
-class CountBonus(Stateful):
+class Bonus(Stateful):
+    """Pay for novelty, by one observation or by a batch."""
+
+    _weight: float
+
+    @abstractmethod
+    def visit(self, observation: Any) -> float:
+        """Count a visit of an observation; returns the bonus, 0 or below, in units of return."""
+
+    @abstractmethod
+    def visit_many(self, observation: NDArray) -> NDArray[np.float32]:
+        """Count visits of a batch of observations (n, ...), row by row; returns their bonuses, (n,)."""
+
+    def visit_batch(self, observation: Any) -> Any:
+        """Count visits of a tensor (n, ...), or of a sequence of n observations; returns their bonuses, (n,).
+
+        Without a weight it is the number 0.
+        """
+        if not self._weight:
+            return 0.0
+        if isinstance(observation, Sequence):
+            return np.array([self.visit(each) for each in observation], np.float32)
+        torch = sys.modules["torch"]
+        return torch.from_numpy(self.visit_many(observation.cpu().numpy())).to(observation.device)
+
+
+class CountBonus(Bonus):
     """Counts of visits by cell, and the bonus of the next visit, by `bonus_weight` and `bonus_bins` of the settings.
 
     Raises:

@@ -136,6 +136,14 @@ class ObservationEncoder:
         vector = self._parts["desired_goal"].encode(goal)
         return np.concatenate([encoded[: -len(vector)], vector])
 
+    def encode_batch(self, observation: Any) -> Any:
+        """Encode n observations, (n, *shape): a tensor on its device, a sequence of any other space as an array."""
+        if isinstance(observation, torch.Tensor):
+            return self.encode_many(observation)
+        if len(observation) == 1:
+            return self.encode(observation[0])[None]
+        return np.stack([self.encode(each) for each in observation])
+
     def encode_many(self, observation: torch.Tensor) -> torch.Tensor:
         """Encode a batch of observations on its device, (n, ...) to (n, *shape).
 
@@ -291,6 +299,15 @@ class Network(nn.Sequential):
         if self._compute is None:
             self._compute = _make_forward(self)
         return self._compute(observation)
+
+    def evaluate(self, observation: Any) -> Any:
+        """Outputs for encoded observations, (n, outputs) from (n, ...), without gradients; arrays give arrays."""
+        if isinstance(observation, np.ndarray):
+            if len(observation) == 1:
+                return self.compute(observation[0])[None]
+            return self.evaluate(torch.from_numpy(observation).to(self.weights.device)).cpu().numpy()
+        with torch.no_grad():
+            return self(observation)
 
     def forward(self, input: torch.Tensor) -> torch.Tensor:
         """Outputs, (n, outputs) from (n, inputs); those of many rows through a perceptron block by block."""

@@ -17,7 +17,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
+from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.networks import BLOCK_ROWS, NetworkSettings, ObservationEncoder
+from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.streams import OpenChoices, StreamTransitions, compute_backups
 from hrl_escape.settings import Range
 
@@ -81,6 +83,69 @@ class Rollout(NamedTuple):
     memory: Tensor  # float32 (n, numbers), recurrent state before the decision; no numbers where there is none
     stream: Tensor  # int64 (n,)
     place: Tensor  # int64 (n,), 0 for a stream's first decision here, 1 for its second, and so on without a gap
+
+
+class RolloutBuffer(Stateful):
+    """Decisions that are collected for the next updates, of one environment or many."""
+
+    STATE = (Kept("_rows", "rows", unpack=dict),)
+
+    def __init__(self, arrays: Arrays, num_envs: int) -> None:
+        self._arrays, self._num_envs = arrays, num_envs
+        self._parts: list[tuple[Any, ...]] = []
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, *fields: Any) -> None:
+        """Take in decisions: the fields of `Rollout` but for the place, arrays or tensors (n, ...)."""
+        self._parts.append(fields)
+        self._count += len(fields[-1])
+
+    def gather(self) -> Rollout:
+        """Everything that was collected, as tensors."""
+        fields = [self._arrays.join(parts) for parts in zip(*self._parts, strict=True)]
+        place = count_places(fields[-1])
+        rollout = Rollout(*fields, place=place)
+        return rollout._replace(**{name: getattr(rollout, name).float() for name in ("reward", "bootstrap")})
+
+    def take(self) -> Rollout:
+        """Return what was collected, and begin the next rollout."""
+        rollout = self.gather()
+        self._parts, self._count = [], 0
+        return rollout
+
+    def truncate(self) -> None:
+        """End the episode of every environment with its latest decision here."""
+        if self._count:
+            rollout = self.gather()
+            last = torch.zeros(self._num_envs, dtype=torch.int64, device=rollout.place.device)
+            last = last.scatter_reduce(0, rollout.stream, rollout.place, "amax")
+            over = rollout.over | (rollout.place == last[rollout.stream])
+            self._parts = [tuple(map(self._arrays.restore, (
+                field.cpu().numpy() for field in rollout._replace(over=over)[:-1])))]
+
+    @property
+    def _rows(self) -> dict[str, Tensor] | None:
+        """Fields of what was collected; None where that is nothing."""
+        return self.gather()._asdict() if self._count else None
+
+    @_rows.setter
+    def _rows(self, saved: Mapping[str, Any] | None) -> None:
+        self._parts, self._count = [], 0
+        if saved is not None:
+            self.add(*(self._arrays.restore(saved[name]) for name in Rollout._fields[:-1]))
+
+
+def count_places(stream: Tensor) -> Tensor:
+    """Place of each row among those of its stream, in order, int64 (n,) from int64 (n,)."""
+    order = torch.argsort(stream, stable=True)
+    sizes = torch.bincount(stream)
+    begins = (sizes.cumsum(0) - sizes)[stream[order]]
+    place = torch.empty_like(order)
+    place[order] = torch.arange(len(order), device=order.device) - begins
+    return place
 
 
 def collect_decisions(choices: OpenChoices, decisions: StreamTransitions, encoder: ObservationEncoder, settings: Any,
@@ -170,16 +235,22 @@ def compute_next_values(rollout: Rollout, values: Tensor, critic: Callable[[Tens
     return values[after].index_copy(0, last, critic(rollout.next_observation[last]))
 
 
-def compute_log_policy(logits: Tensor, mask: Tensor) -> Tensor:
-    """Log probabilities of the softmax over legal actions, -inf elsewhere. Shapes (batch, actions)."""
+def compute_log_policy(logits: Any, mask: Any) -> Any:
+    """Log probabilities of the softmax over legal actions, -inf elsewhere; arrays or tensors (batch, actions)."""
+    if isinstance(logits, np.ndarray):
+        legal = np.where(mask, logits, -np.inf)
+        legal = legal - legal.max(axis=1, keepdims=True)
+        return legal - np.log(np.exp(legal).sum(axis=1, keepdims=True))
     legal = logits.masked_fill(~mask, -torch.inf)
     if len(legal) < BLOCK_ROWS:
         return functional.log_softmax(legal, dim=1)
     return functional.log_softmax(legal.t().contiguous(), dim=0).t()  # row by row it takes six times as long
 
 
-def take_column(rows: Tensor, column: Tensor) -> Tensor:
-    """One entry of each row, (n,) from (n, columns) and int64 (n,)."""
+def take_column(rows: Any, column: Any) -> Any:
+    """One entry of each row, (n,) from (n, columns) and int64 (n,); arrays or tensors."""
+    if isinstance(rows, np.ndarray):
+        return rows[np.arange(len(rows)), column]
     return rows.gather(1, column[:, None]).squeeze(1)
 
 

@@ -51,7 +51,7 @@ def test_deep_agents_learn_from_the_bonus(name: str):
         agent = make_agent(name, env.observation_space, env.action_space, 0, bonus_weight=weight, **single)
         for _ in interact(agent, env, 5):
             pass
-        rows = agent.replay._fields.reward[:5] if name == "dqn" else agent._gather().reward  # type: ignore[attr-defined]
+        rows = agent.replay._fields.reward[:5] if name == "dqn" else agent.rollout.gather().reward  # type: ignore[attr-defined]
         return [float(row) / agent.settings.reward_scale for row in rows]
 
     plain, counted = find_rewards(0.0), find_rewards(8.0)

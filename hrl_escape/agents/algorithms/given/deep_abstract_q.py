@@ -21,6 +21,7 @@ from hrl_escape.agents.components.exploration import choose_best, make_rng, samp
 from hrl_escape.agents.components.tables import ResolutionSettings, make_cell_finder
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings, make_task_transition
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Return, Seen, Stack, Step
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.settings import Range
 
@@ -179,7 +180,7 @@ class DeepAbstractQ(CallRunner):
         before, target = map(int, frame.context)
         if target < 0:
             return sample_legal(legal, self._action_rng)
-        return self._get_worker((before, target)).act(view, legal)
+        return serve_one(self._get_worker((before, target))).act(view, legal)
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
@@ -211,7 +212,7 @@ class DeepAbstractQ(CallRunner):
                 if returned.ended and not returned.terminated and before == after:  # given up
                     transition = transition._replace(terminated=False, truncated=True)
                 worker = self._get_worker((int(frame.context[0]), int(frame.context[1])))
-                metrics |= worker.observe(transition)
+                metrics |= serve_one(worker).observe(transition)
         return metrics | {"abstract_states": float(len(self._keys))}
 
     def _model(self, start: int, choice: int, reward: float, discount: float, after: int) -> None:

@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.exploration import (
     EpsilonSettings,
     choose_best,
@@ -32,7 +33,7 @@ from hrl_escape.agents.components.networks import (
     make_generator,
     make_network,
 )
-from hrl_escape.agents.components.replay import Experience, ReplayBuffer
+from hrl_escape.agents.components.replay import Experience, Replay, make_batch
 from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.goal_space import GoalSet, Worker, make_goal_hierarchy, make_goals
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
@@ -210,7 +211,7 @@ class _NetworkValues(Stateful):
         self._target.requires_grad_(False).blend(self.online, 1.0)
         self._learner = Learner("h-dqn", {"online": self.online, "target": self._target}, ["online"], settings)
         shape = (self._encoder.shape[0] + goals,) if goals else self._encoder.shape
-        self._replay = ReplayBuffer(settings.replay_capacity, shape, self._encoder.dtype, actions)
+        self._replay = Replay(Arrays(rng), settings.replay_capacity, shape, self._encoder.dtype, actions)
         self._rng, self._due = rng, 0.0
         self.waits = False
         """Backups are stored, and updates left for later."""
@@ -227,10 +228,10 @@ class _NetworkValues(Stateful):
         return self.online.compute(self._encode(observation, goal)) / self._settings.reward_scale
 
     def learn(self, backup: Experience, goal: int | None) -> float:
-        self._replay.add(backup._replace(
+        self._replay.add(make_batch(backup._replace(
             observation=self._encode(backup.observation, goal), mask=True,
             reward=backup.reward * self._settings.reward_scale,
-            next_observation=self._encode(backup.next_observation, goal)))
+            next_observation=self._encode(backup.next_observation, goal))))
         self._due += self._settings.updates_per_decision
         return 0.0 if self.waits else self.update()
 
@@ -241,7 +242,7 @@ class _NetworkValues(Stateful):
             self._due -= due
             count = min(due, most or due)
             for _ in range(count):
-                batch = self._replay.sample(size * due // count, self._rng)
+                batch = self._replay.sample(size * due // count)
                 loss = self._learner.minimise(self._compute_loss(batch))
                 self._target.blend(self.online, self._settings.target_rate)
         return loss
