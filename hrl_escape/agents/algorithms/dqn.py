@@ -149,8 +149,9 @@ class DQN(ReplayAgent):
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: DQNSettings | None = None, goal_rule: GoalRule | None = None,
                  network: nn.Module | None = None) -> None:
-        settings = settings or DQNSettings()
-        super().__init__(observation_space, action_space, seed, settings, settings.n_step)
+        made: Any = settings or self.Settings()
+        super().__init__(observation_space, action_space, seed, made, made.n_step)
+        settings = self.settings
         self.values = ActionValues(self.name, self._encoder, action_space, seed, settings, network)
         self._bonus = make_bonus(observation_space, seed, settings, self.name)
         self._hindsight = Hindsight() if not settings.hindsight_goals else HindsightReplay(
