@@ -28,7 +28,7 @@ import torch
 from benchmarks.classic_control import Peer
 from hrl_escape.agents import evaluate, make_agent
 from hrl_escape.agents.agent import Agent, count_actions, make_transition, read_action_mask
-from hrl_escape.agents.batch_agent import Moments
+from hrl_escape.agents.decisions import Moments
 from hrl_escape.agents.seam import serve_many, serve_one
 from hrl_escape.agents.streams import gather_decisions
 from hrl_escape.agents.training.evaluation import compute_episode_seed

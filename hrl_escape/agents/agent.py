@@ -11,23 +11,21 @@ import inspect
 import math
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, is_dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Self
 
+from hrl_escape.agents.decisions import AgentPolicy, Policy, SMDPTransition
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import AgentSettingsError, StepContractError, UnsupportedSpaceError
 from hrl_escape.settings import Range, Settings
 from hrl_escape.step_info import read_option, read_payment, read_trace
-
-if TYPE_CHECKING:
-    from hrl_escape.agents.batch_agent import Policy
 
 # --- settings ---------------------------------------------------------------------------
 
@@ -70,40 +68,6 @@ CATALOGUE = "hrl_escape.agents.algorithms"
 SUCCESS_KEYS = ("is_success", "success")
 """Keys of `info` that may hold an episode's success; the first that has a value counts."""
 """Package of the algorithms, one file each, named like the file."""
-
-
-class SMDPTransition(NamedTuple):
-    """One decision and its outcome.
-
-    Attributes:
-        observation: at the decision, as the environment gave it.
-        action: index in the action space.
-        action_mask: bool (actions,), the actions legal there.
-        reward: R = sum over i < k of gamma^i r_i, at the agent's gamma.
-        summed_reward: the undiscounted sum of r_i.
-        duration: k >= 1, the number of primitives that ran.
-        discount: gamma^k.
-        next_observation: the state reached, never the first of a new episode.
-        next_action_mask: bool (actions,), the actions legal there.
-        terminated: the task ended; later rewards are zero.
-        truncated: the episode was cut off; the state reached still has a value.
-        trace: the primitives inside, where the environment gives them (see `make_transition`), else empty.
-        cut: truncated inside an option, so that the state reached is not where the option leads.
-    """
-
-    observation: Any
-    action: int
-    action_mask: NDArray[np.bool_]
-    reward: float
-    summed_reward: float
-    duration: int
-    discount: float
-    next_observation: Any
-    next_action_mask: NDArray[np.bool_]
-    terminated: bool
-    truncated: bool
-    trace: Sequence[Any] = ()
-    cut: bool = False
 
 
 class RunningCall(NamedTuple):
@@ -215,8 +179,6 @@ class Agent(Stateful, ABC):
 
     def make_policy(self) -> Policy:
         """Make a policy that chooses as evaluation does: `act_greedy`, with the memory of an episode of its own."""
-        from hrl_escape.agents.seam import AgentPolicy
-
         return AgentPolicy(self)
 
     @abstractmethod

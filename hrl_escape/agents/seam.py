@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition
-from hrl_escape.agents.batch_agent import BatchAgent, Decisions, Moments, Policy, make_decision, make_moment
+from hrl_escape.agents.batch_agent import BatchAgent
+from hrl_escape.agents.decisions import Decisions, Moments, make_decision, make_moment
 from hrl_escape.agents.streams import StreamAgent, StreamTransitions
 
 if TYPE_CHECKING:
@@ -46,8 +47,12 @@ class _OneOfBatch:
 
 
 def serve_one(agent: Agent) -> OneByOne:
-    """Return the choices and updates of an agent in one environment."""
-    return _OneOfBatch(agent) if isinstance(agent, BatchAgent) else agent
+    """Return the choices and updates of an agent in one environment; one that acted in many begins an episode."""
+    if not isinstance(agent, BatchAgent):
+        return agent
+    if agent.place != (1, None):
+        agent.begin_episodes()
+    return _OneOfBatch(agent)
 
 
 class ByBatch(Protocol):
@@ -92,46 +97,3 @@ def serve_many(agent: Agent) -> ByBatch:
 
 MANY = (BatchAgent, StreamAgent)
 """Classes of agents that learn from many environments at once."""
-
-
-class AgentPolicy(Policy):
-    """Policy of an agent that has `act_greedy`."""
-
-    def __init__(self, agent: Agent) -> None:
-        self._agent, self.is_markov = agent, agent.is_markov
-        self._memory: tuple[Any, ...] | None = None
-        self._rng = np.random.default_rng(0)
-
-    def begin_episode(self, rng: np.random.Generator, num_envs: int = 1) -> None:
-        """Forget the episode."""
-        assert num_envs == 1, "one environment"
-        self._rng, self._memory = rng, None
-
-    def act(self, batch: Moments) -> Any:
-        """Choose in one environment."""
-        return np.array((self.choose(batch.observation[0], batch.action_mask[0]),))
-
-    def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Choose in one environment."""
-        with _Episode(self):
-            return self._agent.act_greedy(observation, action_mask, self._rng)
-
-    def note_outcome(self, transition: SMDPTransition) -> None:
-        """Pass the outcome on."""
-        with _Episode(self):
-            self._agent.note_outcome(transition, self._rng)
-
-
-class _Episode:
-    """Puts the memory of a policy's episode in place while its agent is asked: an agent remembers one episode."""
-
-    def __init__(self, policy: AgentPolicy) -> None:
-        self._policy = policy
-
-    def __enter__(self) -> None:
-        agent, policy = self._policy._agent, self._policy
-        self._before, agent._evaluation = agent._evaluation, policy._memory
-
-    def __exit__(self, *_: object) -> None:
-        agent, policy = self._policy._agent, self._policy
-        policy._memory, agent._evaluation = agent._evaluation, self._before

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, LearningSettings, SMDPTransition
-from hrl_escape.agents.batch_agent import Decisions
+from hrl_escape.agents.decisions import Decisions
 from hrl_escape.agents.state import Kept, Stateful, StateTree, list_kept
 from hrl_escape.errors import DiscountMismatchError
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.batch_agent import Decisions, Moments, make_decision
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_legal
+from hrl_escape.agents.decisions import Decisions, Moments, make_decision
 from studies.price.over_primitives import PrimitivesDQN, PrimitivesSettings, read_room
 
 __all__ = ["ExploringDQN", "ExploringSettings", "make_explorer"]

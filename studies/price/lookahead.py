@@ -16,9 +16,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.batch_agent import Decisions, Moments
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.replay import Experience, make_batch
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.state import Kept
 from hrl_escape.env.instance import Rectangle
 from hrl_escape.options.execution import TraceStep

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
-from hrl_escape.agents.batch_agent import Moments, Policy
 from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.decisions import Moments, Policy
 from hrl_escape.agents.registry import get_recipe
 from hrl_escape.settings import replace_settings
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from hrl_escape.agents.agent import AgentSettings
-from hrl_escape.agents.batch_agent import Decisions, Moments, Policy
 from hrl_escape.agents.components.exploration import (
     OrnsteinUhlenbeck,
     compute_epsilon,
@@ -29,6 +28,7 @@ from hrl_escape.agents.components.memory import Memory
 from hrl_escape.agents.components.networks import Learner, Network, compute_td_loss, make_generator, make_network
 from hrl_escape.agents.components.policy import GreedyPolicy
 from hrl_escape.agents.components.replay import Experience, ReplayAgent, UpdateSchedule
+from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.larg2019.keras_rl import LinearRelaxation
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
@@ -191,15 +191,13 @@ class DDPG(ReplayAgent):
         preferences = outputs = self.actor.evaluate(self._encoder.encode_batch(batch.observation))
         if self._noise is not None:
             outputs = preferences + self._noise.sample(self._noise_rng).astype(np.float32)
-        policy = compute_exploration(outputs, batch.action_mask, epsilon=self._get_epsilon())
+        epsilon = compute_epsilon(self.settings, self._schedule.steps) if self._noise is None else 0.0
+        policy = compute_exploration(outputs, batch.action_mask, epsilon=epsilon)
         action = self._arrays.draw_choices(policy)
         self._vector = self.relaxation.encode(outputs, action)
         soft = compute_exploration(preferences, batch.action_mask, temperature=1.0)
         self._conduct = measure_conduct(soft, preferences, batch.action_mask, action)
         return action
-
-    def _get_epsilon(self) -> float:
-        return compute_epsilon(self.settings, self._schedule.steps) if self._noise is None else 0.0
 
     def make_policy(self) -> Policy:
         """Make the greedy policy of the averaged actor."""

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from hrl_escape.agents.agent import AgentSettings, GoalRule
-from hrl_escape.agents.batch_agent import Decisions, Moments, Policy
 from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import compute_epsilon, compute_exploration, make_rng, measure_conduct
 from hrl_escape.agents.components.hindsight import Hindsight, HindsightReplay
@@ -38,6 +37,7 @@ from hrl_escape.agents.components.networks import (
 )
 from hrl_escape.agents.components.policy import GreedyPolicy
 from hrl_escape.agents.components.replay import Experience, ReplayAgent
+from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range

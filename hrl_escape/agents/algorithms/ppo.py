@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.agent import AgentSettings, compute_backup, count_actions
-from hrl_escape.agents.batch_agent import BatchAgent, Decisions, Moments, Policy
+from hrl_escape.agents.batch_agent import BatchAgent
 from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import make_rng
@@ -42,6 +42,7 @@ from hrl_escape.agents.components.policy_gradient import (
     find_next,
     take_column,
 )
+from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.state import Kept, Stateful, StateTree
 from hrl_escape.settings import Range
 
@@ -152,7 +153,7 @@ class PPO(BatchAgent):
         self._prepare(1, None)
 
     def _prepare(self, num_envs: int, device: torch.device | None) -> None:
-        self._place = num_envs, device
+        self.place = num_envs, device
         self._arrays = Arrays(make_rng(self._seed, "draws"), device)
         self._recollections = Recollections(self._memory, num_envs, self._arrays)
         self._log_probability = self._arrays.zeros((num_envs,))  # of each environment's latest choice
@@ -161,7 +162,7 @@ class PPO(BatchAgent):
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
         """Begin episodes; where there are as many as before, those of the present rollout count as truncated."""
-        if self._place == (num_envs, device):
+        if self.place == (num_envs, device):
             self.rollout.truncate()
             self._recollections.begin_episodes()
         else:
@@ -235,14 +236,14 @@ class PPO(BatchAgent):
     def _running(self) -> StateTree:
         """Rollout, memories and draws of the present environments."""
         parts = {name: part.state_dict() for name, part in self._list_running().items()}
-        return {"num_envs": self._place[0], "library": self._arrays.library.__name__,
-                "log_probability": np.asarray(self._log_probability.cpu() if self._place[1] else
+        return {"num_envs": self.place[0], "library": self._arrays.library.__name__,
+                "log_probability": np.asarray(self._log_probability.cpu() if self.place[1] else
                                               self._log_probability), **parts}
 
     @_running.setter
     def _running(self, saved: StateTree) -> None:
         """They go on where there are as many environments, on any device."""
-        if (saved["num_envs"], saved["library"]) == (self._place[0], self._arrays.library.__name__):
+        if (saved["num_envs"], saved["library"]) == (self.place[0], self._arrays.library.__name__):
             for name, part in self._list_running().items():
                 part.load_state_dict(saved[name])
             self._log_probability = self._arrays.restore(saved["log_probability"])

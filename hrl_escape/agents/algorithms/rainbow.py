@@ -21,7 +21,6 @@ from torch.nn import functional
 
 from hrl_escape.agents.agent import AgentSettings, GoalRule, count_actions
 from hrl_escape.agents.algorithms.dqn import DQN
-from hrl_escape.agents.batch_agent import Moments
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.networks import (
     NoisyLinear,
@@ -31,6 +30,7 @@ from hrl_escape.agents.components.networks import (
     make_network,
 )
 from hrl_escape.agents.components.replay import Experience, Priorities
+from hrl_escape.agents.decisions import Moments
 from hrl_escape.agents.state import Stateful
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range

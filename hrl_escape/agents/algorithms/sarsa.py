@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.agents.algorithms.dqn import ActionValues
-from hrl_escape.agents.batch_agent import Decisions, Moments, Policy
 from hrl_escape.agents.components.exploration import compute_epsilon, compute_exploration, measure_conduct
 from hrl_escape.agents.components.memory import Memory
 from hrl_escape.agents.components.policy import GreedyPolicy
 from hrl_escape.agents.components.replay import Experience, ReplayAgent
+from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.larg2019.keras_rl import LateTerminal
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError

@@ -128,4 +128,4 @@ def make_bonus(space: gymnasium.Space, seed: int, settings: Any, agent: str) -> 
     """
     if settings.bonus_weight and settings.bonus == "distillation":
         return DistillationBonus(space, seed, settings.bonus_weight, settings, agent)
-    return CountBonus(space, settings, agent)
+    return CountBonus(space, settings.bonus_weight, settings.bonus_bins, agent)

@@ -18,9 +18,9 @@ from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class EpsilonSettings(AgentSettings):
-    """Schedule of epsilon, the share of random actions."""
+@dataclass(frozen=True, kw_only=True)
+class ExplorationSettings(AgentSettings):
+    """Exploration from action values."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
     """Epsilon at the beginning."""
@@ -28,12 +28,6 @@ class EpsilonSettings(AgentSettings):
     """Epsilon from `epsilon_steps` on."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
     """Steps of the clock over which epsilon falls linearly."""
-
-
-@dataclass(frozen=True)
-class ExplorationSettings(EpsilonSettings):
-    """Exploration from action values."""
-
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
     """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
     proportional to exp(q / temperature)."""
@@ -70,11 +64,8 @@ def choose_best(values: NDArray, mask: NDArray[np.bool_], rng: np.random.Generat
 def compute_epsilon(settings: Any, steps: int) -> float:
     """Epsilon after this many steps: linear from `epsilon_start` to `epsilon_end`, then constant.
 
-    It is 0 where noise in the weights explores. Settings here and below are any with the fields of `EpsilonSettings` or
-    `ExplorationSettings`.
+    Settings here and below are any with the fields of `ExplorationSettings`.
     """
-    if getattr(settings, "noise", 0.0):
-        return 0.0
     progress = min(steps / settings.epsilon_steps, 1.0)
     return settings.epsilon_start + progress * (settings.epsilon_end - settings.epsilon_start)
 

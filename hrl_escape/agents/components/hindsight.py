@@ -9,16 +9,16 @@ before which it was achieved already is left out: an episode that asked for it w
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import GoalRule, SMDPTransition, compute_backup
-from hrl_escape.agents.batch_agent import Decisions
 from hrl_escape.agents.components.networks import ObservationEncoder, is_goal_space
 from hrl_escape.agents.components.replay import Experience, make_batch
+from hrl_escape.agents.decisions import Decisions
 from hrl_escape.agents.state import Kept, Stateful, read_value
 from hrl_escape.errors import AgentSettingsError, StepContractError
 
@@ -41,15 +41,17 @@ class _Decision(NamedTuple):
     bonus: float  # in its reward
 
 
-class Hindsight:
+class Hindsight(Stateful):
     """No decision is stored again."""
+
+    STATE: ClassVar[tuple[Any, ...]] = ()
 
     def push(self, batch: Decisions, experience: Experience, bonus: Any) -> list[Experience]:
         """Take in decisions; returns no backups."""
         return []
 
 
-class HindsightReplay(Hindsight, Stateful):
+class HindsightReplay(Hindsight):
     """The episode so far, and its backups under goals that it achieved, of which some are drawn for each decision.
 
     Raises:

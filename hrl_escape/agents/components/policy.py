@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from hrl_escape.agents.batch_agent import Moments, Policy
 from hrl_escape.agents.components.memory import Memory
 from hrl_escape.agents.components.networks import Network, ObservationEncoder
+from hrl_escape.agents.decisions import Moments, Policy
 
 
 class GreedyPolicy(Policy):

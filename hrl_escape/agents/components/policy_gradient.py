@@ -7,8 +7,7 @@ that say their stream and their place in it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -18,54 +17,9 @@ from torch.nn import functional
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
 from hrl_escape.agents.components.arrays import Arrays
-from hrl_escape.agents.components.networks import BLOCK_ROWS, NetworkSettings, ObservationEncoder
+from hrl_escape.agents.components.networks import BLOCK_ROWS, ObservationEncoder
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.streams import OpenChoices, StreamTransitions, compute_backups
-from hrl_escape.settings import Range
-
-
-@dataclass(frozen=True)
-class PolicySettings(NetworkSettings):
-    """Networks of policies and critics, and steps down the sum of their losses."""
-
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
-    """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
-    max_grad_norm: Annotated[float, Range(0)] = 0.5
-    entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policy's entropy in the loss."""
-    value_weight: Annotated[float, Range(0)] = 0.5
-    """Weight of half the squared value error in the loss."""
-
-
-@dataclass(frozen=True)
-class AdvantageSettings(PolicySettings):
-    """Generalised advantage estimation."""
-
-    gae_lambda: Annotated[float, Range(0, 1)] = 1.0
-    """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
-    lambda_per: Literal["decision", "primitive"] = "decision"
-    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
-
-
-@dataclass(frozen=True)
-class ClippedSettings(AdvantageSettings):
-    """Rounds of updates with the clipped objective from rollouts of decisions."""
-
-    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
-    rollout: Annotated[int, Range(2)] = 256
-    """Decisions collected before each round of updates, of all streams together."""
-    stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
-    epochs: Annotated[int, Range(1)] = 10
-    """Passes over a rollout."""
-    batch_size: Annotated[int, Range(1)] = 64
-    """Decisions in a minibatch of a rollout of `rollout` decisions."""
-    clip: Annotated[float, Range(0, open_low=True)] = 0.2
-    """Bound on how far the probability ratio may move to any advantage."""
-    normalise_advantages: bool = True
-    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Where no episode has escaped yet,
-    that blows noise up to full-sized steps; without it such steps are as small as the rewards."""
 
 
 class Rollout(NamedTuple):

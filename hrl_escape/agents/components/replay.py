@@ -14,42 +14,21 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 import torch
 from numpy.typing import DTypeLike, NDArray
 
-from hrl_escape.agents.agent import LearningSettings, compute_backup, count_actions
-from hrl_escape.agents.batch_agent import BatchAgent, Decisions
+from hrl_escape.agents.agent import compute_backup, count_actions
+from hrl_escape.agents.batch_agent import BatchAgent
 from hrl_escape.agents.components.arrays import Arrays
-from hrl_escape.agents.components.exploration import EpsilonSettings, make_rng
-from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
+from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.components.networks import ObservationEncoder
+from hrl_escape.agents.decisions import Decisions
 from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
 from hrl_escape.errors import CheckpointError
-from hrl_escape.settings import Range
-
-
-@dataclass(frozen=True)
-class ReplaySettings(EpsilonSettings, NetworkSettings, LearningSettings):
-    """Settings that `dqn`, `sarsa` and `ddpg` have in common: epsilon, optimiser, and updates from replay."""
-
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
-    loss: Literal["huber", "squared"] = "huber"
-    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
-    batch_size: Annotated[int, Range(1)] = 64
-    """Decisions in an update."""
-    warmup: Annotated[int, Range(0)] = 500
-    """Steps of the clock before the first update."""
-    updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates from replay for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
-    stream_updates: Annotated[int, Range(1)] = 16
-    """Most updates after a step of many streams. Where more are due, minibatches grow, so that every decision is
-    learned from as often; much fewer and larger ones learn less, as the target network follows updates."""
-    stream_replay: Annotated[int, Range(1)] = 128
-    """Decisions of each stream, on average, for which replay has room at least."""
 
 
 class Experience(NamedTuple):
@@ -257,7 +236,7 @@ class ReplayAgent(BatchAgent):
     def make_replay(self, num_envs: int, device: torch.device | None) -> None:
         """Make an empty replay for some environments."""
         settings, encoder, is_many = self.settings, self._encoder, device is not None
-        self._place = num_envs, device
+        self.place = num_envs, device
         self._arrays = Arrays(make_rng(self._seed, "draws"), device)
         capacity = max(settings.replay_capacity, settings.stream_replay * num_envs if is_many else 1)
         self._most_updates: float = settings.stream_updates if is_many else np.inf
@@ -267,7 +246,7 @@ class ReplayAgent(BatchAgent):
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
         """Begin an episode in every environment; replay stays where there are as many as before."""
-        if self._place == (num_envs, device):
+        if self.place == (num_envs, device):
             self.replay.begin_episodes()
             return
         self.move(device or torch.device("cpu"))
@@ -314,12 +293,12 @@ class ReplayAgent(BatchAgent):
     @property
     def _running(self) -> StateTree:
         """State of the parts that belong to the present environments."""
-        return {"num_envs": self._place[0], "library": self._arrays.library.__name__,
+        return {"num_envs": self.place[0], "library": self._arrays.library.__name__,
                 **{name: part.state_dict() for name, part in self.list_running().items()}}
 
     @_running.setter
     def _running(self, saved: StateTree) -> None:
         """They go on where there are as many environments, on any device."""
-        if (saved["num_envs"], saved["library"]) == (self._place[0], self._arrays.library.__name__):
+        if (saved["num_envs"], saved["library"]) == (self.place[0], self._arrays.library.__name__):
             for name, part in self.list_running().items():
                 part.load_state_dict(saved[name])

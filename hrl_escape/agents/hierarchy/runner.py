@@ -14,15 +14,15 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, DiscountSettings, OptionPolicy, RunningCall, SMDPTransition
-from hrl_escape.agents.batch_agent import Decisions, Moments
+from hrl_escape.agents.agent import Agent, AgentSettings, OptionPolicy, RunningCall, SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_action
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.hierarchy.task import (
     BaseTask,
     Frame,
@@ -40,15 +40,18 @@ from hrl_escape.agents.seam import MANY, serve_many, serve_one
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.errors import AgentSettingsError, DiscountMismatchError, StepContractError, UnsupportedError
+from hrl_escape.settings import Range
 
 if TYPE_CHECKING:
     import torch
 
 
-@dataclass(frozen=True)
-class StackSettings(DiscountSettings):
+@dataclass(frozen=True, kw_only=True)
+class StackSettings(AgentSettings):
     """Settings of how calls run."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     polled: Literal["never", "evaluation", "always"] = "never"
     """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""

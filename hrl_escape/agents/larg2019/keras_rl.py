@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import compute_backup
-from hrl_escape.agents.batch_agent import Decisions
 from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.decisions import Decisions
 from hrl_escape.agents.state import Kept, Stateful
 
 

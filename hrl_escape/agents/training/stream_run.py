@@ -34,7 +34,7 @@ from hrl_escape.agents.agent import (
     read_success_value,
     set_option_discount,
 )
-from hrl_escape.agents.batch_agent import Decisions, Moments
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.seam import serve_many
 from hrl_escape.agents.state import Stateful, StateTree

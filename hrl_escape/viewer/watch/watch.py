@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition, set_option_discount
-from hrl_escape.agents.batch_agent import Moments, Policy
+from hrl_escape.agents.decisions import Moments, Policy
 from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train

@@ -12,8 +12,8 @@ import torch
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
-from hrl_escape.agents.batch_agent import Decisions, Moments
 from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.seam import serve_one
 from tests.agents.algorithms.test_deep_losses import forward
 

@@ -11,8 +11,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from hrl_escape.agents import evaluate, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
-from hrl_escape.agents.batch_agent import Moments
 from hrl_escape.agents.components.memory import cut_stretches
+from hrl_escape.agents.decisions import Moments
 from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.streams import gather_decisions
 from hrl_escape.agents.training.stream_run import VectorStreams

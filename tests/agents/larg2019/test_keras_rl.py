@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup
-from hrl_escape.agents.batch_agent import make_decision
 from hrl_escape.agents.components.replay import Experience, make_batch
+from hrl_escape.agents.decisions import make_decision
 from hrl_escape.agents.larg2019.keras_rl import LateTerminal, LinearRelaxation
 
 MASK = np.ones(3, np.bool_)

@@ -10,9 +10,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from hrl_escape.agents import evaluate, load_agent, load_env, make_agent, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
-from hrl_escape.agents.batch_agent import Decisions, Moments
-from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
+from hrl_escape.agents.components.bonuses import CountBonus
 from hrl_escape.agents.components.policy_gradient import compute_advantages, compute_log_policy, compute_next_values
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.env.presets import get_preset
@@ -495,8 +495,7 @@ def test_decisions_of_options_arrive_through_a_vector_environment_with_their_dur
 
 def test_counts_of_a_batch_are_those_of_one_visit_after_another():
     space = gymnasium.spaces.Box(0.0, 1.0, (2,), np.float32)
-    settings = BonusSettings(bonus_weight=3.0)
-    one, many = (CountBonus(space, settings, "test") for _ in range(2))
+    one, many = (CountBonus(space, 3.0, 5, "test") for _ in range(2))
     rng = np.random.default_rng(0)
     for _ in range(3):
         batch = rng.random((50, 2)).astype(np.float32)

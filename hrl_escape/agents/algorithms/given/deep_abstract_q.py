@@ -14,12 +14,12 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, count_actions
+from hrl_escape.agents.agent import Agent, AgentSettings, count_actions
 from hrl_escape.agents.algorithms.dqn import DQN
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import ResolutionSettings, make_cell_finder
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings, make_task_transition
+from hrl_escape.agents.hierarchy.runner import CallRunner, make_task_transition
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.state import Kept, StateTree
@@ -29,10 +29,15 @@ Abstraction = Callable[[Any], Any]
 """From an observation to its abstract state: numbers, an array or a tuple of them."""
 
 
-@dataclass(frozen=True)
-class DeepAbstractQSettings(StackSettings):
+@dataclass(frozen=True, kw_only=True)
+class DeepAbstractQSettings(AgentSettings):
     """Settings of `deep-abstract-q`; workers are otherwise `dqn` or `q-learning` at their defaults."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    polled: Literal["never", "evaluation", "always"] = "never"
+    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    only (hierarchical greedy execution), or always."""
     worker: Literal["network", "table"] = "network"
     """Learner of a step: `dqn`, or `q-learning`."""
     most_states: Annotated[int, Range(2)] = 64
