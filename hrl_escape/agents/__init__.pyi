@@ -7,6 +7,8 @@ from .agent import (
     compute_backup,
     make_transition,
 )
+from .batch_agent import BatchAgent
+from .decisions import Decisions, Moments, Policy
 from .hierarchy.machine import choose, do, machine
 from .hierarchy.runner import StackAgent
 from .hierarchy.task import BaseTask, Call, Hierarchy
@@ -23,15 +25,19 @@ __all__ = [
     "Agent",
     "AgentSettings",
     "BaseTask",
+    "BatchAgent",
     "Call",
     "Callback",
+    "Decisions",
     "Evaluation",
     "Hierarchy",
     "Kept",
     "LearningSettings",
     "MLflow",
+    "Moments",
     "OptionPolicy",
     "OptunaPruning",
+    "Policy",
     "SMDPTransition",
     "StackAgent",
     "Stateful",

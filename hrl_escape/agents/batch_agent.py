@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.decisions import Decisions, Moments, Policy
+from hrl_escape.agents.state import Kept, Stateful, StateTree
 
 if TYPE_CHECKING:
     import torch
@@ -25,6 +26,7 @@ class BatchAgent(Agent):
         place: number of environments, and device of their tensors; None for NumPy arrays.
     """
 
+    STATE = (Kept("_running", unpack=dict, is_left_out=True),)
     place: tuple[int, torch.device | None] = 1, None
 
     @abstractmethod
@@ -51,6 +53,22 @@ class BatchAgent(Agent):
     @abstractmethod
     def make_policy(self) -> Policy:
         """Make a policy that chooses as evaluation does."""
+
+    def list_running(self) -> Mapping[str, Stateful]:
+        """Parts of the state that belong to the present environments, by their names in a checkpoint."""
+        return {}
+
+    @property
+    def _running(self) -> StateTree:
+        parts = {name: part.state_dict() for name, part in self.list_running().items()}
+        return {"num_envs": self.place[0], "is_many": self.place[1] is not None, **parts}
+
+    @_running.setter
+    def _running(self, saved: StateTree) -> None:
+        """Parts go on where there are as many environments, on any device; elsewhere they stay as they are."""
+        if (saved["num_envs"], saved["is_many"]) == (self.place[0], self.place[1] is not None):
+            for name, part in self.list_running().items():
+                part.load_state_dict(saved[name])
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """Choose as `make_policy` does, in the episode of `rng`."""

@@ -153,7 +153,7 @@ class DDPG(ReplayAgent):
 
     settings: DDPGSettings
     STATE = (Kept("_actor_learner", "actor"), Kept("_critic_learner", "critic"),
-             Kept("_noise.state", "noise"), "_noise_rng")
+             Kept("_noise.state", "noise"), Kept("_noise_rng", "action_rng"))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: DDPGSettings | None = None) -> None:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import gymnasium
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -43,7 +42,7 @@ from hrl_escape.agents.components.policy_gradient import (
     take_column,
 )
 from hrl_escape.agents.decisions import Decisions, Moments, Policy
-from hrl_escape.agents.state import Kept, Stateful, StateTree
+from hrl_escape.agents.state import Stateful
 from hrl_escape.settings import Range
 
 
@@ -133,7 +132,7 @@ class PPO(BatchAgent):
 
     settings: PPOSettings
     is_markov: bool = True
-    STATE = ("_learner", Kept("_running", unpack=dict, is_left_out=True), "_bonus", "_batch_rng")
+    STATE = ("_learner", "_bonus", "_batch_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: PPOSettings | None = None) -> None:
@@ -156,7 +155,6 @@ class PPO(BatchAgent):
         self.place = num_envs, device
         self._arrays = Arrays(make_rng(self._seed, "draws"), device)
         self._recollections = Recollections(self._memory, num_envs, self._arrays)
-        self._log_probability = self._arrays.zeros((num_envs,))  # of each environment's latest choice
         self._least = max(self.settings.rollout, 0 if device is None else self.settings.stream_rollout * num_envs)
         self.rollout = RolloutBuffer(self._arrays, num_envs)
 
@@ -174,7 +172,7 @@ class PPO(BatchAgent):
         seen = self._recollections.see(batch.env, self._encoder.encode_batch(batch.observation))
         log_policy = compute_log_policy(self.policy.evaluate(seen), batch.action_mask)
         action = self._arrays.draw_choices(self._arrays.library.exp(log_policy))
-        self._log_probability[batch.env] = take_column(log_policy, action)
+        self.rollout.note_choice(batch.env, take_column(log_policy, action))
         return action
 
     def observe(self, batch: Decisions) -> Mapping[str, float]:
@@ -184,7 +182,7 @@ class PPO(BatchAgent):
         over = batch.terminated | batch.truncated
         self.rollout.add(
             self._encoder.encode_batch(batch.observation), batch.action_mask, batch.action,
-            self._log_probability[batch.env], reward, bootstrap, batch.duration, over,
+            self.rollout.log_probability[batch.env], reward, bootstrap, batch.duration, over,
             self._encoder.encode_batch(batch.next_observation), self._recollections.end(batch.env, over), batch.env)
         return self.improve(self.rollout.take()) if len(self.rollout) >= self._least else {}
 
@@ -232,21 +230,6 @@ class PPO(BatchAgent):
         value = self.critic.compute(self._memory.recall(self._encoder.encode(observation)))
         return float(value[0]) / self.settings.reward_scale
 
-    @property
-    def _running(self) -> StateTree:
-        """Rollout, memories and draws of the present environments."""
-        parts = {name: part.state_dict() for name, part in self._list_running().items()}
-        return {"num_envs": self.place[0], "library": self._arrays.library.__name__,
-                "log_probability": np.asarray(self._log_probability.cpu() if self.place[1] else
-                                              self._log_probability), **parts}
-
-    @_running.setter
-    def _running(self, saved: StateTree) -> None:
-        """They go on where there are as many environments, on any device."""
-        if (saved["num_envs"], saved["library"]) == (self.place[0], self._arrays.library.__name__):
-            for name, part in self._list_running().items():
-                part.load_state_dict(saved[name])
-            self._log_probability = self._arrays.restore(saved["log_probability"])
-
-    def _list_running(self) -> dict[str, Stateful]:
+    def list_running(self) -> dict[str, Stateful]:
+        """Parts of the state that belong to the present environments, by their names in a checkpoint."""
         return {"rollout": self.rollout, "memory": self._recollections, "draws": self._arrays}

@@ -40,12 +40,17 @@ class Rollout(NamedTuple):
 
 
 class RolloutBuffer(Stateful):
-    """Decisions that are collected for the next updates, of one environment or many."""
+    """Decisions that are collected for the next updates, of one environment or many.
 
-    STATE = (Kept("_rows", "rows", unpack=dict),)
+    Attributes:
+        log_probability: (environments,), of each environment's latest choice under the policy that made it.
+    """
+
+    STATE = (Kept("_rows", "rows", unpack=dict), "log_probability")
 
     def __init__(self, arrays: Arrays, num_envs: int) -> None:
         self._arrays, self._num_envs = arrays, num_envs
+        self.log_probability = arrays.zeros((num_envs,))
         self._parts: list[tuple[Any, ...]] = []
         self._count = 0
 
@@ -56,6 +61,10 @@ class RolloutBuffer(Stateful):
         """Take in decisions: the fields of `Rollout` but for the place, arrays or tensors (n, ...)."""
         self._parts.append(fields)
         self._count += len(fields[-1])
+
+    def note_choice(self, env: Any, log_probability: Any) -> None:
+        """Note choices of some environments, int64 (n,), with their log probabilities, (n,)."""
+        self.log_probability[env] = log_probability
 
     def gather(self) -> Rollout:
         """Everything that was collected, as tensors."""

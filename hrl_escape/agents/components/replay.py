@@ -221,8 +221,7 @@ class ReplayAgent(BatchAgent):
 
     settings: Any
     is_markov: bool = True
-    STATE = (Kept("_running", unpack=dict, is_left_out=True), Kept("_schedule.steps", "steps"),
-             Kept("_schedule._due", "updates_due"))
+    STATE = (Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any,
                  n_step: int = 1, relaxed: bool = False) -> None:
@@ -287,18 +286,5 @@ class ReplayAgent(BatchAgent):
         return self.replay.sample(size)
 
     def list_running(self) -> dict[str, Stateful]:
-        """Parts that belong to the present environments, by the names in a checkpoint."""
+        """Parts of the state that belong to the present environments, by their names in a checkpoint."""
         return {"replay": self.replay, "draws": self._arrays}
-
-    @property
-    def _running(self) -> StateTree:
-        """State of the parts that belong to the present environments."""
-        return {"num_envs": self.place[0], "library": self._arrays.library.__name__,
-                **{name: part.state_dict() for name, part in self.list_running().items()}}
-
-    @_running.setter
-    def _running(self, saved: StateTree) -> None:
-        """They go on where there are as many environments, on any device."""
-        if (saved["num_envs"], saved["library"]) == (self.place[0], self._arrays.library.__name__):
-            for name, part in self.list_running().items():
-                part.load_state_dict(saved[name])
