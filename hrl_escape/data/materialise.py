@@ -17,7 +17,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.components.offline import Decisions, Primitives
+from hrl_escape.agents.components.offline import Primitives, RecordedDecisions
 from hrl_escape.data.catalogue import find_tape
 from hrl_escape.data.published import warn_of_other
 from hrl_escape.data.tape import ENDS, Tape, load_tape
@@ -116,13 +116,13 @@ class DataSet:
 
     # --- reading -------------------------------------------------------------------------
 
-    def read(self) -> Decisions | Primitives:
+    def read(self) -> RecordedDecisions | Primitives:
         """All of the level, in memory."""
         return self.read_decisions(self.gamma) if self.level == "decisions" else self.read_primitives()
 
-    def read_decisions(self, gamma: float) -> Decisions:
+    def read_decisions(self, gamma: float) -> RecordedDecisions:
         """All decisions, in memory, with rewards discounted by gamma."""
-        return _join(Decisions, list(self.blocks("decisions", gamma)))
+        return _join(RecordedDecisions, list(self.blocks("decisions", gamma)))
 
     def read_primitives(self) -> Primitives:
         """All primitives, in memory."""
@@ -178,7 +178,7 @@ class DataSet:
                                 "other rules recorded it")
 
     def _make_decisions(self, episodes: list[TapeEpisode], seen: list[NDArray[Any]], rewards: list[float], gamma: float
-                        ) -> Decisions:
+                        ) -> RecordedDecisions:
         tape, rows, after = self.tape, _cover(episodes), _skip_last(each.decisions for each in episodes)
         duration = tape.duration[rows].astype(np.int64)
         discounted, summed = _discount(np.array(rewards), duration, gamma)
@@ -189,7 +189,7 @@ class DataSet:
         bits = np.arange(len(tape.about["actions"]), dtype=np.uint64)
         mask = (legal[:, None] >> bits & np.uint64(1)).astype(np.bool_)
         terminated, last, trajectory = self._find_ends(episodes, rows)
-        return Decisions(observation[after], tape.option[rows].astype(np.int64), mask[after], discounted, summed,
+        return RecordedDecisions(observation[after], tape.option[rows].astype(np.int64), mask[after], discounted, summed,
                          duration, powers[duration], observation[after + 1], mask[after + 1], terminated, last,
                          trajectory, tape.ended[rows].astype(np.int64))
 

@@ -43,7 +43,7 @@ FEW_STATES = 0.1
 """States for each decision of the data up to which `values=auto` is a table."""
 
 
-class Decisions(NamedTuple):
+class RecordedDecisions(NamedTuple):
     """Decisions of recorded trajectories, in order; the fields of `SMDPTransition`, one row a decision."""
 
     observation: Any  # at each decision, (n, ...)
@@ -68,16 +68,16 @@ class Primitives(NamedTuple):
     action: NDArray[np.int64]  # int64 (n,)
     reward: NDArray[np.float64]  # float64 (n,)
     next_observation: Any  # after it, (n, ...)
-    terminated: NDArray[np.bool_]  # as in `Decisions`
+    terminated: NDArray[np.bool_]  # as in `RecordedDecisions`
     last: NDArray[np.bool_]  # likewise
     trajectory: NDArray[np.int64]  # likewise
     option: NDArray[np.int64]  # action of the decision that it belongs to, int64 (n,)
     begins: NDArray[np.bool_]  # it is the decision's first, bool (n,)
 
-    def as_decisions(self, gamma: float, actions: int) -> Decisions:
+    def as_decisions(self, gamma: float, actions: int) -> RecordedDecisions:
         """The same as decisions of one primitive each."""
         ones, legal = np.ones_like(self.action), np.ones((len(self.action), actions), np.bool_)
-        return Decisions(self.observation, self.action, legal, self.reward, self.reward, ones,
+        return RecordedDecisions(self.observation, self.action, legal, self.reward, self.reward, ones,
                          np.full(len(ones), gamma, np.float64),
                          self.next_observation, legal, self.terminated, self.last, self.trajectory, 0 * ones)
 
@@ -96,7 +96,7 @@ class OfflineData(Protocol):
         """Name, content hash and observation, part of a run's identity."""
         ...
 
-    def read_decisions(self, gamma: float) -> Decisions:
+    def read_decisions(self, gamma: float) -> RecordedDecisions:
         """All decisions, in memory."""
         ...
 
@@ -189,7 +189,7 @@ class DecisionTable:
         worst: value of a state at which the data shows no decision: least reward a primitive, for ever.
     """
 
-    def __init__(self, state: NDArray, next_state: NDArray, data: Decisions, states: int, actions: int,
+    def __init__(self, state: NDArray, next_state: NDArray, data: RecordedDecisions, states: int, actions: int,
                  rewards: NDArray, discounts: NDArray) -> None:
         self.shape = states, actions
         self._pair, self._next = state * actions + data.action, next_state
@@ -208,7 +208,7 @@ class DecisionTable:
         return np.where(self.shown, sums / np.maximum(self.counts, 1.0), self.worst)
 
 
-def list_best(data: Decisions, share: float) -> NDArray[np.bool_]:
+def list_best(data: RecordedDecisions, share: float) -> NDArray[np.bool_]:
     """Decisions of the best share of trajectories by plain return, bool (n,); of those not cut, if there are any."""
     if share >= 1.0:
         return np.ones(len(data.action), np.bool_)
@@ -271,7 +271,7 @@ class OfflineAgent(Agent):
 
     # --- learning ------------------------------------------------------------------------
 
-    def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:
+    def begin(self, data: RecordedDecisions, primitives: Primitives | None = None) -> None:
         """Take the data, and for agents of both the primitives in it; `AgentSettingsError` where it holds nothing."""
         del primitives
         if not len(data.action):

@@ -16,10 +16,10 @@ from torch.nn.functional import cross_entropy
 
 from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.agents.components.offline import (
-    Decisions,
     DecisionTable,
     OfflineAgent,
     Primitives,
+    RecordedDecisions,
     list_best,
 )
 from hrl_escape.agents.components.replay import Experience
@@ -100,11 +100,11 @@ class BehaviourCloning(OfflineAgent):
     acting: ClassVar[str] = "policy"
     settings: BehaviourCloningSettings
 
-    def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:
+    def begin(self, data: RecordedDecisions, primitives: Primitives | None = None) -> None:
         """Take the trajectories that are to be cloned."""
         kept = list_best(data, self.settings.best)
         fields: Any = [field[kept] for field in data]
-        super().begin(Decisions(*fields), primitives)
+        super().begin(RecordedDecisions(*fields), primitives)
 
     def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Counts, which no sweep changes."""

@@ -19,7 +19,7 @@ from torch.nn import functional
 from hrl_escape.agents.agent import AgentSettings, SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best
 from hrl_escape.agents.components.networks import Network, ObservationEncoder, make_linear
-from hrl_escape.agents.components.offline import Decisions, OfflineAgent, Primitives, encode_all
+from hrl_escape.agents.components.offline import OfflineAgent, Primitives, RecordedDecisions, encode_all
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
@@ -163,7 +163,7 @@ class DecisionTransformer(OfflineAgent):
         self._tokens: list[NDArray[np.float32]] = []
         self._before = (-1, 0)
 
-    def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:
+    def begin(self, data: RecordedDecisions, primitives: Primitives | None = None) -> None:
         """Make a token of every decision."""
         super().begin(data)
         first = np.concatenate([[True], data.trajectory[1:] != data.trajectory[:-1]])
