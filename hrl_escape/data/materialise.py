@@ -189,9 +189,10 @@ class DataSet:
         bits = np.arange(len(tape.about["actions"]), dtype=np.uint64)
         mask = (legal[:, None] >> bits & np.uint64(1)).astype(np.bool_)
         terminated, last, trajectory = self._find_ends(episodes, rows)
-        return RecordedDecisions(observation[after], tape.option[rows].astype(np.int64), mask[after], discounted, summed,
-                         duration, powers[duration], observation[after + 1], mask[after + 1], terminated, last,
-                         trajectory, tape.ended[rows].astype(np.int64))
+        return RecordedDecisions(
+            observation[after], tape.option[rows].astype(np.int64), mask[after], discounted, summed, duration,
+            powers[duration], observation[after + 1], mask[after + 1], terminated, last, trajectory,
+            tape.ended[rows].astype(np.int64))
 
     def _make_primitives(self, episodes: list[TapeEpisode], seen: list[NDArray[Any]], rewards: list[float], gamma: float
                          ) -> Primitives:
